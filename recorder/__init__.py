@@ -1,0 +1,46 @@
+"""What is on disk: recording, reading, aligning, checking and exporting sessions.
+
+`docs/data-format.md` is the contract; this package is its one implementation.
+"""
+
+from recorder import codecs as _codecs
+from recorder.errors import SessionError
+from recorder.reader import Session, Stream
+from recorder.session import SessionWriter
+from recorder.spec import (
+    FORMAT_VERSION,
+    OUTCOMES,
+    PHASES,
+    REFERENCE,
+    SEGMENTS,
+    Column,
+    StreamSpec,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
+from recorder.window import Window
+from recorder.writer import StreamWriter
+
+_codecs.register()
+
+__all__ = [
+    "FORMAT_VERSION",
+    "OUTCOMES",
+    "PHASES",
+    "REFERENCE",
+    "SEGMENTS",
+    "Column",
+    "Session",
+    "SessionError",
+    "SessionWriter",
+    "Stream",
+    "StreamSpec",
+    "StreamWriter",
+    "Window",
+    "camera_spec",
+    "force_spec",
+    "pose_spec",
+    "taxels_spec",
+]

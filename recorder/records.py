@@ -1,0 +1,166 @@
+"""The record: how every byte that must survive a crash is framed.
+
+A log is a file of records, one after the other, nothing between them::
+
+    magic   4 bytes  b"TRL1"
+    nbytes  uint32   length of the payload
+    crc     uint32   CRC-32C of t_ns, index and payload
+    t_ns    int64    time of the (last) sample in the payload [ns]
+    index   uint32   number of the payload in its column or journal, modulo 2**32
+    payload nbytes
+
+All little-endian. A record that is short, or whose checksum does not match, and everything behind
+it, was being written when the writer died and does not count.
+"""
+
+import errno
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import google_crc32c
+
+from recorder.durable import sync_directory
+
+MAGIC = b"TRL1"
+HEADER = struct.Struct("<4sIIqI")
+_STAMP = struct.Struct("<qI")
+_FRAME = struct.Struct("<4sII")
+_JOIN_BELOW = 1 << 14  # bytes; under this one copy is cheaper than a vectored write
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Where one whole record lies in a log."""
+
+    index: int
+    """Number of the payload, modulo 2**32."""
+    t_ns: int
+    """Time of the last sample in it [ns]."""
+    offset: int
+    """First byte of the payload in the file."""
+    nbytes: int
+    """Length of the payload."""
+
+    @property
+    def end(self) -> int:
+        """First byte behind the record."""
+        return self.offset + self.nbytes
+
+
+def checksum(payload: bytes, t_ns: int, index: int) -> int:
+    """Return the CRC-32C that guards a payload together with its place and time."""
+    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    crc: int = google_crc32c.extend(google_crc32c.value(stamp), payload)
+    return crc
+
+
+def header(payload: bytes, t_ns: int, index: int) -> bytes:
+    """Return the 24 bytes that go in front of a payload."""
+    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    crc = google_crc32c.extend(google_crc32c.value(stamp), payload)
+    return _FRAME.pack(MAGIC, len(payload), crc) + stamp
+
+
+def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[Record]:
+    """Yield the whole records at the start of a log, at most `limit`, numbered from `first_index`.
+
+    Stops at the first that is torn, corrupt or out of order.
+    """
+    position = 0
+    for index in range(first_index, first_index + limit):
+        start = position + HEADER.size
+        if start > len(data):
+            return
+        magic, nbytes, crc, t_ns, found = HEADER.unpack_from(data, position)
+        if magic != MAGIC or found != index & 0xFFFFFFFF or start + nbytes > len(data):
+            return
+        if checksum(data[start : start + nbytes], t_ns, index) != crc:
+            return
+        yield Record(found, t_ns, start, nbytes)
+        position = start + nbytes
+
+
+class RecordLog:
+    """A file that only grows by whole records.
+
+    `append` is called by one thread; `sync` may be called by another.
+    """
+
+    def __init__(self, path: Path, *, end: int = 0) -> None:
+        """Open a log, creating it when missing, and drop whatever lies behind byte `end`."""
+        self.path = path
+        self.end = end
+        self._fd = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
+        os.ftruncate(self._fd, end)
+        self._synced = -1  # bytes; a fresh file's name is not durable either
+
+    def append(self, payload: bytes, t_ns: int, index: int) -> int:
+        """Add one record and return the byte offset of its payload.
+
+        Raises:
+            OSError: The record could not be written whole (ENOSPC when the disk is full). The file
+                is back to its last whole record and the log may be used further.
+        """
+        head = header(payload, t_ns, index)
+        start = self.end + HEADER.size
+        try:
+            if len(payload) < _JOIN_BELOW:
+                written = os.pwrite(self._fd, head + payload, self.end)
+            else:
+                written = os.pwritev(self._fd, [head, payload], self.end)
+            # A full disk shortens a write without an error; the next one would then fail.
+            if written != HEADER.size + len(payload):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        except OSError:
+            os.ftruncate(self._fd, self.end)
+            raise
+        self.end = start + len(payload)
+        return start
+
+    def finish(self, trailer: bytes) -> None:
+        """Add bytes that are no record, as the last of the file, and make all of it durable.
+
+        Raises:
+            OSError: As for `append`.
+        """
+        try:
+            if os.pwrite(self._fd, trailer, self.end) != len(trailer):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+            os.fdatasync(self._fd)
+        except OSError:
+            os.ftruncate(self._fd, self.end)
+            raise
+
+    def truncate(self, end: int) -> None:
+        """Drop everything behind byte `end`, which must be the end of a record."""
+        os.ftruncate(self._fd, end)
+        self.end = end
+        self._synced = min(self._synced, end - 1)
+
+    def sync(self) -> None:
+        """Make everything appended so far survive a power cut."""
+        end = self.end
+        if end == self._synced:
+            return
+        os.fdatasync(self._fd)
+        if self._synced < 0:
+            sync_directory(self.path.parent)
+        self._synced = end
+
+    def close(self) -> None:
+        """Let go of the file. Safe twice."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> Self:
+        """Return the log."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the log."""
+        self.close()

@@ -1,0 +1,163 @@
+"""The shard that is its own write-ahead log.
+
+While it grows, a shard is a log of records (`records.py`) in `<key>.partial`. Sealing appends the
+standard `sharding_indexed` index, whose offsets simply point past the record headers, makes the
+file durable and renames it to its key: from then on it is a plain Zarr v3 shard.
+"""
+
+import os
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.durable import TEMPORARY, sync_directory
+from recorder.errors import SessionError
+from recorder.layout import CHUNKS_PER_SHARD, Layout
+from recorder.records import HEADER, Record, RecordLog, scan
+
+MISSING = 0xFFFF_FFFF_FFFF_FFFF
+INDEX_BYTES = CHUNKS_PER_SHARD * 16 + 4
+
+Index = NDArray[np.uint64]
+"""(CHUNKS_PER_SHARD, 2): offset and length of each inner chunk, MISSING twice for none."""
+
+
+class OpenShard:
+    """One growing shard of one column."""
+
+    def __init__(self, layout: Layout, number: int, records: list[Record]) -> None:
+        """Open `<key>.partial`, which holds `records`, and drop whatever lies behind them."""
+        self.number = number
+        self._sealed = False
+        self._layout = layout
+        self._entries = [(record.offset, record.nbytes) for record in records]
+        path = layout.partial(number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._log = RecordLog(path, end=records[-1].end if records else 0)
+
+    def __len__(self) -> int:
+        """Return how many chunks it holds."""
+        return len(self._entries)
+
+    @property
+    def full(self) -> bool:
+        """Whether it can take no more."""
+        return len(self._entries) == CHUNKS_PER_SHARD
+
+    def append(self, chunk: bytes, t_ns: int) -> None:
+        """Add one encoded chunk.
+
+        Raises:
+            OSError: It could not be written whole; the shard is as before.
+        """
+        index = self.number * CHUNKS_PER_SHARD + len(self._entries)
+        offset = self._log.append(chunk, t_ns, index)
+        self._entries.append((offset, len(chunk)))
+
+    def drop_last(self) -> None:
+        """Take the last chunk back."""
+        offset, _ = self._entries.pop()
+        self._log.truncate(offset - HEADER.size)
+
+    def sync(self) -> None:
+        """Make its chunks survive a power cut. May be called from another thread."""
+        self._log.sync()
+
+    def seal(self) -> None:
+        """Turn the log into a shard and give it its name, replacing a shorter one. Safe twice.
+
+        Raises:
+            OSError: No room for the index; the shard is as before.
+        """
+        if self._sealed:
+            return
+        self._log.finish(packed_index(self._entries))
+        final = self._layout.shard(self.number)
+        self._log.path.replace(final)
+        sync_directory(final.parent)
+        self._log.close()
+        self._sealed = True
+
+    def close(self) -> None:
+        """Let go of the file as it is."""
+        self._log.close()
+
+
+def packed_index(entries: list[tuple[int, int]]) -> bytes:
+    """Return the bytes that close a shard: 64 offsets and lengths and their checksum."""
+    index = np.full((CHUNKS_PER_SHARD, 2), MISSING, "<u8")
+    index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
+    data = index.tobytes()
+    return data + int(google_crc32c.value(data)).to_bytes(4, "little")
+
+
+def read_index(path: Path) -> Index:
+    """Return the index of a sealed shard.
+
+    Raises:
+        SessionError: No such shard, or its index is damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            tail = os.pread(file.fileno(), INDEX_BYTES, max(size - INDEX_BYTES, 0))
+    except FileNotFoundError:
+        raise SessionError(f"{path}: shard missing") from None
+    if len(tail) != INDEX_BYTES:
+        raise SessionError(f"{path}: {size} bytes, too short for a shard index")
+    if int(google_crc32c.value(tail[:-4])) != int.from_bytes(tail[-4:], "little"):
+        raise SessionError(f"{path}: checksum of the shard index does not match")
+    return np.frombuffer(tail[:-4], "<u8").reshape(CHUNKS_PER_SHARD, 2)
+
+
+def chunk_count(index: Index) -> int:
+    """Return how many chunks a shard holds before the first missing one."""
+    missing = np.flatnonzero(index[:, 0] == MISSING)
+    return int(missing[0]) if missing.size else CHUNKS_PER_SHARD
+
+
+def scan_partial(layout: Layout, number: int) -> tuple[list[Record], int]:
+    """Return the whole records of a growing shard, and how many torn bytes lie behind them."""
+    data = layout.partial(number).read_bytes()
+    first = number * CHUNKS_PER_SHARD
+    records = list(scan(data, first_index=first, limit=CHUNKS_PER_SHARD))
+    tail = data[records[-1].end if records else 0 :]
+    # A writer that died between index and rename leaves the index behind: nothing is torn then.
+    index = packed_index([(record.offset, record.nbytes) for record in records])
+    return records, 0 if index.startswith(tail) else len(tail)
+
+
+def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
+    """Open a shard to grow on behind its first `chunks` chunks, which must be there.
+
+    A sealed shard stays where it is; its chunks are copied, and it is replaced when the copy is
+    sealed in turn.
+
+    Raises:
+        SessionError: The shard holds fewer whole records.
+    """
+    partial, sealed = layout.partial(number), layout.shard(number)
+    records = scan_partial(layout, number)[0] if partial.exists() else []
+    if len(records) < chunks and sealed.exists():
+        _copy_records(sealed, partial, chunks)
+        records = scan_partial(layout, number)[0]
+    if len(records) < chunks:
+        raise SessionError(f"{partial}: {len(records)} whole records, expected {chunks}")
+    return OpenShard(layout, number, records[:chunks])
+
+
+def _copy_records(sealed: Path, partial: Path, chunks: int) -> None:
+    end = int(read_index(sealed)[chunks - 1].sum())
+    temporary = partial.with_name(partial.name + TEMPORARY)
+    with sealed.open("rb") as source, temporary.open("wb") as copy:
+        rest = end
+        while rest and (data := source.read(min(rest, 1 << 22))):
+            copy.write(data)
+            rest -= len(data)
+        copy.flush()
+        os.fsync(copy.fileno())
+    # Only a complete copy may be called partial: from here on it stands for the sealed one.
+    temporary.replace(partial)
+    sync_directory(partial.parent)

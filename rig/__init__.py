@@ -1,0 +1,1 @@
+"""The bench: clock, drivers and their emulators, the collect loop, safety."""

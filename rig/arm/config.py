@@ -1,0 +1,66 @@
+"""What the bench file says about the arm. No vendor library here: a bench is checked without one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+
+@dataclass(frozen=True, slots=True)
+class ArmConfig:
+    """One UR e-Series arm, its tool and how it may move."""
+
+    KIND: ClassVar[str] = "ur"
+
+    host: str
+    """IP address of the controller (or of its emulator). Ports are fixed by the controller."""
+    rate_hz: float = 500.0
+    """RTDE pose rate; the controller divides 500 Hz by a whole number."""
+    tcp: tuple[float, ...] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), metadata={"pose": True})
+    """Tool centre point in the flange frame [m, rad] (UR rotation vector)."""
+    payload: float = field(default=0.5, metadata={"unit": "kg"})
+    """Mass of everything on the flange [kg]."""
+    payload_cog: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "mm"})
+    """Its centre of gravity in the flange frame [m]."""
+    speed: float = field(default=0.005, metadata={"unit": "mm_s"})
+    """Near contact [m/s]; above it the guard's stopping distance costs too much force."""
+    acceleration: float = field(default=0.1, metadata={"unit": "mm_s2"})
+    """Near contact [m/s^2]."""
+    travel_speed: float = field(default=0.05, metadata={"unit": "mm_s"})
+    """Where no contact is expected, and while retracting [m/s]."""
+    travel_acceleration: float = field(default=0.5, metadata={"unit": "mm_s2"})
+    """As `travel_speed` [m/s^2]."""
+    stop_deceleration: float = field(default=2.0, metadata={"unit": "mm_s2"})
+    """Of every halt [m/s^2]."""
+    retract: float = field(default=0.02, metadata={"unit": "mm"})
+    """Height of a retract along +z of the contact frame [m]."""
+    watchdog_hz: float = 10.0
+    """The controller stops its program when commands come more slowly than this."""
+    settle: float = field(default=0.05, metadata={"unit": "ms"})
+    """The TCP must stand still this long before a move counts as done [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no bench can mean.
+
+        Raises:
+            ValueError: Names the field, what was found and what is allowed.
+        """
+        positive = (
+            "rate_hz",
+            "speed",
+            "acceleration",
+            "travel_speed",
+            "travel_acceleration",
+            "stop_deceleration",
+            "retract",
+            "watchdog_hz",
+        )
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
+        if len(self.tcp) != 6:
+            raise ValueError(f"tcp: {len(self.tcp)} numbers; allowed: 6 (x y z rx ry rz)")
+        if len(self.payload_cog) != 3:
+            raise ValueError(f"payload_cog: {len(self.payload_cog)} numbers; allowed: 3")
+        if self.payload < 0 or self.settle < 0:
+            raise ValueError("payload, settle: allowed: 0 or more")

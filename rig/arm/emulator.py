@@ -1,0 +1,310 @@
+"""A UR5e controller on a loopback address, for the unmodified ur_rtde and for our pose reader.
+
+    python -m rig.arm.emulator --host 127.0.0.5 --state run/arm --world run/world
+
+Listens on the controller's own ports: RTDE 30004, scripts 30001 to 30003, dashboard 29999; and on
+FAULT_PORT for faults to inject. ur_rtde's constructors hold the GIL while they wait for an answer,
+so this must not run in the process of a client that uses ur_rtde.
+
+Fault port: one JSON object a line, answered by one. {"fault": "protective_stop" | "emergency_stop" |
+"reset_safety" | "stop_program" | "drop" | "freeze" (with "seconds": RTDE mute, arm goes on) |
+"slider" (with "fraction") | "remote_control" (with "on") | "state"}.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import re
+import selectors
+import socket
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.arm import dashboard, rtde
+from rig.arm.controller import Controller
+from rig.arm.emulator_clients import Client, LineClient, RtdeClient, ScriptClient
+from rig.arm.kinematics import POSTURE, flange_pose
+from rig.arm.robot import CYCLE
+from rig.arm.rotation import compose
+from rig.clock import SECOND_NS, Clock, SystemClock
+from rig.force.emulation import SharedWorld, add_arguments, serve
+from rig.latest import ARM_TRUTH
+from rig.shared import LatestRecord
+
+logger = logging.getLogger(__name__)
+
+FAULT_PORT = 31000
+SCRIPT_PORTS = (30001, 30002, 30003)
+_CYCLE_NS = round(CYCLE * SECOND_NS)
+_LATE_CYCLES = 25
+# Up to 50 ms of host delay is caught up, as the packages of a real controller would arrive together;
+# beyond that the emulated controller's clock stands still for the time lost, and that is counted.
+
+
+class ArmEmulator:
+    """Serves a `Controller` at 500 Hz against absolute deadlines, in one thread of its own.
+
+    Args:
+        host: Loopback address to listen on.
+        controller: What to serve.
+        clock: Paces the cycles.
+        state: ARM_TRUTH record to publish each cycle's pose in.
+        world: Where the contact force comes from.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        controller: Controller,
+        clock: Clock,
+        *,
+        state: LatestRecord | None = None,
+        world: SharedWorld | None = None,
+    ) -> None:
+        self._host = host
+        self._controller = controller
+        self._clock = clock
+        self._state = state
+        self._world = world
+        self._world_count = 0
+        self._clients: list[RtdeClient] = []
+        self._owners: dict[str, RtdeClient] = {}
+        # select(2) waits to the microsecond; epoll, in Python, rounds up to the millisecond.
+        self._selector = selectors.SelectSelector()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._frozen_until_ns = 0
+        self.missed = 0
+        """Cycles of host time in which the emulated controller's clock stood still."""
+
+    @property
+    def address(self) -> str:
+        """The host it listens on."""
+        return self._host
+
+    def start(self) -> None:
+        """Listen on all ports and run; returns when clients can connect.
+
+        Raises:
+            OSError: A port is taken.
+        """
+        try:
+            self._listen(rtde.PORT, self._new_rtde)
+            self._listen(dashboard.PORT, self._new_dashboard)
+            self._listen(FAULT_PORT, lambda peer: LineClient(peer, self._answer_fault))
+            for port in SCRIPT_PORTS:
+                self._listen(port, lambda peer: ScriptClient(peer, self._controller.start_program))
+        except OSError:
+            self._close_sockets()
+            raise
+        self._thread = threading.Thread(target=self._run, name="arm emulator", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop and close every connection; safe twice."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._close_sockets()
+
+    def _close_sockets(self) -> None:
+        for key in list((self._selector.get_map() or {}).values()):
+            key.fileobj.close()  # type: ignore[union-attr]
+        self._selector.close()
+
+    def _listen(self, port: int, make: Callable[[socket.socket], Client]) -> None:
+        server = socket.socket()
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._selector.register(server, selectors.EVENT_READ, lambda: self._accept(server, make))
+        server.setblocking(False)
+        server.bind((self._host, port))
+        server.listen(8)
+
+    def _accept(self, server: socket.socket, make: Callable[[socket.socket], Client]) -> None:
+        try:
+            peer, _ = server.accept()
+        except OSError:
+            return
+        peer.setblocking(False)
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = make(peer)
+        self._selector.register(peer, selectors.EVENT_READ, lambda: self._serve(peer, client))
+
+    def _serve(self, peer: socket.socket, client: Client) -> None:
+        if client.receive():
+            return
+        self._selector.unregister(peer)
+        peer.close()
+        if isinstance(client, RtdeClient):
+            self._clients.remove(client)
+            self._owners = {k: owner for k, owner in self._owners.items() if owner is not client}
+
+    def _new_rtde(self, peer: socket.socket) -> Client:
+        client = RtdeClient(peer, self._controller, self._owners)
+        self._clients.append(client)
+        return client
+
+    def _new_dashboard(self, peer: socket.socket) -> Client:
+        # The banner must come at once: ur_rtde waits 2 s for it and then gives up.
+        return LineClient(
+            peer, lambda line: dashboard.answer(self._controller, line), dashboard.BANNER
+        )
+
+    def _run(self) -> None:
+        due_ns = self._clock.now_ns() + _CYCLE_NS
+        while not self._stopping.is_set():
+            wait = (due_ns - self._clock.now_ns()) / SECOND_NS
+            for key, _ in self._selector.select(max(wait, 0.0)):
+                if self._clock.now_ns() < self._frozen_until_ns and self._is_rtde(key.fileobj):
+                    continue
+                key.data()
+            now_ns = self._clock.now_ns()
+            if now_ns < due_ns:
+                continue
+            self._cycle(due_ns, now_ns)
+            due_ns += _CYCLE_NS
+            late = (now_ns - due_ns) // _CYCLE_NS
+            if late > _LATE_CYCLES:
+                self.missed += late
+                due_ns += late * _CYCLE_NS
+
+    def _is_rtde(self, fileobj: Any) -> bool:
+        return any(client.peer is fileobj for client in self._clients)
+
+    def _cycle(self, due_ns: int, now_ns: int) -> None:
+        controller = self._controller
+        # The World answers at a few hundred Hz at most: looking every fifth cycle is enough.
+        if self._world is not None and controller.tick % 5 == 0:
+            count, state = self._world.state()
+            if count != self._world_count:
+                self._world_count = count
+                controller.wrench = np.array(state["wrench"])
+        controller.cycle()
+        if self._state is not None:
+            self._state.write((due_ns, controller.robot.pose, controller.robot.speed))
+        if now_ns >= self._frozen_until_ns:
+            for client in self._clients:
+                client.publish()
+
+    def _answer_fault(self, line: str) -> str:
+        try:
+            request = json.loads(line)
+            return json.dumps({"ok": True, **self.inject(request.pop("fault"), **request)})
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            return json.dumps({"ok": False, "error": repr(error)})
+
+    def inject(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Inject one fault of the module's list and return what it has to say.
+
+        Raises:
+            ValueError: No such fault.
+        """
+        controller = self._controller
+        if fault == "protective_stop":
+            controller.protective_stop("injected")
+        elif fault == "emergency_stop":
+            controller.emergency_stop()
+        elif fault == "reset_safety":
+            controller.reset_safety()
+        elif fault == "stop_program":
+            controller.stop_program("injected")
+        elif fault == "drop":
+            for client in self._clients:
+                client.peer.shutdown(socket.SHUT_RDWR)
+        elif fault == "freeze":
+            seconds = float(values["seconds"])
+            self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
+        elif fault == "slider":
+            controller.robot.slider = float(values["fraction"])
+        elif fault == "remote_control":
+            controller.remote_control = bool(values["on"])
+        elif fault != "state":
+            raise ValueError(f"fault {fault!r}; known: see the module's first lines")
+        return {
+            "tick": controller.tick,
+            "pose": controller.robot.pose.tolist(),
+            "speed": controller.robot.speed.tolist(),
+            "tcp": controller.robot.tcp.tolist(),
+            "payload": controller.payload,
+            "runtime_state": controller.runtime_state,
+            "safety_status": controller.safety_status,
+            "reason": controller.reason,
+            "uploads": controller.uploads,
+            "clients": len(self._clients),
+            "missed": self.missed,
+        }
+
+
+def inject(host: str, fault: str, **values: Any) -> dict[str, Any]:
+    """Inject a fault into the emulator at `host` through its fault port; returns its answer.
+
+    Raises:
+        OSError: No emulator there.
+        ValueError: The emulator does not know the fault, or misses a value.
+    """
+    with socket.create_connection((host, FAULT_PORT), 5.0) as connection:
+        connection.sendall(json.dumps({"fault": fault, **values}).encode() + b"\n")
+        with connection.makefile("r", encoding="utf-8") as lines:
+            reply: dict[str, Any] = json.loads(lines.readline())
+    if not reply.pop("ok"):
+        raise ValueError(f"fault {fault!r} {values}: {reply['error']}")
+    return reply
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one emulated arm until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m rig.arm.emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--state", type=Path, metavar="PATH", help="file to publish the pose in")
+    parser.add_argument(
+        "--pose",
+        type=float,
+        nargs=6,
+        metavar="N",
+        help="TCP pose at start: x y z [m] rx ry rz [rad], base frame (default: tool down)",
+    )
+    parser.add_argument(
+        "--tcp",
+        type=float,
+        nargs=6,
+        metavar="N",
+        default=[0.0] * 6,
+        help="TCP in the flange frame at start, as in the installation (default: the flange)",
+    )
+    parser.add_argument(
+        "--force-limit",
+        type=float,
+        default=150.0,
+        metavar="N",
+        help="contact force that makes a protective stop [N] (%(default)s)",
+    )
+    arguments = parser.parse_args(argv)
+    tcp = np.array(arguments.tcp)
+    pose = arguments.pose or compose(flange_pose(np.array(POSTURE)), tcp)
+    try:
+        controller = Controller(np.array(pose), tcp, force_limit=arguments.force_limit)
+    except ValueError as error:
+        parser.error(str(error))
+    state = LatestRecord.create(arguments.state, ARM_TRUTH) if arguments.state else None
+    world = SharedWorld(arguments.world)
+    emulator = ArmEmulator(
+        arguments.host, controller, SystemClock(), state=state, world=world
+    )
+    try:
+        return serve("arm", emulator, until_stdin_closes=arguments.until_stdin_closes)
+    finally:
+        world.close()
+        if state is not None:
+            state.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""Rotation vectors and poses, as UR controllers write them, right up to half a turn.
+
+A pose is six numbers: position [m] and rotation vector [rad] (axis times angle, angle at most pi).
+Read as `pose_a_to_b`, it takes points of frame a to frame b. Everything accepts leading batch axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def matrix_from_vector(vector: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    r = np.asarray(vector, np.float64)
+    angle = np.sqrt(np.sum(r * r, axis=-1))[..., None, None]
+    # numpy's sinc is sin(pi x) / (pi x): both factors are smooth through angle 0.
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    cross = np.zeros((*r.shape[:-1], 3, 3))
+    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -r[..., 2], r[..., 1], -r[..., 0]
+    cross[..., 1, 0], cross[..., 2, 0], cross[..., 2, 1] = r[..., 2], -r[..., 1], r[..., 0]
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def vector_from_matrix(matrix: ArrayLike) -> Array:
+    """Rotation vectors (..., 3) [rad], angle in [0, pi], of rotation matrices (..., 3, 3).
+
+    By way of the quaternion whose largest element divides: the arc cosine of the trace loses half of
+    the digits near pi, which is where a tool that points down lives.
+    """
+    m = np.asarray(matrix, np.float64)
+    x, y, z = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    squares = np.stack([1 + x + y + z, 1 + x - y - z, 1 - x + y - z, 1 - x - y + z], -1)
+    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    d, e, f = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    # Row k is the quaternion (w, x, y, z) times 4 q_k.
+    rows = np.stack(
+        [
+            np.stack([squares[..., 0], a, b, c], -1),
+            np.stack([a, squares[..., 1], d, e], -1),
+            np.stack([b, d, squares[..., 2], f], -1),
+            np.stack([c, e, f, squares[..., 3]], -1),
+        ],
+        -2,
+    )
+    best = np.argmax(squares, -1)[..., None, None]
+    quaternion = np.take_along_axis(rows, best, -2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    axis = quaternion[..., 1:]
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, quaternion[..., :1])
+    tiny = sine < 1e-12
+    return np.asarray(axis * np.where(tiny, 2.0, angle / np.where(tiny, 1.0, sine)))
+
+
+def compose(outer: ArrayLike, inner: ArrayLike) -> Array:
+    """Pose (..., 6) that applies `inner` first: compose(b_to_c, a_to_b) = a_to_c."""
+    b, a = np.asarray(outer, np.float64), np.asarray(inner, np.float64)
+    turn = matrix_from_vector(b[..., 3:])
+    position = b[..., :3] + (turn @ a[..., :3, None])[..., 0]
+    rotation = vector_from_matrix(turn @ matrix_from_vector(a[..., 3:]))
+    return np.concatenate([position, rotation], -1)
+
+
+def invert(pose: ArrayLike) -> Array:
+    """Pose (..., 6) that undoes `pose`: b_to_a of a_to_b."""
+    p = np.asarray(pose, np.float64)
+    back = np.swapaxes(matrix_from_vector(p[..., 3:]), -1, -2)
+    return np.concatenate([-(back @ p[..., :3, None])[..., 0], -p[..., 3:]], -1)
+
+
+def transform(pose_a_to_b: ArrayLike, points: ArrayLike) -> Array:
+    """Points (..., 3) of frame a, in frame b [m]."""
+    pose = np.asarray(pose_a_to_b, np.float64)
+    turned = matrix_from_vector(pose[..., 3:]) @ np.asarray(points, np.float64)[..., None]
+    return np.asarray(pose[..., :3] + turned[..., 0])
+
+
+def rotation_between(start: ArrayLike, goal: ArrayLike) -> Array:
+    """Rotation vector (..., 3) [rad], in the base frame, that turns pose `start` into `goal`."""
+    a, b = np.asarray(start, np.float64), np.asarray(goal, np.float64)
+    turn = matrix_from_vector(b[..., 3:]) @ np.swapaxes(matrix_from_vector(a[..., 3:]), -1, -2)
+    return vector_from_matrix(turn)
+
+
+def turn(rotation: ArrayLike, vector: ArrayLike) -> Array:
+    """Rotation vector (..., 3) of orientation `vector` after turning by `rotation` about the base."""
+    return vector_from_matrix(matrix_from_vector(rotation) @ matrix_from_vector(vector))

@@ -1,0 +1,1 @@
+"""Tactile images: OpenCV cameras, their driver and an emulated network camera."""

@@ -1,0 +1,135 @@
+"""JPEG files as a camera sends them: their segments, without decoding a pixel.
+
+A file is SOI (FFD8), segments (FF, marker, uint16 length that counts itself, content), the last of
+them SOS followed by the coded picture, and EOI (FFD9). Some UVC cameras leave out the Huffman
+tables (DHT), as Motion JPEG may; decoders of still images then fail.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+
+SOI = b"\xff\xd8"
+EOI = b"\xff\xd9"
+_DHT, _SOS, _COM = 0xC4, 0xDA, 0xFE
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
+
+# ITU-T T.81, Annex K.3: the tables a stream without DHT means.
+_DC_VALUES = "000102030405060708090a0b"
+_AC_TAIL_LUMA = (
+    "434445464748494a535455565758595a636465666768696a737475767778797a838485868788898a92939495969798"
+    "999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9bac2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae1e2e3e4e5e6e7e8e9"
+    "eaf1f2f3f4f5f6f7f8f9fa"
+)
+_AC_TAIL_CHROMA = (
+    "434445464748494a535455565758595a636465666768696a737475767778797a82838485868788898a929394959697"
+    "98999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9bac2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae2e3e4e5e6e7e8e9"
+    "eaf2f3f4f5f6f7f8f9fa"
+)
+_TABLES = bytes.fromhex(
+    "00"
+    "00010501010101010100000000000000" + _DC_VALUES + "10"
+    "0002010303020403050504040000017d"
+    "01020300041105122131410613516107227114328191a1082342b1c11552d1f02433627282090a161718191a252627"
+    "28292a3435363738393a" + _AC_TAIL_LUMA + "01"
+    "00030101010101010101010000000000" + _DC_VALUES + "11"
+    "00020102040403040705040400010277"
+    "000102031104052131061241510761711322328108144291a1b1c109233352f0156272d10a162434e125f11718191a"
+    "262728292a35363738393a" + _AC_TAIL_CHROMA
+)
+HUFFMAN_SEGMENT = b"\xff\xc4" + struct.pack(">H", len(_TABLES) + 2) + _TABLES
+"""The standard tables as one DHT segment."""
+
+_STAMP = re.compile(rb"tactile-rig emulator seq=(\d+) state_t_ns=(-?\d+)")
+
+
+def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Marker, offset and content of each segment up to and with SOS.
+
+    Raises:
+        ValueError: It is no JPEG, or it ends before SOS.
+    """
+    if jpeg[:2] != SOI:
+        raise ValueError("no SOI")
+    at = 2
+    while at + 4 <= len(jpeg):
+        if jpeg[at] != 0xFF:
+            raise ValueError(f"no marker at byte {at}")
+        marker = jpeg[at + 1]
+        if marker == 0xFF or marker in _STANDALONE:
+            at += 1 if marker == 0xFF else 2
+            continue
+        length = int.from_bytes(jpeg[at + 2 : at + 4], "big")
+        if length < 2 or at + 2 + length > len(jpeg):
+            raise ValueError(f"segment {marker:02X} at byte {at} is cut off")
+        yield marker, at, jpeg[at + 4 : at + 2 + length]
+        if marker == _SOS:
+            return
+        at += 2 + length
+    raise ValueError("no SOS")
+
+
+def jpeg_size(jpeg: bytes) -> tuple[int, int]:
+    """Width and height [px].
+
+    Raises:
+        ValueError: The header is broken or has no SOF segment.
+    """
+    for marker, _, content in segments(jpeg):
+        if marker in _SOF and len(content) >= 5:
+            height, width = struct.unpack(">HH", content[1:5])
+            return width, height
+    raise ValueError("no SOF")
+
+
+def is_whole(jpeg: bytes) -> bool:
+    """Whether it begins with SOI, has a readable header and ends with EOI.
+
+    Zeros after EOI are let pass: cameras pad their buffers.
+    """
+    if not jpeg.endswith(EOI) and not jpeg.rstrip(b"\0").endswith(EOI):
+        return False
+    try:
+        jpeg_size(jpeg)
+    except ValueError:
+        return False
+    return True
+
+
+def with_huffman_tables(jpeg: bytes) -> bytes:
+    """The same file with the standard tables when it has none, else unchanged.
+
+    Raises:
+        ValueError: The header is broken.
+    """
+    for marker, at, _ in segments(jpeg):
+        if marker == _DHT:
+            return jpeg
+        if marker == _SOS:
+            return jpeg[:at] + HUFFMAN_SEGMENT + jpeg[at:]
+    raise ValueError("no SOS")
+
+
+def stamped(jpeg: bytes, seq: int, t_ns: int) -> bytes:
+    """The same file with a comment right after SOI: frame number and time of the World's state."""
+    text = b"tactile-rig emulator seq=%d state_t_ns=%d" % (seq, t_ns)
+    return SOI + b"\xff\xfe" + struct.pack(">H", len(text) + 2) + text + jpeg[2:]
+
+
+def frame_stamp(jpeg: bytes) -> tuple[int, int] | None:
+    """Frame number and time of the World's state [ns], or None when no emulator wrote it."""
+    if jpeg[2:4] != b"\xff\xfe":
+        return None
+    length = int.from_bytes(jpeg[4:6], "big")
+    match = _STAMP.fullmatch(jpeg[6 : 4 + length])
+    return None if match is None else (int(match[1]), int(match[2]))
+
+
+def without_stamp(jpeg: bytes) -> bytes:
+    """The file as it was before `stamped`."""
+    if frame_stamp(jpeg) is None:
+        return jpeg
+    return SOI + jpeg[4 + int.from_bytes(jpeg[4:6], "big") :]

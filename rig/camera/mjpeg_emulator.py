@@ -1,0 +1,244 @@
+"""Emulated network camera: MJPEG over HTTP, of the World, a folder of images, or a video.
+
+    python -m rig.camera.mjpeg_emulator --host 127.0.0.7 --port 8090 --world PATH --view FILE.json
+    python -m rig.camera.mjpeg_emulator --source images/ --motion moving --fps 60
+
+Each JPEG carries a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number,
+and the time of the World's state it shows (of the tick, when it shows no World). A slow client
+gets the newest frame when it is ready for one; the numbers in between are skipped, never queued.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import socket
+import socketserver
+import sys
+import threading
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+from rig.camera.jpeg import stamped
+from rig.camera.sources import FrameSource, LoopSource, WorldSource
+from rig.clock import Clock, Pacer, SystemClock
+from rig.force.emulation import SharedWorld, World, add_arguments, serve
+
+logger = logging.getLogger(__name__)
+
+_BOUNDARY = "tactile-rig-frame"
+_STILL = 2.0
+# How long each image of a still source is shown [s].
+_SEND_BUFFER = 1 << 17
+# About two frames: what a slow client finds waiting is not old.
+
+
+@dataclass(frozen=True, slots=True)
+class MjpegEmulatorConfig:
+    """Where the emulated camera listens and how fast it films."""
+
+    host: str = "127.0.0.1"
+    port: int = 8090
+    rate_hz: float = 30.0
+
+
+class MjpegEmulator:
+    """The emulated camera; one thread films, one per client sends the newest frame.
+
+    Args:
+        config: Address and rate.
+        source: Gives the picture of each tick.
+        world: Gives the state the picture shows; None: frames carry the time of their tick.
+        clock: Paces the frames.
+    """
+
+    def __init__(
+        self, config: MjpegEmulatorConfig, source: FrameSource, world: World | None, clock: Clock
+    ) -> None:
+        self._config = config
+        self._source = source
+        self._world = world
+        self._untouched = SharedWorld(None).state()[1]
+        self._clock = clock
+        self._ending = threading.Event()
+        self._changed = threading.Condition()
+        self._parts: tuple[bytes, ...] = ()
+        self._number = 0
+        self._missed = 0
+        self._server: _Server | None = None
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def address(self) -> str:
+        """The stream's URL."""
+        return f"http://{self._config.host}:{self._config.port}/"
+
+    @property
+    def missed(self) -> int:
+        """Frames not filmed because their time had passed."""
+        return self._missed
+
+    def start(self) -> None:
+        """Listen and serve.
+
+        Raises:
+            OSError: The address cannot be had.
+        """
+        self._server = _Server((self._config.host, self._config.port), self)
+        self._threads = [
+            threading.Thread(target=self._film, name="mjpeg-emulator"),
+            threading.Thread(
+                target=self._server.serve_forever, args=(0.05,), name="mjpeg-emulator-accept"
+            ),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+        self._ending.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self._server is not None:
+            self._server.shutdown()
+            self._server.disconnect_all()
+            self._server.server_close()
+            self._server = None
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+
+    def parts(self, jpeg: bytes) -> Iterable[bytes]:
+        """The parts sent for one frame: where tests lose, repeat and spoil frames."""
+        head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+        return (head.encode() + jpeg + b"\r\n",)
+
+    def next_parts(self, sent: int) -> tuple[int, tuple[bytes, ...]] | None:
+        """Number and parts of the newest frame once it is newer than `sent`; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
+            return None if self._ending.is_set() else (self._number, self._parts)
+
+    @property
+    def number(self) -> int:
+        """Frames filmed so far."""
+        return self._number
+
+    def _film(self) -> None:
+        pacer = Pacer(self._clock, self._config.rate_hz)
+        while not self._ending.is_set():
+            t_ns = pacer.wait()
+            self._missed = pacer.missed
+            state = self._untouched
+            if self._world is not None:
+                _, state = self._world.state()
+                t_ns = int(state["t_ns"])
+            jpeg = stamped(self._source.jpeg(state), self._number + 1, t_ns)
+            parts = tuple(self.parts(jpeg))
+            with self._changed:
+                self._number += 1
+                self._parts = parts
+                self._changed.notify_all()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = False
+
+    def __init__(self, address: tuple[str, int], emulator: MjpegEmulator) -> None:
+        self.emulator = emulator
+        self._clients: set[socket.socket] = set()
+        self._lock = threading.Lock()
+        super().__init__(address, _Handler)
+
+    def server_bind(self) -> None:
+        """Bind without the look-up of a host name, which may take seconds."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept a client, with a send buffer that holds few frames."""
+        client, address = super().get_request()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with self._lock:
+            self._clients.add(client)
+        return client, address
+
+    def shutdown_request(self, request: Any) -> None:
+        """Forget a client that is done."""
+        with self._lock:
+            self._clients.discard(request)
+        super().shutdown_request(request)
+
+    def disconnect_all(self) -> None:
+        """Wake every thread that is sending."""
+        with self._lock:
+            for client in self._clients:
+                try:
+                    client.shutdown(socket.SHUT_RDWR)
+                except OSError as error:
+                    logger.debug("client already gone: %s", error)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that goes in the middle of a frame is no error."""
+        logger.debug("client %s: %s", client_address, sys.exception())
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+
+    def do_GET(self) -> None:
+        emulator = self.server.emulator
+        self.send_response(200)
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        sent = emulator.number
+        while (newest := emulator.next_parts(sent)) is not None:
+            sent, parts = newest
+            for part in parts:
+                self.wfile.write(part)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: stdout belongs to the ready line."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="rig.camera.mjpeg_emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--port", type=int, default=8090, help="(%(default)s)")
+    parser.add_argument("--fps", type=float, default=30.0, help="frames per second (%(default)s)")
+    pictures = parser.add_mutually_exclusive_group(required=True)
+    pictures.add_argument("--view", type=Path, help="JSON file of the view onto the World")
+    pictures.add_argument("--source", type=Path, help="folder of images or video, not the World")
+    parser.add_argument(
+        "--motion", choices=("still", "moving"), default="moving",
+        help="one source frame per tick, or each for 2 s (%(default)s)",
+    )  # fmt: skip
+    args = parser.parse_args(argv)
+    world = SharedWorld(args.world)
+    source: FrameSource
+    try:
+        if args.source is None:
+            from rig.world import load_view
+
+            source = WorldSource(load_view(args.view))
+        else:
+            hold = round(_STILL * args.fps) if args.motion == "still" else 1
+            source = LoopSource(args.source, hold=hold)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    config = MjpegEmulatorConfig(args.host, args.port, args.fps)
+    emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
+    try:
+        return serve("camera", emulator, until_stdin_closes=args.until_stdin_closes)
+    finally:
+        world.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

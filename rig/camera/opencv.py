@@ -1,0 +1,274 @@
+"""Camera driver by OpenCV: a V4L2 camera on USB, or a network camera that sends MJPEG over HTTP.
+
+Where the camera sends JPEG, its own bytes are passed on, not decoded and encoded again. OpenCV
+claims success for settings a camera refused, so every setting is read back. Both kinds queue
+frames for a reader that is late (V4L2 four, a network camera seconds of them); the reader thread
+takes each as it comes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import socket
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+
+from rig.camera.config import CameraConfig
+from rig.camera.jpeg import is_whole, jpeg_size, with_huffman_tables
+from rig.clock import SECOND_NS, Clock
+from rig.driver import Inbox, Receiver
+from rig.errors import ConfigError, DeviceLost
+
+logger = logging.getLogger(__name__)
+
+_CAPACITY = 120
+_CORRUPT_IN_A_ROW = 10
+_EXPOSURE_UNIT = 1e-4
+# V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us.
+_MANUAL_EXPOSURE = 1
+# V4L2_EXPOSURE_MANUAL.
+_FFMPEG_OPTIONS = {
+    "fflags": "nobuffer",
+    "analyzeduration": "0",
+    "probesize": "32",
+    "fpsprobesize": "0",
+    "threads": "1",
+}
+# No frame is held back to guess a rate from, none is queued for decoding.
+
+
+class OpenCvDriver:
+    """The stream of one camera.
+
+    Columns: value (JPEG bytes, or (height, width, 3) uint8 RGB from a camera that sends no JPEG),
+    device_t float64 [s] (the V4L2 buffer's CLOCK_MONOTONIC time; NaN over HTTP), t_ns.
+    """
+
+    def __init__(self, config: CameraConfig, clock: Clock) -> None:
+        self._config = config
+        self._clock = clock
+        self._capture: cv2.VideoCapture | None = None
+        self._receiver: Receiver | None = None
+        self._inbox = Inbox(clock, _CAPACITY)
+        self._network = "://" in config.address
+        self._jpeg = True
+        self._facts: dict[str, Any] | None = None
+        self._corrupt_in_a_row = 0
+        self.corrupt = 0
+        """Frames that were no whole JPEG file."""
+
+    @property
+    def dropped(self) -> int:
+        """Frames not taken in time: OpenCV shows no sequence numbers that would tell of others."""
+        return self._inbox.overflowed
+
+    def open(self, timeout: float) -> None:
+        """Open the camera, set it up, and check the first frame.
+
+        Raises:
+            DeviceLost: No camera answers within `timeout` [s].
+            ConfigError: The camera refuses a setting.
+        """
+        self.close()
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        self._inbox = Inbox(self._clock, _CAPACITY)
+        self._corrupt_in_a_row = 0
+        if self._network:
+            self._refuse_settings()
+            self._probe(timeout)
+        left = max((deadline_ns - self._clock.now_ns()) / SECOND_NS, 0.05)
+        try:
+            self._capture = self._captured(left)
+            if not self._network:
+                self._set_up(self._capture)
+            self._receive()
+            self._facts = self._checked_facts(self._capture)
+        except (cv2.error, ValueError, DeviceLost) as error:
+            self.close()
+            if isinstance(error, ConfigError | DeviceLost):
+                raise
+            raise DeviceLost(f"{self._config.address}: {error}; check the camera") from error
+        self._receiver = Receiver(f"camera-{self._config.address}", self._receive, self._inbox)
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Frames since the last call; see `rig.driver.Driver.read`.
+
+        Raises:
+            DeviceLost: The camera was unplugged, disconnected, or fell silent.
+        """
+        if self._receiver is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        return self._inbox.take(timeout)
+
+    def describe(self) -> dict[str, Any]:
+        """Backend, format, size, the rate the camera states, whether its JPEG bytes are kept."""
+        if self._facts is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        return dict(self._facts)
+
+    def close(self) -> None:
+        """Stop and release the camera; safe twice."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+
+    def _refuse_settings(self) -> None:
+        if urlsplit(self._config.address).scheme != "http":
+            raise ConfigError(
+                f"address: {self._config.address!r}; allowed: /dev/videoN, N, http://..."
+            )
+        for name in ("exposure", "gain"):
+            asked = getattr(self._config, name)
+            if asked is not None:
+                raise ConfigError(
+                    f"{self._config.address}: {name}: asked {asked}, got nothing; a network "
+                    "camera is set on its own server; allowed: null"
+                )
+
+    def _probe(self, timeout: float) -> None:
+        url = urlsplit(self._config.address)
+        try:
+            socket.create_connection((url.hostname or "", url.port or 80), timeout).close()
+        except OSError as error:
+            raise DeviceLost(
+                f"{self._config.address}: {error}; check that the camera's server runs"
+            ) from error
+
+    def _captured(self, left: float) -> cv2.VideoCapture:
+        address = self._config.address
+        silence_ms = round(self._config.silence * 1e3)
+        if self._network:
+            params = [cv2.CAP_PROP_FORMAT, -1, cv2.CAP_PROP_N_THREADS, 1]
+            # The first frame is due within the time-out of `open`, each later one within silence.
+            params += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, max(round(left * 1e3), 1)]
+            params += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms]
+            with _environment(urlsplit(address).hostname or ""):
+                capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, params)
+        else:
+            # Without parameters: the V4L2 backend refuses to open for one it does not know.
+            target = int(address) if address.isdecimal() else address
+            capture = cv2.VideoCapture(target, cv2.CAP_V4L2)
+            capture.set(cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms)
+        if not capture.isOpened():
+            capture.release()
+            raise DeviceLost(
+                f"{address}: does not open as a camera within {left:.1f} s; check cable and "
+                "address, and that no other program uses it"
+            )
+        return capture
+
+    def _set_up(self, capture: cv2.VideoCapture) -> None:
+        c = self._config
+        fourcc = cv2.VideoWriter.fourcc(*c.fourcc)
+        self._set(capture, "fourcc", cv2.CAP_PROP_FOURCC, fourcc)
+        self._set(capture, "width", cv2.CAP_PROP_FRAME_WIDTH, c.width)
+        self._set(capture, "height", cv2.CAP_PROP_FRAME_HEIGHT, c.height)
+        self._set(capture, "rate_hz", cv2.CAP_PROP_FPS, c.rate_hz)
+        if c.exposure is not None:
+            self._set(capture, "auto exposure", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+            units = round(c.exposure / _EXPOSURE_UNIT)
+            self._set(capture, "exposure (100 us)", cv2.CAP_PROP_EXPOSURE, units)
+        if c.gain is not None:
+            self._set(capture, "gain", cv2.CAP_PROP_GAIN, c.gain)
+        self._jpeg = c.fourcc == "MJPG"
+        if self._jpeg:
+            self._set(capture, "convert_rgb", cv2.CAP_PROP_CONVERT_RGB, 0)
+
+    def _set(self, capture: cv2.VideoCapture, name: str, prop: int, asked: float) -> None:
+        capture.set(prop, asked)
+        got = capture.get(prop)
+        if abs(got - asked) > 0.01 * abs(asked):
+            texts = [_fourcc_text(v) if name == "fourcc" else f"{v:g}" for v in (asked, got)]
+            raise ConfigError(
+                f"{self._config.address}: {name}: asked {texts[0]}, got {texts[1]}; "
+                "allowed: what the camera offers (v4l2-ctl --list-formats-ext, --list-ctrls)"
+            )
+
+    def _checked_facts(self, capture: cv2.VideoCapture) -> dict[str, Any]:
+        c = self._config
+        samples = self._inbox.take(0.0)
+        if not samples:
+            raise DeviceLost(f"{c.address}: the first frame is no whole JPEG; check the camera")
+        first = samples[0]["value"]
+        size = jpeg_size(first) if self._jpeg else (first.shape[1], first.shape[0])
+        if size != (c.width, c.height):
+            raise ConfigError(
+                f"{c.address}: size: asked {c.width}x{c.height}, got {size[0]}x{size[1]}"
+            )
+        return {
+            "device": "camera",
+            "address": c.address,
+            "backend": capture.getBackendName(),
+            "fourcc": _fourcc_text(capture.get(cv2.CAP_PROP_FOURCC)),
+            # Over HTTP OpenCV states a rate that nobody told it.
+            "rate_hz": None if self._network else float(capture.get(cv2.CAP_PROP_FPS)),
+            "width": size[0],
+            "height": size[1],
+            "jpeg_bytes_kept": self._jpeg,
+            "device_clock": "none" if self._network else "monotonic",
+        }
+
+    def _receive(self) -> None:
+        capture = self._capture
+        if capture is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        arrived, frame = capture.read()
+        now_ns = self._clock.now_ns()
+        if not arrived:
+            raise DeviceLost(
+                f"{self._config.address}: no frame within {self._config.silence:g} s, or "
+                "unplugged; check the camera's cable and power"
+            )
+        device_t = float("nan")
+        if not self._network:
+            device_t = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        value: Any
+        if self._jpeg:
+            value = frame.tobytes()
+            if not is_whole(value):
+                self._spoilt()
+                return
+            value = with_huffman_tables(value)
+        else:
+            value = np.ascontiguousarray(frame[:, :, ::-1])
+        self._corrupt_in_a_row = 0
+        self._inbox.put({"value": value, "device_t": device_t}, now_ns)
+
+    def _spoilt(self) -> None:
+        self.corrupt += 1
+        self._corrupt_in_a_row += 1
+        if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
+            raise DeviceLost(
+                f"{self._config.address}: {_CORRUPT_IN_A_ROW} torn frames in a row; "
+                "check the cable, and that no other camera shares its USB bus"
+            )
+
+
+def _fourcc_text(value: float) -> str:
+    return int(value).to_bytes(4, "little", signed=False).decode("latin-1")
+
+
+@contextlib.contextmanager
+def _environment(host: str) -> Iterator[None]:
+    # The only way to hand these to OpenCV's FFMPEG; a camera is never behind a proxy.
+    options = "|".join(f"{name};{value}" for name, value in _FFMPEG_OPTIONS.items())
+    wanted = {"OPENCV_FFMPEG_CAPTURE_OPTIONS": options, "no_proxy": host}
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

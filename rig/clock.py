@@ -1,0 +1,114 @@
+"""Time: integer nanoseconds of the monotonic clock, and pacing against absolute deadlines.
+
+Nothing else in `rig` touches the `time` module, so that a test can put a `FakeClock` in its place.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+SECOND_NS = 1_000_000_000
+
+
+class Clock(Protocol):
+    """What everything that waits or stamps needs."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary origin, never going backwards."""
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at `deadline_ns`, or at once when it has passed."""
+
+
+class SystemClock:
+    """`time.monotonic_ns`: the clock V4L2 stamps its buffers with."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds of CLOCK_MONOTONIC (restarts at boot)."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Sleep until `deadline_ns`; a deadline in the past returns at once."""
+        wait_ns = deadline_ns - time.monotonic_ns()
+        if wait_ns > 0:
+            time.sleep(wait_ns / SECOND_NS)
+
+
+class FakeClock:
+    """A clock that moves only when told to, or when somebody sleeps on it."""
+
+    def __init__(self, now_ns: int = 0) -> None:
+        self._now_ns = now_ns
+
+    def now_ns(self) -> int:
+        """The time it was last moved to [ns]."""
+        return self._now_ns
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Move to `deadline_ns` when it lies ahead."""
+        self._now_ns = max(self._now_ns, deadline_ns)
+
+    def advance(self, seconds: float) -> None:
+        """Move forward by `seconds` [s]."""
+        self._now_ns += round(seconds * SECOND_NS)
+
+
+class Pacer:
+    """Ticks at `rate_hz` from a fixed origin; a late tick is counted, never caught up in a burst.
+
+    The deadlines are origin + k / rate_hz in whole nanoseconds, so no drift accumulates.
+    """
+
+    def __init__(self, clock: Clock, rate_hz: float) -> None:
+        if not rate_hz > 0:
+            raise ValueError(f"rate_hz: {rate_hz!r}; allowed: above 0 Hz")
+        self._clock = clock
+        self._rate_hz = rate_hz
+        self._origin_ns = clock.now_ns()
+        self._tick = 0
+        self.missed = 0
+        """Ticks whose time passed before `wait` was called for them."""
+
+    def deadline_ns(self, tick: int) -> int:
+        """When `tick` is due [ns]."""
+        return self._origin_ns + round(tick * SECOND_NS / self._rate_hz)
+
+    def wait(self) -> int:
+        """Sleep until the next tick that has not passed and return its deadline [ns]."""
+        elapsed_ns = self._clock.now_ns() - self._origin_ns
+        due = max(self._tick + 1, int(elapsed_ns * self._rate_hz // SECOND_NS))
+        self.missed += due - self._tick - 1
+        self._tick = due
+        deadline_ns = self.deadline_ns(due)
+        self._clock.sleep_until(deadline_ns)
+        return deadline_ns
+
+
+@dataclass(frozen=True, slots=True)
+class ClockAnchor:
+    """Ties one run's monotonic times to UTC, and says which boot they belong to."""
+
+    t0_ns: int
+    """Monotonic time of the anchor [ns]."""
+    utc_ns: int
+    """UTC at the same moment [ns since 1970]."""
+    boot_id: str
+    """Changes at every boot: monotonic times of two boots must not be compared."""
+
+    @classmethod
+    def take(cls) -> ClockAnchor:
+        """Read both clocks, UTC between two monotonic readings, whose middle is kept."""
+        before_ns = time.monotonic_ns()
+        utc_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
+        boot = Path("/proc/sys/kernel/random/boot_id")
+        boot_id = boot.read_text().strip() if boot.exists() else "unknown"
+        return cls(t0_ns=(before_ns + after_ns) // 2, utc_ns=utc_ns, boot_id=boot_id)
+
+
+def file_stamp() -> str:
+    """Local date and time for the name of a file, as 20260131-154500."""
+    return time.strftime("%Y%m%d-%H%M%S")

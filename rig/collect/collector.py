@@ -1,0 +1,325 @@
+"""One run of a collection, from the first probe to the last printed line."""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import importlib.metadata
+import logging
+import platform
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import Session, SessionError, SessionWriter
+try:
+    from recorder.sheet import contact_sheet
+except ImportError:
+    def contact_sheet(a,b): pass
+from rig.arm.arm import Arm
+from rig.arm.rotation import compose, transform
+from rig.bench import Bench
+from rig.clock import ClockAnchor, SystemClock
+from rig.collect import report
+from rig.collect.interrupt import Interrupted, InterruptFlag
+from rig.collect.live import LiveLine
+from rig.collect.preflight import (
+    Found,
+    Tare,
+    check_clear,
+    check_devices,
+    take_tare,
+    tip_position,
+)
+from rig.collect.progress import first_open_target
+from rig.collect.streams import Streams
+from rig.collect.walk import Walk
+from rig.errors import (
+    EXIT_DEVICE_LOST,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_SAFETY_STOP,
+    ConfigError,
+    DeviceLost,
+    SafetyStop,
+)
+from rig.streams.kinds import stream_names, stream_spec
+from trajectories import Plan, plan_from_json, plan_to_json, rehearse
+
+logger = logging.getLogger(__name__)
+
+_EXIT_CODES: dict[type[BaseException], int] = {
+    Interrupted: EXIT_INTERRUPTED,
+    KeyboardInterrupt: EXIT_INTERRUPTED,
+    SafetyStop: EXIT_SAFETY_STOP,
+    DeviceLost: EXIT_DEVICE_LOST,
+    # The disk is a device too: full or failing, the session ends the same way.
+    SessionError: EXIT_DEVICE_LOST,
+    OSError: EXIT_DEVICE_LOST,
+}
+"""What may end a walk in progress, and the exit code of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What the operator asked for."""
+
+    path: Path
+    """The session, new or (with `resume`) stopped before."""
+    resume: bool = False
+    """Continue with the first target that is not complete."""
+    targets: int | None = None
+    """Press only so many targets of the plan; None for all."""
+    operator: str = ""
+    """Who; the login name when empty."""
+    mock_facts: dict[str, Any] | None = None
+    """What stands behind a mock bench's emulators, for the session's attributes."""
+
+
+class Collector:
+    """Collects one session, or the rest of one.
+
+    Args:
+        bench: The bench, with addresses filled in.
+        content: Its file as read, for the session.
+        folder: Run folder for shared records.
+    """
+
+    def __init__(self, bench: Bench, content: dict[str, Any], folder: Path) -> None:
+        self._bench = bench
+        self._content = content
+        self._folder = folder
+        self._clock = SystemClock()
+        self._bias = np.zeros(6)
+
+    def run(self, order: Order) -> int:
+        """Collect; the exit code. Whatever ends it, what was recorded is closed and readable.
+
+        Raises:
+            ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+        """
+        started_ns = self._clock.now_ns()
+        plan, total = self._plan(order)
+        with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
+            streams = stack.enter_context(Streams(self._bench, self._folder, self._clock))
+            found = check_devices(self._bench, streams)
+            interrupt.check()
+            check_clear(self._bench, streams)
+            arm = self._start_arm()
+            stack.callback(arm.close)
+            self._rise(arm, streams)
+            tare = take_tare(self._bench, streams)
+            interrupt.check()
+            writer, first, run = self._open_session(order, plan, total, found, tare)
+            live = LiveLine(streams, total, self._clock)
+            walk = Walk(
+                self._bench,
+                arm,
+                streams,
+                writer,
+                live,
+                interrupt,
+                self._clock,
+                run=run,
+                zero=tare.mean - self._bias,
+            )
+            stop: BaseException | None = None
+            try:
+                streams["force"].set_bias(self._bias)
+                for handle in streams:
+                    handle.record(writer.stream_path(handle.name))
+                walk.press(plan, first, total)
+            except tuple(_EXIT_CODES) as error:
+                stop = error
+            live.end()
+            retracted = self._retract(arm)
+            status, reason = self._outcome(stop, retracted)
+            summaries = self._close(streams, writer, status, reason)
+        seconds = (self._clock.now_ns() - started_ns) / 1e9
+        session = Session(order.path)
+        print(report.cadence(self._bench, session, summaries))
+        self._picture(order.path)
+        print(report.last_line(status, reason, order.path, first + walk.done, total, seconds))
+        return self._exit_code(stop)
+
+    def _plan(self, order: Order) -> tuple[Plan, int]:
+        """The plan and how many of its targets are wanted, held against the limits."""
+        plan: Plan = self._bench.trajectory
+        total = order.targets or len(plan)
+        if order.resume:
+            attrs = Session(order.path).attrs
+            if attrs["sensor"] != self._bench.sensor:
+                raise ConfigError(
+                    f"SENSOR: found {self._bench.sensor!r}; {order.path} was recorded with "
+                    f"{attrs['sensor']!r}"
+                )
+            plan = plan_from_json(attrs["plan"])
+            total = int(attrs["targets_wanted"])
+        if not 1 <= total <= len(plan):
+            raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
+        arm = self._bench.arm
+        walked = rehearse(
+            plan, self._bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration
+        )
+        if walked.broken:
+            raise ConfigError(
+                f"{self._bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}"
+            )
+        return plan, total
+
+    def _start_arm(self) -> Arm:
+        arm = Arm(
+            self._bench.arm,
+            self._bench.contact_frame,
+            self._bench.guard_limits,
+            force_path=self._folder / "force.latest",
+            pose_path=self._folder / "pose.latest",
+        )
+        arm.start(self._bench.preflight.timeout)
+        return arm
+
+    def _rise(self, arm: Arm, streams: Streams) -> None:
+        """To the safe height where it stands, tool upright: tare and travel happen up there."""
+        x, y, z = (float(value) for value in tip_position(self._bench, streams))
+        height = max(self._bench.arm.retract, z)
+        pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
+        arm.move(
+            pose,
+            speed=self._bench.arm.travel_speed,
+            acceleration=self._bench.arm.travel_acceleration,
+            mode="travel",
+            on_wait=streams.check,
+        )
+
+    def _open_session(
+        self,
+        order: Order,
+        plan: Plan,
+        total: int,
+        found: Found,
+        tare: Tare,
+    ) -> tuple[SessionWriter, int, int]:
+        """The session to write, the first target to press and the number of this run."""
+        anchor = asdict(ClockAnchor.take())
+        entry = {
+            **anchor,
+            "operator": order.operator or getpass.getuser(),
+            "tare": {"mean": tare.mean.tolist(), "std": tare.std.tolist()},
+            "rates_hz": found.rates,
+            "devices": found.facts,
+        }
+        if order.resume:
+            writer = SessionWriter.resume(order.path)
+            previous = Session(order.path)
+            first = first_open_target(plan, previous.segments, total)
+            run = len(previous.runs)
+            # One bias for the whole stream, so that raw = value + bias holds in every run; what
+            # the zero has moved by since is in this run's tare and in its references.
+            self._bias = np.array(previous.streams["force"].attrs["bias"])
+        else:
+            self._bias = tare.mean
+            writer = SessionWriter.create(
+                order.path,
+                attrs=self._attrs(order, plan, total, anchor),
+                streams=[
+                    stream_spec(
+                        self._bench,
+                        name,
+                        found.facts[name],
+                        found.rates[name],
+                        **({"bias": tare.mean.tolist()} if name == "force" else {}),
+                    )
+                    for name in stream_names(self._bench)
+                ],
+                targets=target_table(plan, total, self._bench),
+            )
+            first, run = 0, 0
+        writer.begin_run(entry)
+        return writer, first, run
+
+    def _attrs(
+        self, order: Order, plan: Plan, total: int, anchor: dict[str, Any]
+    ) -> dict[str, Any]:
+        bench = self._bench
+        started = np.datetime64(anchor["utc_ns"], "ns")
+        return {
+            "mock": bench.mock,
+            "mock_sources": order.mock_facts or {},
+            "sensor": bench.sensor,
+            "indenter": bench.indenter,
+            "operator": order.operator or getpass.getuser(),
+            "plan": plan_to_json(plan),
+            "targets_wanted": total,
+            "bench": self._content,
+            "contact_frame": list(bench.contact_frame),
+            "rate_hz": bench.rate_hz,
+            "started_utc": f"{started}Z",
+            "clock": "CLOCK_MONOTONIC",
+            "t0_ns": anchor["t0_ns"],
+            "software": software(),
+            "calibration": {},
+        }
+
+    def _retract(self, arm: Arm) -> bool:
+        """Up and clear; True when the arm is known to be there."""
+        try:
+            if not arm.alive:
+                return arm.recover_and_retract()
+            return arm.retract()
+        except (SafetyStop, DeviceLost) as error:
+            logger.error("no retract: %s", error)
+            return False
+
+    def _outcome(self, stop: BaseException | None, retracted: bool) -> tuple[str, str]:
+        if stop is None:
+            return "complete", ""
+        reason = str(stop) or type(stop).__name__
+        if not retracted:
+            reason += "; THE ARM WAS NOT RETRACTED"
+        return "stopped", reason
+
+    def _close(
+        self, streams: Streams, writer: SessionWriter, status: str, reason: str
+    ) -> dict[str, Any]:
+        summaries = streams.close()
+        writer.set_attrs(summary=summaries)
+        writer.finish(status, reason, rate_hz=self._bench.rate_hz)
+        return summaries
+
+    def _picture(self, path: Path) -> None:
+        picture = path.with_suffix(".png")
+        try:
+            contact_sheet(path, picture)
+        except (SessionError, OSError) as error:
+            logger.warning("no contact sheet: %s", error)
+        else:
+            print(f"contact sheet: {picture}")
+
+    def _exit_code(self, stop: BaseException | None) -> int:
+        if stop is None:
+            return EXIT_DONE
+        return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
+
+
+def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
+    """The `targets` of a session: point, depth [m], direction, planned place in the base [m]."""
+    targets = [target for target in plan.targets() if target.index < total]
+    planned = transform(bench.contact_frame, np.array([target.sheared for target in targets]))
+    return {
+        "point": np.array([target.point for target in targets], dtype=np.int16),
+        "depth": np.array([target.depth for target in targets]),
+        "direction": np.array([target.direction for target in targets], dtype=np.int16),
+        "planned": np.asarray(planned),
+    }
+
+
+def software() -> dict[str, str]:
+    """Versions that matter when somebody asks, years later, what wrote this."""
+    names = ("tactile-rig", "numpy", "zarr", "ur-rtde", "opencv-contrib-python-headless")
+    versions = {"python": platform.python_version(), "system": platform.platform()}
+    for name in names:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[name] = importlib.metadata.version(name)
+    return versions

@@ -1,0 +1,97 @@
+"""The line a technician watches: rewritten in place on a terminal, logged now and then otherwise."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import TextIO
+
+from rig.clock import SECOND_NS, Clock
+from rig.collect.streams import Streams
+from trajectories import PHASES, Move, Target
+
+logger = logging.getLogger(__name__)
+
+_ON_TERMINAL_NS = SECOND_NS // 5
+_IN_LOG_NS = 10 * SECOND_NS
+_CLEAR = "\x1b[K"
+
+
+def minutes(seconds: float) -> str:
+    """`seconds` as m:ss."""
+    whole = max(round(seconds), 0)
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+class LiveLine:
+    """Progress of a collection.
+
+    Args:
+        streams: Whose rates are shown.
+        total: Number of targets of the session.
+        clock: Clock.
+        out: Where to write.
+    """
+
+    def __init__(
+        self, streams: Streams, total: int, clock: Clock, out: TextIO | None = None
+    ) -> None:
+        self._streams = streams
+        self._total = total
+        self._clock = clock
+        self._out = out or sys.stdout
+        self._terminal = self._out.isatty()
+        self._due_ns = 0
+        self._start_ns = clock.now_ns()
+        self._first: int | None = None
+        self._target: Target | None = None
+        self._move: Move | None = None
+
+    def at(self, target: Target, move: Move | None) -> None:
+        """Say which target and move is under way."""
+        if self._first is None:
+            self._first, self._start_ns = target.index, self._clock.now_ns()
+        self._target, self._move = target, move
+
+    def tick(self) -> None:
+        """Write the line when it is time to."""
+        now_ns = self._clock.now_ns()
+        if now_ns < self._due_ns or self._target is None:
+            return
+        self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _IN_LOG_NS)
+        text = self._text(self._target, now_ns)
+        if self._terminal:
+            self._out.write(f"\r{text}{_CLEAR}")
+            self._out.flush()
+        else:
+            logger.info("%s", text)
+
+    def end(self) -> None:
+        """Leave the last line standing."""
+        if self._terminal and self._target is not None:
+            self._out.write("\n")
+            self._out.flush()
+
+    def _text(self, target: Target, now_ns: int) -> str:
+        counters = self._streams.counters()
+        force = self._streams["force"].latest()
+        dropped = sum(int(count["dropped"]) for count in counters.values())
+        rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
+        phase = PHASES[self._move.phase] if self._move is not None else "to point"
+        parts = [
+            f"target {target.index + 1}/{self._total}",
+            f"{phase:<10}",
+            f"{1e3 * target.depth:.2f} mm",
+            f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?",
+            rates,
+            f"dropped {dropped}",
+            f"{self._left(target, now_ns)} left",
+        ]
+        return "  ".join(parts)
+
+    def _left(self, target: Target, now_ns: int) -> str:
+        done = target.index - (self._first or 0)
+        if done == 0:
+            return "?:??"
+        per_target = (now_ns - self._start_ns) / SECOND_NS / done
+        return minutes(per_target * (self._total - target.index))

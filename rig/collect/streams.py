@@ -1,0 +1,96 @@
+"""All streams of a session together: start, measure, record, end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.bench import Bench
+from rig.clock import SECOND_NS, Clock
+from rig.errors import DeviceLost
+from rig.streams.handle import StreamHandle
+from rig.streams.kinds import stream_names
+
+_SILENT = 2.0
+# A signal (camera, taxels) that shows no new sample for so long is lost; force and pose have their
+# own, shorter limits in the guard [s].
+
+
+class Streams:
+    """The streams of one bench, as a context manager.
+
+    Args:
+        bench: The bench, with addresses filled in.
+        folder: Run folder for shared records.
+        clock: Clock.
+    """
+
+    def __init__(self, bench: Bench, folder: Path, clock: Clock) -> None:
+        self._clock = clock
+        self._handles = {name: StreamHandle(name, bench, folder) for name in stream_names(bench)}
+        self._summaries: dict[str, Any] = {}
+        self._closed = False
+
+    def __enter__(self) -> Streams:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[StreamHandle]:
+        return iter(self._handles.values())
+
+    def __getitem__(self, name: str) -> StreamHandle:
+        return self._handles[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._handles
+
+    def wait_opened(self) -> dict[str, dict[str, Any]]:
+        """Facts of every device, by stream.
+
+        Raises:
+            ConfigError, DeviceLost: What the first driver to fail found.
+        """
+        return {handle.name: handle.wait_opened() for handle in self}
+
+    def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
+        """Rate, mean and spread over the same window of the named streams (all when none)."""
+        chosen = [handle for handle in self if not names or handle.name in names]
+        for handle in chosen:
+            handle.start_measuring(seconds)
+        return {handle.name: handle.measured(seconds) for handle in chosen}
+
+    def check(self) -> None:
+        """Notice a stream that failed, or a signal that went silent.
+
+        Raises:
+            ConfigError, DeviceLost, SessionError: What ended it.
+        """
+        now_ns = self._clock.now_ns()
+        for handle in self:
+            handle.check()
+            latest = handle.latest()
+            if latest is not None and now_ns - int(latest["t_ns"]) > _SILENT * SECOND_NS:
+                raise DeviceLost(
+                    f"{handle.name}: no sample for {(now_ns - int(latest['t_ns'])) / SECOND_NS:.1f}"
+                    f" s; allowed: {_SILENT:.1f} s; is the device powered and connected?"
+                )
+
+    def counters(self) -> dict[str, np.void]:
+        """COUNTERS of every stream that has shown some."""
+        found = {handle.name: handle.counters() for handle in self}
+        return {name: counters for name, counters in found.items() if counters is not None}
+
+    def close(self) -> dict[str, Any]:
+        """Seal and end every stream; their summaries by name. Safe twice."""
+        if not self._closed:
+            self._closed = True
+            for handle in self:
+                summary = handle.close()
+                if summary is not None:
+                    self._summaries[handle.name] = summary
+        return self._summaries

@@ -1,0 +1,177 @@
+"""The arm through the plan, phase by phase, each one a row of `segments`."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+
+import numpy as np
+
+from recorder import OUTCOMES, SessionError, SessionWriter
+from rig.arm.arm import Arm, MoveResult
+from rig.arm.rotation import compose
+from rig.bench import Bench
+from rig.clock import Clock
+from rig.collect.interrupt import InterruptFlag
+from rig.collect.live import LiveLine
+from rig.collect.preflight import check_untouched, tip_position
+from rig.collect.streams import Streams
+from rig.errors import DeviceLost, SafetyStop
+from trajectories import Move, Plan, Point, Target
+
+logger = logging.getLogger(__name__)
+
+
+class Walk:
+    """Presses the targets of a plan from a given one on.
+
+    Args:
+        bench: The bench.
+        arm: Started, its tip anywhere clear of the surface inside the box.
+        streams: Recording.
+        writer: The session.
+        live: The progress line.
+        interrupt: Looked at after every row.
+        clock: Clock.
+        run: Number of this run.
+        zero: What the untouched F/T sensor shows after the tare was taken (6,) [N, N m].
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        arm: Arm,
+        streams: Streams,
+        writer: SessionWriter,
+        live: LiveLine,
+        interrupt: InterruptFlag,
+        clock: Clock,
+        *,
+        run: int,
+        zero: np.ndarray,
+    ) -> None:
+        self._bench = bench
+        self._arm = arm
+        self._streams = streams
+        self._writer = writer
+        self._live = live
+        self._interrupt = interrupt
+        self._clock = clock
+        self._run = run
+        self._zero = zero
+        self.done = 0
+        """Targets that were pressed to their end."""
+        self.limited = 0
+        """Targets of those that ended at the soft force limit."""
+
+    def press(self, plan: Plan, first: int, total: int) -> None:
+        """Press targets `first` to `total` - 1.
+
+        Raises:
+            SafetyStop, DeviceLost, SessionError: What stopped it; the arm stands still.
+            Interrupted: The operator asked to.
+        """
+        point = None
+        for target in plan.targets():
+            if not first <= target.index < total:
+                continue
+            self._live.at(target, None)
+            if target.point != point:
+                self._go_to_point(target)
+                point = target.point
+            self._press_target(plan, target)
+            self.done += 1
+
+    def _go_to_point(self, target: Target) -> None:
+        """Over the point at a safe height, down to p0, and its reference."""
+        x, y, clearance = target.origin
+        height = max(self._bench.arm.retract, clearance)
+        self._move((x, y, height), mode="travel")
+        self._move((x, y, clearance), mode="guarded")
+        self._take_reference(target.point)
+        self._interrupt.check()
+
+    def _take_reference(self, point: int) -> None:
+        window = self._bench.preflight.point_window
+        averaged = [handle.name for handle in self._streams if handle.name in ("force", "taxels")]
+        found = self._streams.measure(window, *averaged)
+        force = found["force"]
+        if "mean" not in force:
+            raise DeviceLost(f"force: no sample over point {point}")
+        check_untouched(self._bench, force["mean"] - self._zero, point)
+        image = -1
+        if "camera" in self._streams:
+            latest = self._streams["camera"].latest()
+            image = int(latest["row"]) if latest is not None else -1
+        taxels = found.get("taxels", {}).get("mean", np.full((16, 3), np.nan))
+        self._writer.reference.append(
+            point=point,
+            image=image,
+            wrench=force["mean"],
+            wrench_std=force["std"],
+            taxels=taxels,
+            run=self._run,
+            t_ns=force["t_ns"],
+        )
+        logger.info(
+            "point %d  drift since the tare %s N",
+            point,
+            " ".join(f"{value:+.3f}" for value in force["mean"][:3]),
+        )
+
+    def _press_target(self, plan: Plan, target: Target) -> None:
+        for move in plan.moves(target):
+            self._live.at(target, move)
+            result = self._move(move.end, mode="guarded", record=move)
+            if result.outcome == "force_limited":
+                self.limited += 1
+                self._live.end()
+                logger.warning("target %d: %s", target.index + 1, result.reason)
+                self._leave(target)
+                return
+            self._interrupt.check()
+
+    def _leave(self, target: Target) -> None:
+        """Straight up from a press that reached the soft limit, then on to p0 for the next one."""
+        x, y, z = (float(value) for value in tip_position(self._bench, self._streams))
+        self._move((x, y, max(z, target.origin[2])), mode="retreat")
+        self._move(target.origin, mode="guarded")
+        self._interrupt.check()
+
+    def _move(self, place: Point, *, mode: str, record: Move | None = None) -> MoveResult:
+        bench, arm = self._bench, self._bench.arm
+        travelling = mode == "travel"
+        asked_ns = self._clock.now_ns()
+        pose = compose(bench.contact_frame, (*place, *bench.tool_rotation))
+        try:
+            result = self._arm.move(
+                pose,
+                speed=arm.travel_speed if travelling else arm.speed,
+                acceleration=arm.travel_acceleration if travelling else arm.acceleration,
+                mode=mode,
+                on_wait=self._wait,
+            )
+        except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt):
+            with contextlib.suppress(SafetyStop, DeviceLost):
+                self._arm.halt()
+            if record is not None:
+                self._note(record, "stopped", asked_ns, self._clock.now_ns())
+            raise
+        if record is not None:
+            outcome = "complete" if result.outcome == "done" else result.outcome
+            self._note(record, outcome, result.start_ns, result.end_ns)
+        return result
+
+    def _wait(self) -> None:
+        self._streams.check()
+        self._live.tick()
+
+    def _note(self, move: Move, outcome: str, start_ns: int, end_ns: int) -> None:
+        self._writer.segments.append(
+            target=move.target,
+            phase=move.phase,
+            outcome=OUTCOMES.index(outcome),
+            run=self._run,
+            start_ns=start_ns,
+            end_ns=end_ns,
+        )

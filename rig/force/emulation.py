@@ -1,0 +1,131 @@
+"""What the emulators of the rig have in common: one World, one way to start, one way to end.
+
+An emulator process prints `ready <name> <address>` when it listens, serves until SIGTERM, SIGINT
+or, with --until-stdin-closes, until whoever started it is gone, and says how many ticks it missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from rig.latest import WORLD_STATE
+from rig.shared import LatestRecord
+
+UNTOUCHED_DEPTH = -0.01
+"""Depth served before the World's first state: the indenter well above the surface [m]."""
+
+
+class World(Protocol):
+    """Where an emulator gets what its device would measure."""
+
+    def state(self) -> tuple[int, np.void]:
+        """Number of the newest WORLD_STATE record, 0 before the first, and the record."""
+
+
+class SharedWorld:
+    """The World that another process publishes in a `LatestRecord` file.
+
+    Args:
+        path: The file; it may appear later. None: nothing ever touches the sensor.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._record: LatestRecord | None = None
+        self._untouched: np.void = np.zeros(1, WORLD_STATE)[0]
+        self._untouched["depth"] = UNTOUCHED_DEPTH
+        self._count = 0
+        self._state: np.void = self._untouched
+
+    def state(self) -> tuple[int, np.void]:
+        """Number of the newest record (0: untouched so far) and the record."""
+        if self._record is None:
+            if self._path is None or not self._path.exists():
+                return 0, self._untouched
+            self._record = LatestRecord.attach(self._path, WORLD_STATE)
+        count = self._record.count
+        if count != self._count:
+            state = self._record.read()
+            if state is not None:
+                self._count, self._state = count, state
+        return self._count, self._state
+
+    def close(self) -> None:
+        """Let go of the file; safe twice."""
+        if self._record is not None:
+            self._record.close()
+            self._record = None
+
+
+class Emulator(Protocol):
+    """An emulated device that serves in threads of its own."""
+
+    @property
+    def address(self) -> str:
+        """What a driver connects to."""
+
+    @property
+    def missed(self) -> int:
+        """Ticks that came too late and were skipped."""
+
+    def start(self) -> None:
+        """Listen and serve; returns when clients can connect."""
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options every emulator has."""
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (%(default)s)")
+    parser.add_argument("--world", type=Path, metavar="PATH", help="file of the World's states")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise (%(default)s)")
+    parser.add_argument(
+        "--until-stdin-closes",
+        action="store_true",
+        help="end when whoever started me does",
+    )
+
+
+def serve(name: str, emulator: Emulator, *, until_stdin_closes: bool) -> int:
+    """Run `emulator` until the process is told to end.
+
+    Returns:
+        Exit code: 0, or 2 when the address cannot be listened on.
+    """
+    logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ending.set())
+    if until_stdin_closes:
+        threading.Thread(target=_watch_stdin, args=(ending,), daemon=True).start()
+    try:
+        emulator.start()
+    except OSError as error:
+        print(f"{name}: cannot listen on {emulator.address}: {error}", file=sys.stderr)
+        return 2
+    try:
+        print(f"ready {name} {emulator.address}", flush=True)
+        # Short waits: a signal handler runs only between two of them.
+        while not ending.wait(0.2):
+            pass
+    finally:
+        emulator.close()
+        print(f"{name}: {emulator.missed} ticks missed", file=sys.stderr, flush=True)
+    return 0
+
+
+def _watch_stdin(ending: threading.Event) -> None:
+    # os.read, not sys.stdin: a daemon thread must not hold the lock of a buffered stream at exit.
+    while os.read(0, 4096):
+        pass
+    ending.set()

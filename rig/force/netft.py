@@ -1,0 +1,238 @@
+"""ATI Net F/T driver: settings by HTTP, records by UDP (wire format: rig/force/rdt.py).
+
+The box streams to one client: whoever starts a stream last gets it, and the client before sees
+silence. The box's own bias is volatile and global, so it is left alone; tare on the host.
+"""
+
+from __future__ import annotations
+
+import http.client
+import logging
+import socket
+import urllib.request
+from typing import Any
+
+import numpy as np
+
+from rig.clock import SECOND_NS, Clock
+from rig.driver import Inbox, Receiver
+from rig.errors import ConfigError, DeviceLost
+from rig.force.config import NetFtConfig
+from rig.force.rdt import (
+    COMMAND_REALTIME,
+    COMMAND_STOP,
+    ERROR_MASK,
+    RECORD,
+    SATURATION_MASK,
+    Page,
+    emit_request,
+    parse_page,
+    status_text,
+)
+
+__all__ = ["ERROR_MASK", "SATURATION_MASK", "NetFtConfig", "NetFtDriver", "status_text"]
+
+logger = logging.getLogger(__name__)
+
+_POLL = 0.1
+_RESTART = 1000
+# A packet this many places late is no reordering: the box has begun a new stream.
+
+
+class NetFtDriver:
+    """The stream of a Net F/T box.
+
+    Columns: value (6,) float64 [N, N m], seq int64 (rdt_sequence, unwrapped), status int64, t_ns.
+    """
+
+    def __init__(self, config: NetFtConfig, clock: Clock) -> None:
+        self._config = config
+        self._clock = clock
+        self._socket: socket.socket | None = None
+        self._receiver: Receiver | None = None
+        self._inbox = Inbox(clock, capacity=60_000)
+        self._page: Page | None = None
+        self._scale = np.ones(6)
+        self._sequence = -1
+        self._idle = 0
+        self._gaps = 0
+        self.late = 0
+        """Packets that came after a later one; they are among `dropped`."""
+        self.duplicates = 0
+        """Packets that came twice; only the first counts."""
+        self.corrupt = 0
+        """Packets of the wrong length."""
+
+    @property
+    def dropped(self) -> int:
+        """Records that never reached `read`: lost on the way, late, or not taken in time."""
+        return self._gaps + self._inbox.overflowed
+
+    def open(self, timeout: float) -> None:
+        """Read the settings, set the rate, start the stream and wait for its first record.
+
+        Raises:
+            DeviceLost: No answer within `timeout` [s], or the box reports an error.
+            ConfigError: The box has units that are not known, or refuses the rate.
+        """
+        self.close()
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        self._inbox = Inbox(self._clock, capacity=60_000)
+        self._sequence = -1
+        self._page = self._settled_page(deadline_ns)
+        self._scale = np.repeat(self._page.scale(), 3)
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+            udp.connect((self._config.host, self._config.udp_port))
+            udp.send(emit_request(COMMAND_REALTIME))
+            udp.settimeout(self._left(deadline_ns))
+            self._sort(udp.recv(64), self._clock.now_ns())
+        except OSError as error:
+            udp.close()
+            raise DeviceLost(
+                f"{self._address()}: no RDT records ({error}); check that RDT is enabled on the "
+                "box's Communications page and that no firewall blocks UDP"
+            ) from error
+        udp.settimeout(_POLL)
+        self._socket = udp
+        self._idle = 0
+        self._receiver = Receiver(f"netft-{self._config.host}", self._receive, self._inbox)
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Records since the last call; see `rig.driver.Driver.read`.
+
+        Raises:
+            DeviceLost: The box has been silent for longer than `NetFtConfig.silence`.
+        """
+        if self._receiver is None:
+            raise DeviceLost(f"{self._address()}: not open")
+        return self._inbox.take(timeout)
+
+    def describe(self) -> dict[str, Any]:
+        """Units, counts per unit, rate and product as the box states them."""
+        if self._page is None:
+            raise DeviceLost(f"{self._address()}: not open")
+        return {
+            "device": "ATI Net F/T",
+            "address": self._address(),
+            "product": self._page.product,
+            "serial": self._page.serial,
+            "rate_hz": float(self._page.rate_hz),
+            "force_unit": self._page.force_unit,
+            "torque_unit": self._page.torque_unit,
+            "counts_per_force": self._page.counts_per_force,
+            "counts_per_torque": self._page.counts_per_torque,
+            "status": status_text(self._page.runstat),
+        }
+
+    def close(self) -> None:
+        """Stop the stream and let go of the socket; safe twice."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+        if self._socket is not None:
+            try:
+                self._socket.send(emit_request(COMMAND_STOP))
+            except OSError as error:
+                logger.debug("%s: stop not sent: %s", self._address(), error)
+            self._socket.close()
+            self._socket = None
+
+    def _address(self) -> str:
+        return f"{self._config.host}:{self._config.udp_port}"
+
+    def _left(self, deadline_ns: int) -> float:
+        return max((deadline_ns - self._clock.now_ns()) / SECOND_NS, 0.01)
+
+    def _get(self, path: str, deadline_ns: int) -> bytes:
+        url = f"http://{self._config.host}:{self._config.http_port}/{path}"
+        # A box on the bench is never behind a proxy, whatever the environment says.
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        try:
+            with opener.open(url, timeout=self._left(deadline_ns)) as response:
+                return bytes(response.read(1 << 20))
+        except (OSError, http.client.HTTPException) as error:
+            raise DeviceLost(
+                f"{url}: {error}; check the box's power, cable and IP address"
+            ) from error
+
+    def _read_page(self, deadline_ns: int) -> Page:
+        content = self._get("netftapi2.xml", deadline_ns)
+        try:
+            page = parse_page(content)
+        except ValueError as error:
+            raise DeviceLost(
+                f"{self._config.host}: netftapi2.xml: {error}; check that it is a Net F/T box"
+            ) from error
+        try:
+            page.scale()
+        except ConfigError as error:
+            raise ConfigError(f"{self._config.host}: netftapi2.xml: {error}") from error
+        return page
+
+    def _settled_page(self, deadline_ns: int) -> Page:
+        page = self._read_page(deadline_ns)
+        if page.runstat & ERROR_MASK:
+            raise DeviceLost(
+                f"{self._config.host}: the box reports 0x{page.runstat:08x}: "
+                f"{status_text(page.runstat)}; check the transducer's cable, then power-cycle"
+            )
+        asked = round(self._config.rate_hz)
+        if page.rate_hz != asked:
+            self._get(f"comm.cgi?comrdtrate={asked}", deadline_ns)
+            page = self._read_page(deadline_ns)
+        if abs(page.rate_hz - self._config.rate_hz) > 0.01 * self._config.rate_hz:
+            raise ConfigError(
+                f"{self._config.host}: comrdtrate: asked {self._config.rate_hz:g} Hz, got "
+                f"{page.rate_hz} Hz; allowed: what the box's Communications page accepts"
+            )
+        return page
+
+    def _receive(self) -> None:
+        udp = self._socket
+        if udp is None:
+            raise DeviceLost(f"{self._address()}: not open")
+        try:
+            packet = udp.recv(64)
+        except TimeoutError:
+            # Counted waits rather than the clock: after this process itself was suspended, what
+            # waits in the socket is received before anything counts as silence.
+            self._idle += 1
+            if self._idle * _POLL >= self._config.silence:
+                raise DeviceLost(
+                    f"{self._address()}: no record for {self._config.silence:g} s; check the box's "
+                    "power and cable, and that no other client has started a stream (the box "
+                    "serves only the latest one)"
+                ) from None
+            return
+        except OSError as error:
+            raise DeviceLost(f"{self._address()}: {error}; check the box's power") from error
+        now_ns = self._clock.now_ns()
+        self._idle = 0
+        self._sort(packet, now_ns)
+
+    def _sort(self, packet: bytes, t_ns: int) -> None:
+        if len(packet) != RECORD.size:
+            self.corrupt += 1
+            return
+        rdt_sequence, _, status, *counts = RECORD.unpack(packet)
+        if self._sequence < 0:
+            self._sequence = rdt_sequence - 1
+        step = (rdt_sequence - self._sequence) & 0xFFFFFFFF
+        step -= (step & 0x80000000) << 1
+        if step <= 0:
+            if step < -_RESTART:
+                raise DeviceLost(
+                    f"{self._address()}: the sequence went back from {self._sequence} to "
+                    f"{rdt_sequence}; the box was restarted, or another client started a stream"
+                )
+            if step == 0:
+                self.duplicates += 1
+            else:
+                self.late += 1
+            return
+        self._gaps += step - 1
+        self._sequence += step
+        value = np.array(counts, np.float64) * self._scale
+        self._inbox.put({"value": value, "seq": self._sequence, "status": status}, t_ns)

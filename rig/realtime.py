@@ -1,0 +1,41 @@
+"""Ask the system for punctual wake-ups; say what was granted, since a laboratory PC may refuse."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+
+_FIFO_PRIORITY = 50
+_PR_SET_TIMERSLACK = 29
+_TIMER_SLACK_NS = 1
+
+
+def be_punctual() -> dict[str, bool]:
+    """Real-time scheduling, no timer slack, no garbage collection, for this process.
+
+    The default timer slack alone wakes every sleep 50 us late. Garbage collection is switched off
+    because a stream's loop makes no cycles.
+
+    Returns:
+        What was granted, by name; stored with every stream.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    return {"sched_fifo": _fifo(), "timer_slack": _timer_slack(), "gc_off": True}
+
+
+def _fifo() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+def _timer_slack() -> bool:
+    try:
+        return ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0) == 0
+    except (OSError, AttributeError):
+        return False

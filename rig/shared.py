@@ -1,0 +1,106 @@
+"""The latest value of something, shared between processes: a memory-mapped file with a sequence lock.
+
+One process writes, any number read. A reader never blocks the writer and never sees half a record.
+A plain file (in a run's own folder) rather than named shared memory: it is gone with the folder,
+whoever was killed.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_COUNTER = np.dtype("<u8")
+_SLOTS = 8
+# The count is raised last: a writer killed in the middle of a record leaves the count at the record
+# before it, which lies in another slot and is whole, so a dead writer never hangs a reader.
+
+
+class LatestRecord:
+    """A structured record with one writer.
+
+    Layout: u64 count of records written, then `_SLOTS` times (u64 number of the record, record).
+    Record k lies in slot k % _SLOTS; its number is written after its content, so a reader that
+    finds number k before and after copying has the whole of record k.
+
+    Args:
+        path: The file; made by `create`, opened by `attach`.
+        dtype: Structured dtype of one record.
+    """
+
+    def __init__(self, path: Path, dtype: np.dtype[Any], *, writable: bool) -> None:
+        self._dtype = dtype
+        stride = _COUNTER.itemsize + dtype.itemsize
+        stride += -stride % 64
+        size = 64 + _SLOTS * stride
+        flags = os.O_RDWR if writable else os.O_RDONLY
+        fd = os.open(path, flags)
+        try:
+            if os.fstat(fd).st_size != size:
+                raise ValueError(f"{path.name}: {os.fstat(fd).st_size} bytes; expected {size}")
+            access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
+            self._map = mmap.mmap(fd, size, access=access)
+        finally:
+            os.close(fd)
+        self._count = np.frombuffer(self._map, _COUNTER, 1, 0)
+        self._numbers = [
+            np.frombuffer(self._map, _COUNTER, 1, 64 + k * stride) for k in range(_SLOTS)
+        ]
+        self._records = [
+            np.frombuffer(self._map, dtype, 1, 64 + k * stride + _COUNTER.itemsize)
+            for k in range(_SLOTS)
+        ]
+
+    @classmethod
+    def create(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
+        """Make the file, empty (count 0), and open it for writing."""
+        stride = _COUNTER.itemsize + dtype.itemsize
+        stride += -stride % 64
+        path.write_bytes(bytes(64 + _SLOTS * stride))
+        return cls(path, dtype, writable=True)
+
+    @classmethod
+    def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> LatestRecord:
+        """Open an existing file, for reading unless `writable`."""
+        return cls(path, dtype, writable=writable)
+
+    @property
+    def count(self) -> int:
+        """Records written so far."""
+        return int(self._count[0])
+
+    def write(self, record: np.ndarray[Any, Any] | tuple[Any, ...]) -> None:
+        """Publish one record (a 0-d structured array or a tuple in field order)."""
+        number = int(self._count[0]) + 1
+        slot = number % _SLOTS
+        self._numbers[slot][0] = 0
+        self._records[slot][0] = record
+        self._numbers[slot][0] = number
+        self._count[0] = number
+
+    def read(self) -> np.void | None:
+        """The latest whole record (a copy), or None before the first.
+
+        A reader overtaken by the writer tries again; the slots make that rare.
+        """
+        while True:
+            number = int(self._count[0])
+            if number == 0:
+                return None
+            slot = number % _SLOTS
+            if int(self._numbers[slot][0]) != number:
+                continue
+            record = self._records[slot][0].copy()
+            if int(self._numbers[slot][0]) == number:
+                return record  # type: ignore[no-any-return]
+
+    def close(self) -> None:
+        """Let go of the mapping; safe twice."""
+        self._records.clear()
+        self._numbers.clear()
+        self._count = np.zeros(1, _COUNTER)
+        self._map.close()

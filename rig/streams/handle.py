@@ -1,0 +1,159 @@
+"""The collecting process's end of one stream."""
+
+from __future__ import annotations
+
+import multiprocessing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import SessionError
+from rig.bench import Bench
+from rig.errors import ConfigError, DeviceLost
+from rig.shared import LatestRecord
+from rig.streams.kinds import KINDS
+from rig.streams.process import COUNTERS, StreamJob, run_stream
+
+_ERRORS = {error.__name__: error for error in (ConfigError, DeviceLost, SessionError)}
+_START_TIMEOUT = 20.0
+# Starting an interpreter and importing OpenCV takes a second here, more on a busy machine [s].
+_CLOSE_TIMEOUT = 30.0
+# Sealing syncs up to 64 images; a slow disk may take its time, and killing it would lose the seal.
+
+
+class StreamHandle:
+    """Starts, asks, and ends the process of one stream.
+
+    Args:
+        name: A key of `KINDS`.
+        bench: The bench, with addresses filled in.
+        folder: Run folder for the shared records.
+    """
+
+    def __init__(self, name: str, bench: Bench, folder: Path) -> None:
+        self.name = name
+        self._bench = bench
+        self._latest = LatestRecord.create(folder / f"{name}.latest", KINDS[name].latest)
+        self._counters = LatestRecord.create(folder / f"{name}.counters", COUNTERS)
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        job = StreamJob(name, bench, folder)
+        self._process = context.Process(
+            target=run_stream, args=(job, theirs), name=f"stream-{name}", daemon=False
+        )
+        self._process.start()
+        theirs.close()
+        self._closed = False
+        self._failure: Exception | None = None
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid or 0
+
+    def wait_opened(self) -> dict[str, Any]:
+        """Facts of the device once its driver is open.
+
+        Raises:
+            ConfigError, DeviceLost: What the driver found.
+        """
+        facts: dict[str, Any] = self._answer("opened", self._bench.preflight.timeout)
+        return facts
+
+    def start_measuring(self, seconds: float) -> None:
+        """Begin a window over which rate, mean and spread are taken."""
+        self._send("measure", seconds)
+
+    def measured(self, seconds: float) -> dict[str, Any]:
+        """The result of the window that `start_measuring(seconds)` began; see `_Measurement`."""
+        found: dict[str, Any] = self._answer("measured", seconds)
+        return found
+
+    def set_bias(self, bias: np.ndarray) -> None:
+        """Subtract `bias` (6,) [N, N m] from now on."""
+        self._send("bias", [float(value) for value in bias])
+        self._answer("biased", 1.0)
+
+    def record(self, path: Path) -> int:
+        """Append to the stream group at `path` from now on; the rows it had."""
+        self._send("record", path)
+        rows: int = self._answer("recording", 5.0)
+        return rows
+
+    def latest(self) -> np.void | None:
+        """The newest sample, as `KINDS[name].latest`."""
+        return self._latest.read()
+
+    def counters(self) -> np.void | None:
+        """COUNTERS as of the last twentieth of a second."""
+        return self._counters.read()
+
+    def check(self) -> None:
+        """Notice a failure.
+
+        Raises:
+            ConfigError, DeviceLost, SessionError: What ended the stream.
+        """
+        if self._failure is not None:
+            raise self._failure
+        try:
+            while self._pipe.poll():
+                self._failed_by(self._pipe.recv())
+        except (EOFError, OSError):
+            self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+
+    def close(self) -> dict[str, Any] | None:
+        """Seal and end; the summary, or None when the process is gone already. Safe twice."""
+        if self._closed:
+            return None
+        self._closed = True
+        summary: dict[str, Any] | None = None
+        try:
+            self._send("close", None)
+            summary = self._answer("closed", _CLOSE_TIMEOUT)
+        except (DeviceLost, ConfigError, SessionError):
+            # Whatever ended the stream was or will be reported by `check`; here only the end counts.
+            summary = None
+        self._process.join(_CLOSE_TIMEOUT)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+        self._latest.close()
+        self._counters.close()
+        return summary
+
+    def _send(self, command: str, argument: Any) -> None:
+        try:
+            self._pipe.send((command, argument))
+        except OSError:
+            self.check()
+            self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+
+    def _answer(self, word: str, seconds: float) -> Any:
+        if self._failure is not None:
+            raise self._failure
+        while True:
+            if not self._pipe.poll(seconds + _START_TIMEOUT):
+                self._fail(DeviceLost(f"{self.name}: its process does not answer ('{word}')"))
+            try:
+                message = self._pipe.recv()
+            except (EOFError, OSError):
+                self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+            if message[0] == word:
+                return message[1]
+            self._failed_by(message)
+
+    def _failed_by(self, message: tuple[str, Any]) -> None:
+        if message[0] == "failed":
+            kind, text = message[1]
+            self._fail(_ERRORS[kind](text))
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = error
+        raise error
+
+    def _exit_code(self) -> int | None:
+        self._process.join(1.0)
+        return self._process.exitcode

@@ -1,0 +1,1 @@
+"""Taxels: the XELA uSkin server, its driver and its emulator."""

@@ -1,0 +1,132 @@
+"""The mock camera's view: dark markers on a lit gel, moving with the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from rig.world.surface import Surface
+
+WIDTH, HEIGHT = 640, 480
+_SUBPIXEL_BITS = 4
+# cv2.circle takes centres and radii in 1/16 px, so a marker moves smoothly.
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerView:
+    """A marker pattern and the camera that looks at it along -z, x to the right, y up."""
+
+    layout: Literal["grid", "hexagon"]
+    """Rows and columns, or rings of a hexagonal packing (rings 6 make 127 pins)."""
+    pitch: float = field(metadata={"unit": "mm"})
+    """Distance of neighbouring markers [m]."""
+    radius: float = field(metadata={"unit": "mm"})
+    """Radius of a marker [m]."""
+    pixel: float = field(metadata={"unit": "mm"})
+    """Size of a pixel on the surface [m]."""
+    rows: int = 7
+    """Rows of a grid."""
+    columns: int = 9
+    """Columns of a grid."""
+    rings: int = 6
+    """Rings of a hexagon around its middle pin."""
+    background: tuple[int, int, int] = (150, 138, 120)
+    """Colour of the gel, RGB."""
+    ink: tuple[int, int, int] = (28, 26, 30)
+    """Colour of the markers, RGB."""
+
+    def points(self) -> np.ndarray:
+        """Untouched markers (n, 2) in the contact frame [m]."""
+        if self.layout == "grid":
+            x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch
+            y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch
+            grid_x, grid_y = np.meshgrid(x, y)
+            return np.stack([grid_x.ravel(), grid_y.ravel()], axis=1)
+        reach = range(-self.rings, self.rings + 1)
+        axial = [(q, r) for q in reach for r in reach if abs(q + r) <= self.rings]
+        return np.array([(self.pitch * (q + r / 2), self.pitch * r * 3**0.5 / 2) for q, r in axial])
+
+
+class MarkerCamera:
+    """Draws a `MarkerView` of a deformed surface.
+
+    Args:
+        view: Pattern and camera.
+        grey_noise: Standard deviation of the image noise [grey levels].
+        seed: Of the noise.
+    """
+
+    def __init__(self, view: MarkerView, *, grey_noise: float = 0.0, seed: int = 0) -> None:
+        self._view = view
+        self._points = view.points()
+        row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
+        across = (column - WIDTH / 2) / WIDTH
+        down = (row - HEIGHT / 2) / HEIGHT
+        vignette = 1.08 - 0.45 * (across**2 + down**2)
+        tint = np.stack([1 + 0.18 * across, 1 - 0.10 * down, 1 - 0.18 * across], axis=-1)
+        lit = vignette[..., None] * tint * np.array(view.background)
+        self._lit = np.clip(lit, 0, 255).astype(np.uint8)
+        self._column, self._row = column[:1].astype(np.float32), row[:, :1].astype(np.float32)
+        self._noise = None
+        if grey_noise > 0:
+            # A bank of noise, walked at random, costs a copy instead of a million random numbers.
+            rng = np.random.default_rng(seed)
+            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3))
+            self._noise, self._rng = bank.round().astype(np.int16), rng
+
+    def pixels(self, surface: Surface) -> np.ndarray:
+        """Marker centres (n, 2) as column and row [px]."""
+        moved = self._points + surface.displacement(self._points)[:, :2]
+        return np.stack(
+            [
+                WIDTH / 2 - 0.5 + moved[:, 0] / self._view.pixel,
+                HEIGHT / 2 - 0.5 - moved[:, 1] / self._view.pixel,
+            ],
+            axis=1,
+        )
+
+    def image(self, surface: Surface) -> np.ndarray:
+        """The view as RGB (480, 640, 3) uint8."""
+        import cv2
+
+        image = self._lit.copy()
+        if surface.depth > 0:
+            self._shade(image, surface)
+        scale = 1 << _SUBPIXEL_BITS
+        radius = round(self._view.radius / self._view.pixel * scale)
+        for column, row in (self.pixels(surface) * scale).round().astype(int).tolist():
+            cv2.circle(
+                image,
+                (column, row),
+                radius,
+                self._view.ink,
+                thickness=-1,
+                lineType=cv2.LINE_AA,
+                shift=_SUBPIXEL_BITS,
+            )
+        if self._noise is not None:
+            top, left = self._rng.integers(0, 64, 2)
+            noise = self._noise[top : top + HEIGHT, left : left + WIDTH]
+            image = np.clip(image.astype(np.int16) + noise, 0, 255).astype(np.uint8)
+        return image
+
+    def _shade(self, image: np.ndarray, surface: Surface) -> None:
+        """Brighten the side of the dent that faces the lamp, darken the other (in place)."""
+        view = self._view
+        centre_column = WIDTH / 2 + surface.centre[0] / view.pixel
+        centre_row = HEIGHT / 2 - surface.centre[1] / view.pixel
+        reach = (surface.radius + 0.4 * surface.thickness) / view.pixel
+        left, right = (int(np.clip(centre_column + s * 2.5 * reach, 0, WIDTH)) for s in (-1, 1))
+        top, bottom = (int(np.clip(centre_row + s * 2.5 * reach, 0, HEIGHT)) for s in (-1, 1))
+        if left >= right or top >= bottom:
+            return
+        across = (self._column[:, left:right] - np.float32(centre_column)) / np.float32(reach)
+        down = (self._row[top:bottom] - np.float32(centre_row)) / np.float32(reach)
+        bell = np.exp(-(across**2 + down**2))
+        slope = 60e3 * surface.depth * bell
+        patch = image[top:bottom, left:right].astype(np.float32)
+        for channel, (east, south) in enumerate(((1.0, 0.2), (-0.3, -1.0), (-0.7, 0.8))):
+            patch[..., channel] += slope * (east * across + south * down)
+        image[top:bottom, left:right] = np.clip(patch, 0, 255)

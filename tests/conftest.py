@@ -1,0 +1,59 @@
+"""Fixtures, and the rule that a test leaves no thread and no process behind."""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# Deadlines would measure the machine, not the code.
+settings.register_profile("house", deadline=None, max_examples=40)
+settings.load_profile("house")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if os.environ.get("RUN_SLOW"):
+        return
+    skip = pytest.mark.skip(reason="slow: takes minutes; run with RUN_SLOW=1 (make test-all)")
+    for item in items:
+        if "slow" in item.keywords:
+            item.add_marker(skip)
+
+
+def _children() -> set[int]:
+    listed = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
+    return {int(pid) for pid in listed}
+
+
+def _command(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except OSError:
+        return ""
+
+
+@pytest.fixture(autouse=True)
+def nothing_left_behind() -> Iterator[None]:
+    """Fail a test that leaks a thread or a child process."""
+    threads, children = set(threading.enumerate()), _children()
+    yield
+    gc.collect()
+    left = [thread for thread in set(threading.enumerate()) - threads if thread.is_alive()]
+    for thread in left:
+        thread.join(2.0)
+    # zarr keeps one event loop thread and its pool for the life of the process, multiprocessing
+    # one resource tracker; neither is ours.
+    ours = [
+        thread.name
+        for thread in left
+        if thread.is_alive() and not thread.name.startswith(("zarr", "asyncio"))
+    ]
+    assert not ours, f"threads left behind: {ours}"
+    commands = [_command(pid) for pid in _children() - children]
+    kept = [command for command in commands if command and "resource_tracker" not in command]
+    assert not kept, f"processes left behind: {kept}"

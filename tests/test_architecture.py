@@ -1,0 +1,83 @@
+"""The house is built as its plan says: who may import whom, and who may touch the clock."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning")
+ALLOWED = {
+    "trajectories": set(),
+    "recorder": set(),
+    "rig": {"trajectories", "recorder"},
+    "sim": {"trajectories", "recorder"},
+    "learning": {"trajectories", "recorder"},
+}
+# Vendor libraries and the only modules that may import them.
+VENDORS = {
+    "rtde_control": {"rig/arm"},
+    "rtde_receive": {"rig/arm"},
+    "dashboard_client": {"rig/arm"},
+    "cv2": {"rig/camera", "rig/world"},
+    "websockets": {"rig/taxels"},
+    "torch": {"learning"},
+    "warp": {"sim"},
+}
+MODULES = sorted(
+    path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()
+)
+
+
+def _imports(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def _name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def test_there_are_modules_to_look_at() -> None:
+    assert {path.relative_to(ROOT).parts[0] for path in MODULES} >= {
+        "trajectories",
+        "recorder",
+        "rig",
+    }
+
+
+@pytest.mark.parametrize("path", MODULES, ids=_name)
+def test_packages_import_only_what_lies_below_them(path: Path) -> None:
+    package = path.relative_to(ROOT).parts[0]
+    ours = _imports(path) & set(PACKAGES) - {package}
+    assert ours <= ALLOWED[package], f"{_name(path)} imports {sorted(ours - ALLOWED[package])}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=_name)
+def test_vendor_libraries_stay_in_their_own_folder(path: Path) -> None:
+    for vendor, folders in VENDORS.items():
+        if vendor in _imports(path):
+            assert any(_name(path).startswith(folder) for folder in folders), (
+                f"{_name(path)} imports {vendor}; allowed in {sorted(folders)}"
+            )
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in MODULES if _name(path).startswith("rig/")], ids=_name
+)
+def test_only_the_clock_touches_time(path: Path) -> None:
+    if _name(path) != "rig/clock.py":
+        assert "time" not in _imports(path), f"{_name(path)} imports time; use rig.clock"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=_name)
+def test_files_hold_one_idea(path: Path) -> None:
+    lines = len(path.read_text().splitlines())
+    assert lines <= 400, f"{_name(path)} has {lines} lines: more than one idea?"

@@ -1,0 +1,26 @@
+"""What the arm does, as pure data: frozen specs that yield moves. No hardware, no clock, no files.
+
+A spec is stored as JSON with the session it made; the moves are derived from it again when needed.
+"""
+
+from trajectories.force_depth import ForceDepth
+from trajectories.limits import Limits, Rehearsal, rehearse
+from trajectories.moves import PHASES, Move, Plan, Point, Target, plan_from_json, plan_to_json
+from trajectories.press_shear import PressShear
+from trajectories.profile import move_duration
+
+__all__ = [
+    "PHASES",
+    "ForceDepth",
+    "Limits",
+    "Move",
+    "Plan",
+    "Point",
+    "PressShear",
+    "Rehearsal",
+    "Target",
+    "move_duration",
+    "plan_from_json",
+    "plan_to_json",
+    "rehearse",
+]

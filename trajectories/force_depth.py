@@ -1,0 +1,67 @@
+"""The force-depth press: straight down and up again, a few times, for material compensation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from trajectories.moves import PHASES, Move, Target, check_positive
+
+
+@dataclass(frozen=True, slots=True)
+class ForceDepth:
+    """Loading and unloading at the centre, `repeats` times; each repeat is one target.
+
+    The paper presses the prism 3 times to 1.2 mm (homogeneous), 1.0 mm (GelSight, uSkin) or 4.5 mm
+    (TacPalm) and keeps loading and unloading apart, since they differ by hysteresis.
+
+    Raises:
+        ValueError: A length that is not positive, or less than one repeat.
+    """
+
+    KIND: ClassVar[str] = "force_depth"
+
+    depth_max: float = field(metadata={"unit": "mm"})
+    """Deepest indentation [m]."""
+    repeats: int = 3
+    """How often it is pressed."""
+    clearance: float = field(default=0.3e-3, metadata={"unit": "mm"})
+    """Height of p0 above the untouched surface [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be walked."""
+        check_positive(self, ("depth_max", "clearance"))
+        if self.repeats < 1:
+            raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
+
+    @property
+    def kind(self) -> str:
+        """`force_depth`."""
+        return self.KIND
+
+    def __len__(self) -> int:
+        """Number of targets."""
+        return self.repeats
+
+    def targets(self) -> Iterator[Target]:
+        """The same press `repeats` times."""
+        origin = (0.0, 0.0, self.clearance)
+        bottom = (0.0, 0.0, -self.depth_max)
+        for index in range(self.repeats):
+            yield Target(
+                index=index,
+                point=1,
+                depth=self.depth_max,
+                direction=-1,
+                origin=origin,
+                bottom=bottom,
+                sheared=bottom,
+            )
+
+    def moves(self, target: Target) -> tuple[Move, ...]:
+        """Loading and unloading."""
+        return (
+            Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
+            Move(target.index, PHASES.index("normal_dec"), target.bottom, target.origin),
+        )

@@ -1,0 +1,110 @@
+"""Walk a plan without hardware: does it stay in the box, how deep, how hard, how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trajectories.moves import Plan, Point
+from trajectories.profile import distance, move_duration
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a sensor and a bench allow, in the contact frame."""
+
+    box_x: tuple[float, float]
+    """Allowed x of the tip [m]."""
+    box_y: tuple[float, float]
+    """Allowed y of the tip [m]."""
+    depth_max: float
+    """Deepest indentation the sensor stands [m]."""
+    height_max: float
+    """Highest z of the tip [m]."""
+    force_rating: float
+    """Rated normal force of the weaker of sensor and F/T gauge [N]."""
+    stiffness: float
+    """Normal stiffness expected of the sensor under the indenter [N/m], to foretell the force."""
+    duration_max: float
+    """Longest session [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """What a plan would do, found by walking it."""
+
+    targets: int
+    """Number of targets."""
+    moves: int
+    """Number of recorded moves."""
+    x: tuple[float, float]
+    """Smallest and largest x [m]."""
+    y: tuple[float, float]
+    """Smallest and largest y [m]."""
+    depth: float
+    """Deepest indentation [m]."""
+    height: float
+    """Highest z [m]."""
+    force: float
+    """Expected largest normal force, stiffness x depth [N]."""
+    duration: float
+    """Moving time, recorded and between targets [s]; pauses come on top."""
+    recorded: float
+    """The recorded part of it [s]."""
+    broken: tuple[str, ...]
+    """Each limit that would be broken, in words; empty when the plan may run."""
+
+
+def rehearse(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> Rehearsal:
+    """Walk `plan` and hold every point against `limits`.
+
+    Args:
+        plan: What to walk.
+        limits: What is allowed.
+        speed: Speed of the recorded moves [m/s].
+        acceleration: Their acceleration [m/s^2].
+    """
+    places: list[Point] = []
+    recorded = between = 0.0
+    moves = 0
+    for target in plan.targets():
+        path = plan.moves(target)
+        if places:
+            between += move_duration(distance(places[-1], path[0].start), speed, acceleration)
+        for move in path:
+            recorded += move_duration(distance(move.start, move.end), speed, acceleration)
+            places += [move.start, move.end]
+            moves += 1
+    low = tuple(min(place[axis] for place in places) for axis in range(3))
+    high = tuple(max(place[axis] for place in places) for axis in range(3))
+    depth = -low[2]
+    force = limits.stiffness * depth
+    duration = recorded + between
+    checks = (
+        (low[0] < limits.box_x[0] or high[0] > limits.box_x[1], "x", low[0], high[0], limits.box_x),
+        (low[1] < limits.box_y[0] or high[1] > limits.box_y[1], "y", low[1], high[1], limits.box_y),
+    )
+    broken = [
+        f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f}"
+        for bad, axis, a, b, c in checks
+        if bad
+    ]
+    if depth > limits.depth_max + 1e-9:
+        broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f}")
+    if high[2] > limits.height_max + 1e-9:
+        broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f}")
+    if force > limits.force_rating:
+        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f}")
+    if duration > limits.duration_max:
+        broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f}")
+    return Rehearsal(
+        targets=len(plan),
+        moves=moves,
+        x=(low[0], high[0]),
+        y=(low[1], high[1]),
+        depth=depth,
+        height=high[2],
+        force=force,
+        duration=duration,
+        recorded=recorded,
+        broken=tuple(broken),
+    )

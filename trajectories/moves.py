@@ -1,0 +1,118 @@
+"""The vocabulary of a plan: points, targets, moves; and plans to and from JSON.
+
+Frame: the contact frame. Its origin lies on the untouched surface of the sensor at its centre, z
+points out of the sensor, so an indentation is a negative z.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
+"""Names of the phases; their index is the code that is stored."""
+
+Point = tuple[float, float, float]
+"""A position of the indenter's tip in the contact frame [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One press: where, how deep, and in which direction it is sheared."""
+
+    index: int
+    """Its place in the plan, from 0."""
+    point: int
+    """Number of the contact point, from 1 as in the paper."""
+    depth: float
+    """Indentation at the bottom [m], positive."""
+    direction: int
+    """Shear direction, 0 along +x and counter-clockwise; -1 for a press without shear."""
+    origin: Point
+    """p0, clear of the surface [m]."""
+    bottom: Point
+    """p1, straight below p0 at full depth [m]."""
+    sheared: Point
+    """p2, p1 moved sideways [m]; equal to p1 for a press without shear."""
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One straight, recorded move of a target."""
+
+    target: int
+    """Index of its target."""
+    phase: int
+    """Index into PHASES."""
+    start: Point
+    """Where it begins [m]."""
+    end: Point
+    """Where it ends [m]."""
+
+
+class Plan(Protocol):
+    """A frozen spec: sized and iterable by target, and each target by its moves."""
+
+    @property
+    def kind(self) -> str:
+        """The word that names this spec in a bench file and in a session."""
+
+    def __len__(self) -> int:
+        """Number of targets."""
+
+    def targets(self) -> Iterator[Target]:
+        """All targets in the order they are pressed."""
+
+    def moves(self, target: Target) -> tuple[Move, ...]:
+        """The recorded moves of one target, each beginning where the one before it ended."""
+
+
+def check_positive(spec: object, names: Sequence[str]) -> None:
+    """Refuse a spec with a field that is not a finite number above zero.
+
+    Raises:
+        ValueError: Names the field, what was found and what is allowed.
+    """
+    for name in names:
+        value = getattr(spec, name)
+        if not 0 < value < float("inf"):
+            raise ValueError(f"{name}: {value!r}; allowed: a finite number above 0")
+
+
+def plan_kinds() -> dict[str, type[Any]]:
+    """Every spec there is, by the word that names it."""
+    from trajectories.force_depth import ForceDepth
+    from trajectories.press_shear import PressShear
+
+    return {PressShear.KIND: PressShear, ForceDepth.KIND: ForceDepth}
+
+
+def plan_to_json(plan: Plan) -> dict[str, Any]:
+    """The spec as plain JSON values, SI units, with its `kind`."""
+    if not dataclasses.is_dataclass(plan) or isinstance(plan, type):
+        raise TypeError(f"plan: {plan!r}; allowed: {sorted(plan_kinds())}")
+    return {"kind": plan.kind, **dataclasses.asdict(plan)}
+
+
+def plan_from_json(stored: dict[str, Any]) -> Plan:
+    """The spec that `plan_to_json` wrote.
+
+    Raises:
+        ValueError: An unknown kind or field, or a value the spec refuses.
+    """
+    fields = dict(stored)
+    kind = fields.pop("kind", None)
+    kinds = plan_kinds()
+    if kind not in kinds:
+        raise ValueError(f"plan.kind: {kind!r}; allowed: {sorted(kinds)}")
+    spec = kinds[kind]
+    known = {field.name for field in dataclasses.fields(spec)}
+    if unknown := sorted(set(fields) - known):
+        raise ValueError(f"plan: unknown {unknown}; known: {sorted(known)}")
+    values = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()
+    }
+    plan: Plan = spec(**values)
+    return plan
