@@ -4,9 +4,14 @@
 """
 
 from recorder import codecs as _codecs
+from recorder.check import check
 from recorder.errors import SessionError
+from recorder.findings import Finding
 from recorder.reader import Session, Stream
+from recorder.recover import recover
+from recorder.repack import repack
 from recorder.session import SessionWriter
+from recorder.sheet import contact_sheet
 from recorder.spec import (
     FORMAT_VERSION,
     OUTCOMES,
@@ -32,6 +37,7 @@ __all__ = [
     "REFERENCE",
     "SEGMENTS",
     "Column",
+    "Finding",
     "Session",
     "SessionError",
     "SessionWriter",
@@ -40,7 +46,11 @@ __all__ = [
     "StreamWriter",
     "Window",
     "camera_spec",
+    "check",
+    "contact_sheet",
     "force_spec",
     "pose_spec",
+    "recover",
+    "repack",
     "taxels_spec",
 ]

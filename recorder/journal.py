@@ -5,7 +5,6 @@ would be lost in a crash. So each row is first appended here, all small columns 
 record, and a whole block later becomes one chunk per column.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,11 +123,11 @@ def fill_value(column: Layout) -> float | int:
 
 
 def remove_journals(paths: tuple[Path, ...], *, keep: Path | None = None) -> None:
-    """Delete journals whose rows are stored elsewhere, the latest first.
+    """Delete journals, in order of their rows, whose rows are stored elsewhere.
 
-    In this order what is left behind by a crash is still a journal that starts where the chunks
-    end.
+    In this order what a crash leaves behind is still a row of journals without a hole, which
+    starts no later than the chunks end.
     """
-    for path in reversed(paths):
-        if path != keep and path.exists():
-            os.unlink(path)
+    for path in paths:
+        if path != keep:
+            path.unlink(missing_ok=True)

@@ -67,7 +67,9 @@ class Layout:
         if not root.is_dir():
             return []
         names = {entry.name.removesuffix(PARTIAL) for entry in root.iterdir()}
-        return sorted(int(name) for name in names if name.isdecimal())
+        numbers = sorted(int(name) for name in names if name.isdecimal())
+        # A directory alone is what a crash before the first record leaves.
+        return [n for n in numbers if self.shard(n).exists() or self.partial(n).exists()]
 
     def rows(self) -> int:
         """Return the length of the array as every Zarr reader sees it."""
@@ -243,8 +245,10 @@ def write_group(path: Path, attrs: dict[str, Any]) -> None:
 def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
     """Merge into the attributes of a group, atomically."""
     document = read_json(path / "zarr.json")
-    document["attributes"] = {**document.get("attributes", {}), **attrs}
-    write_json(path / "zarr.json", document)
+    before = document.get("attributes", {})
+    document["attributes"] = {**before, **attrs}
+    if document["attributes"] != before:
+        write_json(path / "zarr.json", document)
 
 
 def _inner_codecs(column: Column) -> list[dict[str, Any]]:

@@ -15,7 +15,6 @@ import zarr
 from numpy.typing import NDArray
 
 from recorder import images
-from recorder.durable import read_json
 from recorder.errors import SessionError
 from recorder.layout import CHUNKS_PER_SHARD, Layout, StreamLayout, decoded_rows
 from recorder.session import read_session_attrs
@@ -96,6 +95,11 @@ class Stream:
     def __len__(self) -> int:
         """Return how many rows every column holds."""
         return self._rows
+
+    @property
+    def small(self) -> tuple[str, ...]:
+        """Names of the columns that `array` returns: all but the images."""
+        return tuple(layout.column.name for layout in self.layout.small)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -220,13 +224,13 @@ class Session:
 
     @cached_property
     def rate_hz(self) -> float:
-        """Rate of the frames view; before it exists, that of the camera or the taxels."""
-        if (self.path / "frames" / "zarr.json").exists():
-            return float(read_json(self.path / "frames" / "zarr.json")["attributes"]["rate_hz"])
-        for name in ("camera", "taxels"):
+        """Rate of the frames view: attrs `frames_rate_hz`; before it is known, the signal's."""
+        if "frames_rate_hz" in self.attrs:
+            return float(self.attrs["frames_rate_hz"])
+        for name in ("camera", "taxels", "pose", "force"):
             if name in self.streams:
                 return self.streams[name].rate_hz
-        raise SessionError(f"{self.path}: no camera and no taxels; say rate_hz")
+        raise SessionError(f"{self.path}: no stream has a rate to go by; say rate_hz")
 
     def rows_of_run(self, name: str, run: int) -> slice:
         """Return the rows of a stream that belong to a run."""

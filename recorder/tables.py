@@ -45,7 +45,7 @@ def write_table(
             shape=column.shape,
             dtype=column.dtype,
             chunks=(_CHUNK_ROWS, *column.shape[1:]),
-            compressors=ZstdCodec(level=1),
+            compressors=ZstdCodec(level=1, checksum=True),
             dimension_names=["row", *(f"dim_{axis}" for axis in range(1, column.ndim))],
             attributes={"units": unit, "description": description},
             config={"write_empty_chunks": True},

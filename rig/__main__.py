@@ -1,4 +1,4 @@
-"""Command line of the rig: `python -m rig collect|preview|mock`."""
+"""Command line of the rig: `python -m rig collect|preview|compare|mock`."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import tempfile
 from pathlib import Path
 
 from recorder import SessionError
-from rig.bench import find_bench, load_bench
+from rig.bench import bench_from, find_bench, load_bench
 from rig.clock import file_stamp
+from rig.collect.collector import Collector
 from rig.collect.interrupt import Interrupted
+from rig.collect.order import Order, plan_of
 from rig.errors import (
     EXIT_DEVICE_LOST,
     EXIT_INTERRUPTED,
@@ -53,15 +55,25 @@ def _arguments() -> argparse.ArgumentParser:
     collect = verbs.add_parser(
         "collect", parents=[bench, sources], help="record one session along the bench's plan"
     )
-    collect.add_argument("--out", type=Path, help="session to write (default: sessions/<name>.zarr)")
+    collect.add_argument(
+        "--out", type=Path, help="session to write (default: in sessions/)"
+    )
     collect.add_argument("--resume", type=Path, help="continue this stopped session")
-    collect.add_argument("--targets", type=int, help="press only the first N targets of the plan")
+    collect.add_argument("--targets", type=int, help="press only the first N targets")
     collect.add_argument("--indenter", help="name of the indenter on the arm")
     collect.add_argument("--operator", default="", help="who records (default: the login name)")
-    collect.add_argument("--truth", type=Path, help="mock bench: log the World's truth to this file")
+    collect.add_argument(
+        "--truth", type=Path, help="mock bench: log the World's truth here"
+    )
 
     preview = verbs.add_parser("preview", parents=[bench], help="draw the plan, check its limits")
-    preview.add_argument("--out", type=Path, help="PNG to write (default: sessions/<name>-plan.png)")
+    preview.add_argument(
+        "--out", type=Path, help="PNG to write (default: in sessions/)"
+    )
+
+    compare = verbs.add_parser("compare", help="hold a mock session against the World's truth")
+    compare.add_argument("--session", type=Path, required=True, help="a session")
+    compare.add_argument("--truth", type=Path, required=True, help="what collect --truth wrote")
 
     verbs.add_parser("mock", parents=[bench, sources], help="run the emulators until Ctrl-C")
     return parser
@@ -94,34 +106,29 @@ def _collect(options: argparse.Namespace) -> int:
         raise ConfigError(f"{path}: CAMERA, TAXELS and truth are for a mock bench; mock: false")
     if options.resume and (options.out or options.targets):
         raise ConfigError("--resume: neither --out nor --targets go with it: the session has both")
-    if options.targets is not None and options.targets < 1:
-        raise ConfigError(f"TARGETS: found {options.targets}; allowed: 1 or more")
     session = options.resume or options.out
     if session is None:
         indenter = content.get("indenter", bench.indenter)
         session = Path("sessions") / f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
+    order = Order(
+        path=session,
+        resume=options.resume is not None,
+        targets=options.targets,
+        operator=options.operator,
+        mock_facts=sources.facts() if bench.mock else None,
+    )
+    plan, total = plan_of(order, bench)
     session.parent.mkdir(parents=True, exist_ok=True)
     _log_to(session.with_suffix(".log"))
-    from rig.bench import bench_from
-    from rig.collect.collector import Collector, Order
-
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        facts = None
         if bench.mock:
             mock = stack.enter_context(
                 MockBench(content, str(path), folder, sources=sources, truth=options.truth)
             )
-            content, facts = mock.content, sources.facts()
+            content = mock.content
         collector = Collector(bench_from(content, str(path)), content, folder)
-        order = Order(
-            path=session,
-            resume=options.resume is not None,
-            targets=options.targets,
-            operator=options.operator,
-            mock_facts=facts,
-        )
-        return collector.run(order)
+        return collector.run(order, plan, total)
 
 
 def _preview(options: argparse.Namespace) -> int:
@@ -132,6 +139,13 @@ def _preview(options: argparse.Namespace) -> int:
     picture = options.out or Path("sessions") / f"{bench.sensor}-plan.png"
     picture.parent.mkdir(parents=True, exist_ok=True)
     return preview(bench, picture)
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from rig.world.compare import compare
+
+    print("\n".join(compare(options.session, options.truth)))
+    return 0
 
 
 def _mock(options: argparse.Namespace) -> int:
@@ -167,7 +181,7 @@ def _log_to(path: Path) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; the exit code."""
     options = _arguments().parse_args(argv)
-    verbs = {"collect": _collect, "preview": _preview, "mock": _mock}
+    verbs = {"collect": _collect, "preview": _preview, "compare": _compare, "mock": _mock}
     try:
         return verbs[options.verb](options)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""A bench: which devices, at which addresses, with which sensor, limits and plan. Read from YAML."""
+"""A bench, read from YAML: which devices at which addresses, which sensor, limits and plan."""
 
 from __future__ import annotations
 
@@ -105,6 +105,8 @@ class Bench:
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
     preflight: Preflight = Preflight()
+    approach: float = field(default=0.003, metadata={"unit": "mm"})
+    """Height above the surface from which the tip comes down at contact speed [m]."""
     indenter: str = "cylinder"
     """Name of the indenter on the arm."""
     camera: CameraConfig | None = None

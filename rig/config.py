@@ -45,7 +45,7 @@ class _StrictLoader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+            key = self.construct_object(key_node, deep=True)
             if key in seen:
                 line = key_node.start_mark.line + 1
                 raise ConfigError(f"{self.name}: line {line}: key {key!r} is written twice")
@@ -74,7 +74,7 @@ def _read_extended(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
             try:
                 content = loader.get_single_data()
             finally:
-                loader.dispose()  # type: ignore[no-untyped-call]
+                loader.dispose()
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -92,11 +92,12 @@ def _read_extended(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     result = dict(below)
     for key, value in above.items():
-        old = result.get(key)
-        both = isinstance(old, dict) and isinstance(value, dict)
+        old: Any = result.get(key)
+        result[key] = value
+        mappings = isinstance(old, dict) and isinstance(value, dict)
         # A mapping of another kind replaces: its keys would not fit.
-        same = both and value.get("kind", old.get("kind")) == old.get("kind")
-        result[key] = _merged(old, value) if same else value
+        if mappings and value.get("kind", old.get("kind")) == old.get("kind"):
+            result[key] = _merged(old, value)
     return result
 
 

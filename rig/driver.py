@@ -54,7 +54,7 @@ class Inbox:
     """Samples on their way from the thread that receives them to the caller of `Driver.read`.
 
     Args:
-        clock: Stamps the arrivals.
+        clock: Stamps what is put without a time.
         capacity: Samples kept for a consumer that is late; what comes then is counted and lost.
     """
 
@@ -68,8 +68,10 @@ class Inbox:
         self.overflowed = 0
         """Samples lost because nobody took them in time."""
 
-    def put(self, sample: dict[str, Any], t_ns: int) -> None:
-        """Add a sample that arrived at `t_ns`; equal times are moved apart by 1 ns."""
+    def put(self, sample: dict[str, Any], t_ns: int | None = None) -> None:
+        """Add a sample that arrived at `t_ns`, or now; equal times are moved apart by 1 ns."""
+        if t_ns is None:
+            t_ns = self._clock.now_ns()
         with self._changed:
             self._newest_ns = sample["t_ns"] = max(t_ns, self._newest_ns + 1)
             if len(self._samples) >= self._capacity:

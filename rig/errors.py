@@ -1,4 +1,4 @@
-"""Errors by what the person at the bench can do about them, and the exit code each one ends with."""
+"""Errors by what the person at the bench can do about them, and the exit code of each."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ EXIT_INTERRUPTED = 130
 
 
 class ConfigError(ValueError):
-    """A file or an option is wrong: the message names file, key, what was found, what is allowed."""
+    """A file or an option is wrong: the message names file, key, what was found and allowed."""
 
 
 class DeviceLost(RuntimeError):
-    """A device does not answer, answered garbage, or fell silent: check its power, cable, address."""
+    """A device does not answer, answers garbage, or fell silent: check power, cable, address."""
 
 
 class SafetyStop(RuntimeError):

@@ -1,7 +1,7 @@
 """Decides when the arm must stop: force, place, stale data, safety state. Pure logic, no I/O.
 
-The UR's own limits cannot protect the sensor (their tolerance is 25 N; a Nano17 ends at 17 N), so the
-process that moves the arm asks this guard a few hundred times a second with the newest records.
+The UR's own limits cannot protect the sensor (their tolerance is 25 N; a Nano17 ends at 17 N), so
+the process that moves the arm asks this guard a few hundred times a second with the newest records.
 """
 
 from __future__ import annotations
@@ -33,16 +33,18 @@ AXES = (("Fx", "N"), ("Fy", "N"), ("Fz", "N"), ("Tx", "N m"), ("Ty", "N m"), ("T
 
 _SLOPE_WINDOW_NS = 12_000_000
 _SLOPE_SAMPLES = 4
+_SLOPE_SPAN_NS = 60_000_000
 # The slope of four samples 4 ms apart, 20 ms ahead, carries 2.2 times the noise of one sample; with
-# fewer it would be the noise that trips.
+# fewer it would be the noise that trips. A sensor so slow that four samples take longer than the
+# span says nothing about the next 20 ms.
 
 _GROWTH = 0.02
 """In retreat the load counts as growing when it gains this share of the rating in `horizon`."""
 
 _EMERGENCY_BITS = 0x1E0
 _STOPPED_BITS = 0x614
-# RTDE safety_status_bits: 5, 6, 7 emergency stops, 8 violation; 2 protective, 4 safeguard (a door, a
-# light curtain), 9 fault, 10 stopped by any of them.
+# RTDE safety_status_bits: 5, 6, 7 emergency stops, 8 violation; 2 protective, 4 safeguard (a door,
+# a light curtain), 9 fault, 10 stopped by any of them.
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,7 @@ class GuardLimits:
     force_status_mask: int = 0
     """Status bits of the F/T sensor that mean its values cannot be trusted (saturation...)."""
     combined_fraction: float | None = None
-    """Of the rating, for (Fxy and Tz) and (Fz and Txy) added up: ATI's rule says 1.05. None: off."""
+    """Of the ratings, (Fxy and Tz) and (Fz and Txy) added up: ATI's rule says 1.05. None: off."""
 
     def __post_init__(self) -> None:
         """Refuse limits that would never trip, or always.
@@ -180,7 +182,7 @@ class Guard:
             mode: What the arm is doing.
         """
         safety = None if pose_record is None else judge_safety(int(pose_record["safety_status"]))
-        force = self._check_force(force_record, mode)
+        force = self._check_force(now_ns, force_record, mode)
         if safety is not None or (force is not None and force.kind == "force_hard"):
             return safety or force
         # A stale force that stood above the soft limit is a lost sensor, not a finished press.
@@ -219,21 +221,23 @@ class Guard:
         reason = _box_reason(self._limits, self._turn @ pose["value"][:3] + self._shift)
         return Verdict("box", reason) if reason else None
 
-    def _check_force(self, record: Any | None, mode: Mode) -> Verdict | None:
+    def _check_force(self, now_ns: int, record: Any | None, mode: Mode) -> Verdict | None:
         if record is None or not self._watch_force:
             return None
         limits = self._limits
         t_ns, force = int(record["t_ns"]), [float(value) for value in record["value"]]
         if not self._history or t_ns > self._history[-1][0]:
             self._history.append((t_ns, force))
+        if mode == "retreat" and now_ns - t_ns > round(limits.stale_force * SECOND_NS):
+            # A sensor lost under load must not hold the arm there.
+            return None
         status = int(record["status"]) & limits.force_status_mask
-        if mode != "retreat":
-            if status or not all(map(math.isfinite, force)):
-                return Verdict(
-                    "force_status",
-                    f"the F/T sensor says its values cannot be trusted (status 0x{status:x}): "
-                    "overloaded, or a cable is loose",
-                )
+        if mode != "retreat" and (status or not all(map(math.isfinite, force))):
+            return Verdict(
+                "force_status",
+                f"the F/T sensor says its values cannot be trusted (status 0x{status:x}): "
+                "overloaded, or a cable is loose",
+            )
         ahead = self._predict()
         loads = self._loads(force)
         later = self._loads(ahead) if ahead is not None else loads
@@ -288,7 +292,7 @@ class Guard:
             if k < _SLOPE_SAMPLES or newest_ns - t_ns <= _SLOPE_WINDOW_NS
         ]
         span_ns = newest_ns - recent[-1][0]
-        if len(recent) < _SLOPE_SAMPLES or span_ns > round(self._limits.stale_force * SECOND_NS):
+        if len(recent) < _SLOPE_SAMPLES or span_ns > _SLOPE_SPAN_NS:
             return None
         times = [(t_ns - newest_ns) / SECOND_NS for t_ns, _ in recent]
         mean = sum(times) / len(times)

@@ -85,7 +85,11 @@ def _colour(index: int, count: int) -> tuple[int, int, int]:
 
 
 def _mapping(
-    frame: tuple[int, int, int, int], x: tuple[float, float], y: tuple[float, float], *, square: bool
+    frame: tuple[int, int, int, int],
+    x: tuple[float, float],
+    y: tuple[float, float],
+    *,
+    square: bool,
 ) -> ToPixel:
     left, top, right, bottom = frame
     scale_x, scale_y = (right - left) / (x[1] - x[0]), (bottom - top) / (y[1] - y[0])
@@ -121,8 +125,7 @@ def _draw_top(
     canvas.rectangle(corners, outline=_GRID, width=2)
     canvas.text(
         (corners[0][0] + 6, corners[0][1] + 4),
-        f"from above; box {1e3 * (box_x[1] - box_x[0]):.0f} x "
-        f"{1e3 * (box_y[1] - box_y[0]):.0f} mm",
+        f"from above; box {1e3 * (box_x[1] - box_x[0]):.0f} x {1e3 * (box_y[1] - box_y[0]):.0f} mm",
         _INK,
         font=font,
     )
@@ -147,7 +150,7 @@ def _draw_side(
     font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
 ) -> None:
     deepest = max(target.depth for target in targets)
-    reach = max(math.dist(target.bottom, target.sheared) for target in targets) or deepest / 2
+    reach = max(math.dist(target.bottom, target.sheared) for target in targets) or deepest
     top = max(target.origin[2] for target in targets)
     at = _mapping(_SIDE, (-0.5 * reach, 1.9 * reach), (-1.25 * deepest, top), square=False)
     surface = (at(-0.5 * reach, 0.0), at(1.9 * reach, 0.0))
@@ -164,15 +167,13 @@ def _draw_side(
         aside = 0.06 * reach * list(colours).index(depth)
         path = [origin, (aside, origin[1]), (aside, -depth), (aside + shear, -depth)]
         canvas.line([at(*place) for place in path], fill=colour, width=3)
-        canvas.text(at(aside + shear + 0.06 * reach, -depth + 0.04 * deepest), label(depth), colour, font=font)
-    for name, place in (("p0", origin), ("p1", (0.0, -deepest)), ("p2", (reach, -deepest))):
+        beside = at(aside + shear + 0.06 * reach, -depth + 0.04 * deepest)
+        canvas.text(beside, f"{1e3 * depth:.3f} mm", colour, font=font)
+    last = 0.06 * reach * (len(colours) - 1)
+    corners = (("p0", origin), ("p1", (last, -deepest)), ("p2", (last + reach, -deepest)))
+    for name, place in corners:
         _dot(canvas, at(*place), 4, _INK)
         canvas.text((at(*place)[0] - 22, at(*place)[1] + 4), name, _INK, font=font)
-
-
-def label(depth: float) -> str:
-    """`depth` [m] as text."""
-    return f"{1e3 * depth:.3f} mm"
 
 
 def _dot(

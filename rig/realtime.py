@@ -36,6 +36,6 @@ def _fifo() -> bool:
 
 def _timer_slack() -> bool:
     try:
-        return ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0) == 0
+        return bool(ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0) == 0)
     except (OSError, AttributeError):
         return False

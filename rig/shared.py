@@ -1,4 +1,4 @@
-"""The latest value of something, shared between processes: a memory-mapped file with a sequence lock.
+"""The latest value of something, shared between processes by a memory-mapped file.
 
 One process writes, any number read. A reader never blocks the writer and never sees half a record.
 A plain file (in a run's own folder) rather than named shared memory: it is gone with the folder,
@@ -73,8 +73,8 @@ class LatestRecord:
         """Records written so far."""
         return int(self._count[0])
 
-    def write(self, record: np.ndarray[Any, Any] | tuple[Any, ...]) -> None:
-        """Publish one record (a 0-d structured array or a tuple in field order)."""
+    def write(self, record: np.void | tuple[Any, ...]) -> None:
+        """Publish one record (a structured scalar, or a tuple in field order)."""
         number = int(self._count[0]) + 1
         slot = number % _SLOTS
         self._numbers[slot][0] = 0

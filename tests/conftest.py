@@ -43,17 +43,17 @@ def nothing_left_behind() -> Iterator[None]:
     threads, children = set(threading.enumerate()), _children()
     yield
     gc.collect()
-    left = [thread for thread in set(threading.enumerate()) - threads if thread.is_alive()]
-    for thread in left:
-        thread.join(2.0)
     # zarr keeps one event loop thread and its pool for the life of the process, multiprocessing
     # one resource tracker; neither is ours.
     ours = [
-        thread.name
-        for thread in left
-        if thread.is_alive() and not thread.name.startswith(("zarr", "asyncio"))
+        thread
+        for thread in set(threading.enumerate()) - threads
+        if not thread.name.startswith(("zarr", "asyncio"))
     ]
-    assert not ours, f"threads left behind: {ours}"
+    for thread in ours:
+        thread.join(2.0)
+    left = [thread.name for thread in ours if thread.is_alive()]
+    assert not left, f"threads left behind: {left}"
     commands = [_command(pid) for pid in _children() - children]
     kept = [command for command in commands if command and "resource_tracker" not in command]
     assert not kept, f"processes left behind: {kept}"

@@ -20,17 +20,20 @@ import cv2
 import numpy as np
 import pytest
 
+from rig.camera.config import CameraConfig
 from rig.camera.jpeg import frame_stamp
 from rig.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig
-from rig.camera.opencv import CameraConfig, OpenCvDriver
+from rig.camera.opencv import OpenCvDriver
 from rig.camera.sources import LoopSource
 from rig.clock import SystemClock
-from rig.driver import Driver
+from rig.driver import Driver, Inbox, Receiver
 from rig.errors import DeviceLost
+from rig.force.config import NetFtConfig
 from rig.force.emulation import Emulator, SharedWorld
-from rig.force.netft import NetFtConfig, NetFtDriver
+from rig.force.netft import NetFtDriver
 from rig.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
-from rig.taxels.xela import XelaConfig, XelaDriver
+from rig.taxels.config import XelaConfig
+from rig.taxels.xela import XelaDriver
 from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 
 CLOCK = SystemClock()
@@ -209,6 +212,38 @@ def read_until_lost(driver: Driver) -> str:
     raise AssertionError("the driver did not notice in 100 reads")
 
 
+def test_what_nobody_takes_in_time_is_counted_and_equal_times_move_apart() -> None:
+    inbox = Inbox(CLOCK, capacity=3)
+    for number in range(5):
+        inbox.put({"seq": number}, 1000)
+    assert inbox.take(0.0) == [{"seq": k, "t_ns": 1000 + k} for k in range(3)]
+    assert inbox.overflowed == 2
+    inbox.put({"seq": 5}, 900)
+    assert inbox.take(0.0) == [{"seq": 5, "t_ns": 1005}]
+
+
+def test_the_end_of_a_stream_comes_after_all_that_was_received() -> None:
+    inbox = Inbox(CLOCK, capacity=3)
+    inbox.put({"seq": 1}, 1000)
+    inbox.fail("unplugged")
+    inbox.fail("and then closed")
+    assert len(inbox.take(0.0)) == 1
+    for _ in range(2):
+        with pytest.raises(DeviceLost, match="unplugged"):
+            inbox.take(0.0)
+
+
+def test_an_error_nobody_expected_ends_the_stream_instead_of_silencing_it() -> None:
+    def receive() -> None:
+        raise KeyError("bug")
+
+    inbox = Inbox(CLOCK, capacity=3)
+    receiver = Receiver("device", receive, inbox)
+    receiver.close()
+    with pytest.raises(DeviceLost, match=r"device: receiving failed: KeyError\('bug'\)"):
+        inbox.take(5.0)
+
+
 def test_samples_have_the_declared_columns(kind: Kind, host: str, images: Path) -> None:
     with running(kind, host, images) as (driver, _):
         for sample in collect(driver, 5):
@@ -225,7 +260,7 @@ def test_times_strictly_increase_and_no_sample_is_repeated(
     kind: Kind, host: str, images: Path
 ) -> None:
     with running(kind, host, images) as (driver, _):
-        samples = collect(driver, 30)
+        samples = collect(driver, 15)
         times = [sample["t_ns"] for sample in samples]
         numbers = [
             frame_stamp(sample["value"])[0] if kind.name == "camera" else sample["seq"]
@@ -284,7 +319,7 @@ def test_what_waited_for_a_slow_consumer_keeps_the_time_it_arrived(
 
 def test_a_killed_emulator_is_device_lost(kind: Kind, host: str, images: Path) -> None:
     with process_of(kind, host, images) as process:
-        driver = kind.driver(host, 1.0)
+        driver = kind.driver(host, 0.5)
         driver.open(OPEN_TIMEOUT)
         try:
             collect(driver, 3)

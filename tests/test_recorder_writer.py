@@ -11,8 +11,6 @@ import pytest
 import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from recorder.layout import StreamLayout, create_stream
-from recorder.reader import Stream
 
 from recorder import (
     Column,
@@ -24,6 +22,8 @@ from recorder import (
     records,
     writer,
 )
+from recorder.layout import StreamLayout, create_stream
+from recorder.reader import Stream
 
 BLOCK = 64  # rows of a journal at camera rates, and frames of an image shard
 

@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
+from rig.camera.config import CameraConfig
 from rig.camera.jpeg import frame_stamp, jpeg_size, stamped, without_stamp
 from rig.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig
-from rig.camera.opencv import CameraConfig, OpenCvDriver
+from rig.camera.opencv import OpenCvDriver
 from rig.camera.sources import FrameSource, LoopSource, WorldSource, natural_key
 from rig.clock import SystemClock
 from rig.errors import ConfigError, DeviceLost

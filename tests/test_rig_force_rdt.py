@@ -98,7 +98,7 @@ def test_a_pound_force_inch_is_the_pound_force_times_the_inch() -> None:
 
 @pytest.mark.parametrize("page", [Page(force_unit="dyn"), Page(torque_unit="Nm")])
 def test_an_unknown_unit_is_refused_with_the_known_ones(page: Page) -> None:
-    with pytest.raises(ConfigError, match="known: .*N"):
+    with pytest.raises(ConfigError, match=r"known: .*N"):
         page.scale()
 
 

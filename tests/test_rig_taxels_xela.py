@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from rig.clock import SystemClock
 from rig.errors import ConfigError, DeviceLost
 from rig.latest import WORLD_STATE
-from rig.taxels.xela import XelaConfig, XelaDriver, parse
+from rig.taxels.config import XelaConfig
+from rig.taxels.xela import XelaDriver, parse
 from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
 
 CLOCK = SystemClock()

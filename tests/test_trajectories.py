@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from typing import Any
@@ -24,9 +25,7 @@ from trajectories import (
 
 MM = 1e-3
 HOMOGENEOUS = PressShear(3 * MM, 4 * MM, 0.3 * MM, 1.2 * MM, math.radians(30), 1 * MM)
-MATERIAL = PressShear(
-    3 * MM, 4 * MM, 0.3 * MM, 1.2 * MM, math.radians(30), 1 * MM, points=(1,)
-)
+MATERIAL = PressShear(3 * MM, 4 * MM, 0.3 * MM, 1.2 * MM, math.radians(30), 1 * MM, points=(1,))
 HETEROGENEOUS = PressShear(3 * MM, 4 * MM, 0.25 * MM, 1 * MM, math.radians(45), 1 * MM)
 INDENTERS = 18
 KEPT_FRAMES = 4  # the last frame of each phase makes a location pair
@@ -45,9 +44,7 @@ press_shears = st.builds(
     st.lists(st.integers(1, 5), min_size=1, max_size=5, unique=True).map(tuple),
     st.sampled_from(("corners", "cross")),
 )
-plans = st.one_of(
-    press_shears, st.builds(ForceDepth, st.floats(1e-4, 5e-3), st.integers(1, 5))
-)
+plans = st.one_of(press_shears, st.builds(ForceDepth, st.floats(1e-4, 5e-3), st.integers(1, 5)))
 
 
 @pytest.mark.parametrize(
@@ -82,7 +79,7 @@ def test_every_target_is_a_closed_unbroken_path_from_above(plan: Plan) -> None:
         moves = plan.moves(target)
         assert moves[0].start == moves[-1].end == target.origin
         assert target.origin[2] > 0
-        for before, after in zip(moves, moves[1:], strict=False):
+        for before, after in itertools.pairwise(moves):
             assert before.end == after.start
 
 
@@ -146,7 +143,9 @@ def test_the_profile_is_continuous_where_it_just_reaches_its_speed() -> None:
         ({"clearance": 0.0}, "clearance"),
     ],
 )
-def test_a_spec_that_cannot_be_walked_is_refused_by_name(change: dict[str, Any], named: str) -> None:
+def test_a_spec_that_cannot_be_walked_is_refused_by_name(
+    change: dict[str, Any], named: str
+) -> None:
     stored = plan_to_json(HOMOGENEOUS) | change
     with pytest.raises(ValueError, match=named):
         plan_from_json(stored)

@@ -1,4 +1,4 @@
-"""What the bench file says about the arm. No vendor library here: a bench is checked without one."""
+"""What the bench file says about the arm. No vendor library: a bench is checked without one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ class ArmConfig:
     """Tool centre point in the flange frame [m, rad] (UR rotation vector)."""
     payload: float = field(default=0.5, metadata={"unit": "kg"})
     """Mass of everything on the flange [kg]."""
-    payload_cog: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "mm"})
+    payload_cog: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 0.0), metadata={"unit": "mm"}
+    )
     """Its centre of gravity in the flange frame [m]."""
     speed: float = field(default=0.005, metadata={"unit": "mm_s"})
     """Near contact [m/s]; above it the guard's stopping distance costs too much force."""

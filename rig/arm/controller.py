@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -124,9 +125,10 @@ class Controller:
 
     def stop_program(self, reason: str) -> None:
         """End the program; an arm under way brakes."""
+        if self._program is not None or self.safety_status != _NORMAL:
+            self.reason = reason
         if self._program is not None:
             logger.info("arm emulator: program stopped: %s", reason)
-            self.reason = reason
             self._braking = self.robot.stop(_BRAKING)
         self._program = None
         self._watchdog_cycles = None
@@ -183,12 +185,16 @@ class Controller:
     def _make_sources(self) -> dict[str, Callable[[], rtde.Value]]:
         robot = self.robot
         sources: dict[str, Callable[[], rtde.Value]] = {}
-        zeros = {"VECTOR6D": (0.0,) * 6, "VECTOR3D": (0.0,) * 3, "VECTOR6INT32": (0,) * 6}
+        zeros: dict[str, rtde.Value] = {
+            "VECTOR6D": (0.0,) * 6,
+            "VECTOR3D": (0.0,) * 3,
+            "VECTOR6INT32": (0,) * 6,
+        }
         for name, kind in rtde.OUTPUTS.items():
-            sources[name] = lambda zero=zeros.get(kind, 0): zero  # type: ignore[misc]
+            sources[name] = partial(zeros.__getitem__, kind) if kind in zeros else int
         for k in range(48):
-            sources[f"output_int_register_{k}"] = lambda k=k: self._ints[k]  # type: ignore[misc]
-            sources[f"output_double_register_{k}"] = lambda k=k: self._doubles[k]  # type: ignore[misc]
+            sources[f"output_int_register_{k}"] = partial(self._ints.__getitem__, k)
+            sources[f"output_double_register_{k}"] = partial(self._doubles.__getitem__, k)
         for what in ("actual", "target"):
             sources[f"{what}_TCP_pose"] = lambda: tuple(robot.pose.tolist())
             sources[f"{what}_TCP_speed"] = lambda: tuple(robot.speed.tolist())
@@ -204,9 +210,7 @@ class Controller:
             int(self.robot_mode == RUNNING) | int(self.runtime_state == PLAYING) << 1
         )
         sources["runtime_state"] = lambda: self.runtime_state
-        sources["speed_scaling"] = lambda: (
-            robot.slider if self.runtime_state == PLAYING else 0.0
-        )
+        sources["speed_scaling"] = lambda: robot.slider if self.runtime_state == PLAYING else 0.0
         sources["target_speed_fraction"] = lambda: robot.slider
         sources["payload"] = lambda: self.payload
         sources["payload_cog"] = lambda: self.payload_cog

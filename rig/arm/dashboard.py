@@ -51,13 +51,15 @@ def ask(host: str, questions: list[str], timeout: float) -> list[str]:
     """
     answers = []
     try:
-        with socket.create_connection((host, PORT), timeout) as connection:
-            with connection.makefile("rw", encoding="utf-8", newline="\n") as lines:
-                lines.readline()
-                for question in questions:
-                    lines.write(question + "\n")
-                    lines.flush()
-                    answers.append(lines.readline().strip())
+        with (
+            socket.create_connection((host, PORT), timeout) as connection,
+            connection.makefile("rw", encoding="utf-8", newline="\n") as lines,
+        ):
+            lines.readline()
+            for question in questions:
+                lines.write(question + "\n")
+                lines.flush()
+                answers.append(lines.readline().strip())
     except (OSError, UnicodeDecodeError) as error:
         raise DeviceLost(
             f"arm at {host}:{PORT} (dashboard): {error}; is the controller on and reachable?"

@@ -2,20 +2,14 @@
 
     python -m rig.arm.emulator --host 127.0.0.5 --state run/arm --world run/world
 
-Listens on the controller's own ports: RTDE 30004, scripts 30001 to 30003, dashboard 29999; and on
-FAULT_PORT for faults to inject. ur_rtde's constructors hold the GIL while they wait for an answer,
-so this must not run in the process of a client that uses ur_rtde.
-
-Fault port: one JSON object a line, answered by one. {"fault": "protective_stop" | "emergency_stop" |
-"reset_safety" | "stop_program" | "drop" | "freeze" (with "seconds": RTDE mute, arm goes on) |
-"slider" (with "fraction") | "remote_control" (with "on") | "state"}.
+Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999) and on
+31000 for faults to inject: see rig.arm.faults. ur_rtde's constructors hold the GIL while they wait
+for an answer, so this must not run in the process of a client that uses ur_rtde.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import logging
 import re
 import selectors
 import socket
@@ -27,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.arm import dashboard, rtde
+from rig.arm import dashboard, faults, rtde
 from rig.arm.controller import Controller
 from rig.arm.emulator_clients import Client, LineClient, RtdeClient, ScriptClient
 from rig.arm.kinematics import POSTURE, flange_pose
@@ -38,13 +32,10 @@ from rig.force.emulation import SharedWorld, add_arguments, serve
 from rig.latest import ARM_TRUTH
 from rig.shared import LatestRecord
 
-logger = logging.getLogger(__name__)
-
-FAULT_PORT = 31000
 SCRIPT_PORTS = (30001, 30002, 30003)
 _CYCLE_NS = round(CYCLE * SECOND_NS)
 _LATE_CYCLES = 25
-# Up to 50 ms of host delay is caught up, as the packages of a real controller would arrive together;
+# Up to 50 ms of host delay is caught up, as packages of a real controller would arrive together;
 # beyond that the emulated controller's clock stands still for the time lost, and that is counted.
 
 
@@ -98,7 +89,7 @@ class ArmEmulator:
         try:
             self._listen(rtde.PORT, self._new_rtde)
             self._listen(dashboard.PORT, self._new_dashboard)
-            self._listen(FAULT_PORT, lambda peer: LineClient(peer, self._answer_fault))
+            self._listen(faults.PORT, self._new_faults)
             for port in SCRIPT_PORTS:
                 self._listen(port, lambda peer: ScriptClient(peer, self._controller.start_program))
         except OSError:
@@ -158,6 +149,18 @@ class ArmEmulator:
             peer, lambda line: dashboard.answer(self._controller, line), dashboard.BANNER
         )
 
+    def _new_faults(self, peer: socket.socket) -> Client:
+        return LineClient(peer, lambda line: faults.answer(self._controller, self, line))
+
+    def drop(self) -> None:
+        """Close every RTDE connection."""
+        for client in self._clients:
+            client.peer.shutdown(socket.SHUT_RDWR)
+
+    def freeze(self, seconds: float) -> None:
+        """Neither send nor read RTDE for so long [s]; connections stay, the arm goes on."""
+        self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
+
     def _run(self) -> None:
         due_ns = self._clock.now_ns() + _CYCLE_NS
         while not self._stopping.is_set():
@@ -194,69 +197,12 @@ class ArmEmulator:
             for client in self._clients:
                 client.publish()
 
-    def _answer_fault(self, line: str) -> str:
-        try:
-            request = json.loads(line)
-            return json.dumps({"ok": True, **self.inject(request.pop("fault"), **request)})
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            return json.dumps({"ok": False, "error": repr(error)})
 
-    def inject(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Inject one fault of the module's list and return what it has to say.
-
-        Raises:
-            ValueError: No such fault.
-        """
-        controller = self._controller
-        if fault == "protective_stop":
-            controller.protective_stop("injected")
-        elif fault == "emergency_stop":
-            controller.emergency_stop()
-        elif fault == "reset_safety":
-            controller.reset_safety()
-        elif fault == "stop_program":
-            controller.stop_program("injected")
-        elif fault == "drop":
-            for client in self._clients:
-                client.peer.shutdown(socket.SHUT_RDWR)
-        elif fault == "freeze":
-            seconds = float(values["seconds"])
-            self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
-        elif fault == "slider":
-            controller.robot.slider = float(values["fraction"])
-        elif fault == "remote_control":
-            controller.remote_control = bool(values["on"])
-        elif fault != "state":
-            raise ValueError(f"fault {fault!r}; known: see the module's first lines")
-        return {
-            "tick": controller.tick,
-            "pose": controller.robot.pose.tolist(),
-            "speed": controller.robot.speed.tolist(),
-            "tcp": controller.robot.tcp.tolist(),
-            "payload": controller.payload,
-            "runtime_state": controller.runtime_state,
-            "safety_status": controller.safety_status,
-            "reason": controller.reason,
-            "uploads": controller.uploads,
-            "clients": len(self._clients),
-            "missed": self.missed,
-        }
-
-
-def inject(host: str, fault: str, **values: Any) -> dict[str, Any]:
-    """Inject a fault into the emulator at `host` through its fault port; returns its answer.
-
-    Raises:
-        OSError: No emulator there.
-        ValueError: The emulator does not know the fault, or misses a value.
-    """
-    with socket.create_connection((host, FAULT_PORT), 5.0) as connection:
-        connection.sendall(json.dumps({"fault": fault, **values}).encode() + b"\n")
-        with connection.makefile("r", encoding="utf-8") as lines:
-            reply: dict[str, Any] = json.loads(lines.readline())
-    if not reply.pop("ok"):
-        raise ValueError(f"fault {fault!r} {values}: {reply['error']}")
-    return reply
+def _plain(word: str) -> str:
+    """`word`; a negative exponent number written out, since argparse takes -1e-16 for an option."""
+    if not re.fullmatch(r"-[\d.]+[eE][-+]?\d+", word):
+        return word
+    return f"{float(word):.17f}"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -286,7 +232,7 @@ def main(argv: list[str] | None = None) -> int:
         metavar="N",
         help="contact force that makes a protective stop [N] (%(default)s)",
     )
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args([_plain(word) for word in argv or sys.argv[1:]])
     tcp = np.array(arguments.tcp)
     pose = arguments.pose or compose(flange_pose(np.array(POSTURE)), tcp)
     try:
@@ -295,9 +241,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(str(error))
     state = LatestRecord.create(arguments.state, ARM_TRUTH) if arguments.state else None
     world = SharedWorld(arguments.world)
-    emulator = ArmEmulator(
-        arguments.host, controller, SystemClock(), state=state, world=world
-    )
+    emulator = ArmEmulator(arguments.host, controller, SystemClock(), state=state, world=world)
     try:
         return serve("arm", emulator, until_stdin_closes=arguments.until_stdin_closes)
     finally:

@@ -50,9 +50,7 @@ class LineClient:
         banner: Sent on connecting.
     """
 
-    def __init__(
-        self, peer: socket.socket, answer: Callable[[str], str], banner: str = ""
-    ) -> None:
+    def __init__(self, peer: socket.socket, answer: Callable[[str], str], banner: str = "") -> None:
         self.peer = peer
         self._answer = answer
         self._buffer = b""
@@ -165,9 +163,7 @@ class RtdeClient:
     def _add_inputs(self, payload: bytes) -> bytes:
         names = rtde.unpack_names(payload)
         types = [
-            rtde.INPUTS.get(name, "NOT_FOUND")
-            if self._owners.get(name, self) is self
-            else "IN_USE"
+            rtde.INPUTS.get(name, "NOT_FOUND") if self._owners.get(name, self) is self else "IN_USE"
             for name in names
         ]
         self._inputs.append((names, tuple(types)))

@@ -1,4 +1,4 @@
-"""What the arm's process sees: its own pose link, the shared force and pose, the guard's verdict."""
+"""What the arm's process sees: its own pose link, the shared force and pose, the guard."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ class Watch:
         """
         for sample in self._link.receive(0.0):
             self._take(sample)
-        sample = self._sample
-        if sample is not None:
-            safety = judge_safety(sample["safety_status"])
+        newest = self._sample
+        if newest is not None:
+            safety = judge_safety(newest["safety_status"])
             if safety is not None:
                 return safety
-        pose = self._pose.read() if self._shared_pose else sample
+        pose = self._pose.read() if self._shared_pose else newest
         return self._guard.check(self._clock.now_ns(), self._force.read(), pose, mode)
 
     def look_again(self, timeout: float) -> Verdict | None:

@@ -30,7 +30,7 @@ JOINT_LIMIT = 2 * math.pi
 
 
 def joint_frames(joints: Array) -> list[Array]:
-    """Matrices (4, 4) of base, then of each joint's frame in the base frame; the last is the flange."""
+    """Matrices (4, 4) in the base frame: the base, then joint by joint; the last is the flange."""
     frame = np.eye(4)
     frames = [frame]
     for (a, d, alpha), angle in zip(_ROWS, joints, strict=True):

@@ -13,6 +13,9 @@ from typing import Literal
 from rig.arm.config import ArmConfig
 from rig.guard import GuardLimits, Kind, Mode
 
+START = 1
+"""Number of the reply that says the child is ready, or why not: nobody has to ask for it."""
+
 Outcome = Literal["done", "force_limited", "stopped", "safety_stop", "device_lost"]
 
 

@@ -202,9 +202,7 @@ class RtdePoseDriver:
         capacity: Samples kept for a consumer that is late.
     """
 
-    def __init__(
-        self, host: str, rate_hz: float, clock: Clock, *, capacity: int = 10_000
-    ) -> None:
+    def __init__(self, host: str, rate_hz: float, clock: Clock, *, capacity: int = 10_000) -> None:
         self._host = host
         self._rate_hz = rate_hz
         self._link = RtdeLink(host, rate_hz, clock)

@@ -153,6 +153,4 @@ class Robot:
 
     @staticmethod
     def _magnitude(speed: Array) -> float:
-        return max(
-            float(np.linalg.norm(speed[:3])), float(np.linalg.norm(speed[3:])) * _ARM_LENGTH
-        )
+        return max(float(np.linalg.norm(speed[:3])), float(np.linalg.norm(speed[3:])) * _ARM_LENGTH)

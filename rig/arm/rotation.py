@@ -28,8 +28,8 @@ def matrix_from_vector(vector: ArrayLike) -> Array:
 def vector_from_matrix(matrix: ArrayLike) -> Array:
     """Rotation vectors (..., 3) [rad], angle in [0, pi], of rotation matrices (..., 3, 3).
 
-    By way of the quaternion whose largest element divides: the arc cosine of the trace loses half of
-    the digits near pi, which is where a tool that points down lives.
+    By way of the quaternion whose largest element divides: the arc cosine of the trace loses half
+    of the digits near pi, which is where a tool that points down lives.
     """
     m = np.asarray(matrix, np.float64)
     x, y, z = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -58,7 +58,7 @@ def vector_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def compose(outer: ArrayLike, inner: ArrayLike) -> Array:
-    """Pose (..., 6) that applies `inner` first: compose(b_to_c, a_to_b) = a_to_c."""
+    """Pose (..., 6) that applies `inner` first: b_to_c of a_to_b is a_to_c."""
     b, a = np.asarray(outer, np.float64), np.asarray(inner, np.float64)
     turn = matrix_from_vector(b[..., 3:])
     position = b[..., :3] + (turn @ a[..., :3, None])[..., 0]
@@ -88,5 +88,5 @@ def rotation_between(start: ArrayLike, goal: ArrayLike) -> Array:
 
 
 def turn(rotation: ArrayLike, vector: ArrayLike) -> Array:
-    """Rotation vector (..., 3) of orientation `vector` after turning by `rotation` about the base."""
+    """Rotation vectors (..., 3) of orientations `vector` turned by `rotation` about the base."""
     return vector_from_matrix(matrix_from_vector(rotation) @ matrix_from_vector(vector))

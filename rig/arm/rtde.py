@@ -46,16 +46,41 @@ _CODES = {
 }
 
 _VECTOR6 = (
-    "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current "
-    "joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose "
-    "target_TCP_speed joint_temperatures actual_joint_voltage ft_raw_wrench payload_inertia "
-    "tcp_offset"
-).split()
+    "target_q",
+    "target_qd",
+    "target_qdd",
+    "target_current",
+    "target_moment",
+    "actual_q",
+    "actual_qd",
+    "actual_current",
+    "joint_control_output",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "actual_TCP_force",
+    "target_TCP_pose",
+    "target_TCP_speed",
+    "joint_temperatures",
+    "actual_joint_voltage",
+    "ft_raw_wrench",
+    "payload_inertia",
+    "tcp_offset",
+)
 _SCALARS = (
-    "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
-    "actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 "
-    "standard_analog_input1 standard_analog_output0 standard_analog_output1 payload"
-).split()
+    "timestamp",
+    "actual_execution_time",
+    "speed_scaling",
+    "target_speed_fraction",
+    "actual_momentum",
+    "actual_main_voltage",
+    "actual_robot_voltage",
+    "actual_robot_current",
+    "standard_analog_input0",
+    "standard_analog_input1",
+    "standard_analog_output0",
+    "standard_analog_output1",
+    "payload",
+)
 
 OUTPUTS: dict[str, str] = {
     **dict.fromkeys(_VECTOR6, "VECTOR6D"),
@@ -67,9 +92,7 @@ OUTPUTS: dict[str, str] = {
     **dict.fromkeys(("actual_digital_input_bits", "actual_digital_output_bits"), "UINT64"),
     **dict.fromkeys(("robot_mode", "safety_mode", "safety_status"), "INT32"),
     **dict.fromkeys(("runtime_state", "robot_status_bits", "safety_status_bits"), "UINT32"),
-    **dict.fromkeys(
-        ("output_bit_registers0_to_31", "output_bit_registers32_to_63"), "UINT32"
-    ),
+    **dict.fromkeys(("output_bit_registers0_to_31", "output_bit_registers32_to_63"), "UINT32"),
     "joint_mode": "VECTOR6INT32",
     **{f"output_int_register_{k}": "INT32" for k in range(48)},
     **{f"output_double_register_{k}": "DOUBLE" for k in range(48)},

@@ -48,7 +48,7 @@ class Registers(Protocol):
         """Stop the program when input_int_register_0 is written less often than this."""
 
     def protective_stop(self, reason: str) -> None:
-        """As the script function protective_stop()."""
+        """What the script function of that name does."""
 
 
 class Program:

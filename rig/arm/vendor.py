@@ -48,9 +48,9 @@ def check_ready(host: str, timeout: float) -> None:
             f"arm at {host}: {safety}; look for the cause, then release it at the pendant"
         )
     if not mode.endswith(" RUNNING"):
-        raise DeviceLost(f"arm at {host}: {mode}; power it on and release the brakes at the pendant")
+        raise DeviceLost(f"arm at {host}: {mode}; power it on, brakes off, at the pendant")
     if remote != "true":
-        raise DeviceLost(f"arm at {host}: in local control; switch to Remote Control at the pendant")
+        raise DeviceLost(f"arm at {host}: in local control; switch to Remote at the pendant")
 
 
 class UrControl:
@@ -111,8 +111,7 @@ class UrControl:
         return bool(self._call(self._control.isConnected))
 
     def close(self) -> None:
-        """End the program on the controller and disconnect."""
+        """End the program on the controller; the connection ends with this process."""
+        # No disconnect(): it sleeps half a second, and the process leaves without destructors.
         if self.connected():
             self._call(self._control.stopScript)
-        # Releases the GIL, which the destructor would not.
-        self._call(self._control.disconnect)

@@ -8,17 +8,15 @@ takes each as it comes.
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
 import socket
-from collections.abc import Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
 
+from rig.camera.capture import open_node, open_stream
 from rig.camera.config import CameraConfig
 from rig.camera.jpeg import is_whole, jpeg_size, with_huffman_tables
 from rig.clock import SECOND_NS, Clock
@@ -29,18 +27,11 @@ logger = logging.getLogger(__name__)
 
 _CAPACITY = 120
 _CORRUPT_IN_A_ROW = 10
+_POLL_NS = SECOND_NS // 10
 _EXPOSURE_UNIT = 1e-4
 # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us.
 _MANUAL_EXPOSURE = 1
 # V4L2_EXPOSURE_MANUAL.
-_FFMPEG_OPTIONS = {
-    "fflags": "nobuffer",
-    "analyzeduration": "0",
-    "probesize": "32",
-    "fpsprobesize": "0",
-    "threads": "1",
-}
-# No frame is held back to guess a rate from, none is queued for decoding.
 
 
 class OpenCvDriver:
@@ -60,6 +51,7 @@ class OpenCvDriver:
         self._jpeg = True
         self._facts: dict[str, Any] | None = None
         self._corrupt_in_a_row = 0
+        self._idle = 0
         self.corrupt = 0
         """Frames that were no whole JPEG file."""
 
@@ -78,7 +70,7 @@ class OpenCvDriver:
         self.close()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         self._inbox = Inbox(self._clock, _CAPACITY)
-        self._corrupt_in_a_row = 0
+        self._corrupt_in_a_row = self._idle = 0
         if self._network:
             self._refuse_settings()
             self._probe(timeout)
@@ -87,8 +79,14 @@ class OpenCvDriver:
             self._capture = self._captured(left)
             if not self._network:
                 self._set_up(self._capture)
-            self._receive()
-            self._facts = self._checked_facts(self._capture)
+            while not (samples := self._inbox.take(0.0)):
+                if self._clock.now_ns() >= deadline_ns:
+                    raise DeviceLost(
+                        f"{self._config.address}: no whole frame within {timeout:g} s; check "
+                        "the camera's cable"
+                    )
+                self._receive()
+            self._facts = self._checked_facts(self._capture, samples[0]["value"])
         except (cv2.error, ValueError, DeviceLost) as error:
             self.close()
             if isinstance(error, ConfigError | DeviceLost):
@@ -144,20 +142,11 @@ class OpenCvDriver:
             ) from error
 
     def _captured(self, left: float) -> cv2.VideoCapture:
-        address = self._config.address
-        silence_ms = round(self._config.silence * 1e3)
+        address, silence = self._config.address, self._config.silence
         if self._network:
-            params = [cv2.CAP_PROP_FORMAT, -1, cv2.CAP_PROP_N_THREADS, 1]
-            # The first frame is due within the time-out of `open`, each later one within silence.
-            params += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, max(round(left * 1e3), 1)]
-            params += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms]
-            with _environment(urlsplit(address).hostname or ""):
-                capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, params)
+            capture = open_stream(address, open_timeout=left, read_timeout=silence)
         else:
-            # Without parameters: the V4L2 backend refuses to open for one it does not know.
-            target = int(address) if address.isdecimal() else address
-            capture = cv2.VideoCapture(target, cv2.CAP_V4L2)
-            capture.set(cv2.CAP_PROP_READ_TIMEOUT_MSEC, silence_ms)
+            capture = open_node(address, first_timeout=left)
         if not capture.isOpened():
             capture.release()
             raise DeviceLost(
@@ -193,12 +182,8 @@ class OpenCvDriver:
                 "allowed: what the camera offers (v4l2-ctl --list-formats-ext, --list-ctrls)"
             )
 
-    def _checked_facts(self, capture: cv2.VideoCapture) -> dict[str, Any]:
+    def _checked_facts(self, capture: cv2.VideoCapture, first: Any) -> dict[str, Any]:
         c = self._config
-        samples = self._inbox.take(0.0)
-        if not samples:
-            raise DeviceLost(f"{c.address}: the first frame is no whole JPEG; check the camera")
-        first = samples[0]["value"]
         size = jpeg_size(first) if self._jpeg else (first.shape[1], first.shape[0])
         if size != (c.width, c.height):
             raise ConfigError(
@@ -221,13 +206,10 @@ class OpenCvDriver:
         capture = self._capture
         if capture is None:
             raise DeviceLost(f"{self._config.address}: not open")
-        arrived, frame = capture.read()
+        frame = self._next_frame(capture)
         now_ns = self._clock.now_ns()
-        if not arrived:
-            raise DeviceLost(
-                f"{self._config.address}: no frame within {self._config.silence:g} s, or "
-                "unplugged; check the camera's cable and power"
-            )
+        if frame is None:
+            return
         device_t = float("nan")
         if not self._network:
             device_t = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
@@ -243,6 +225,29 @@ class OpenCvDriver:
         self._corrupt_in_a_row = 0
         self._inbox.put({"value": value, "device_t": device_t}, now_ns)
 
+    def _next_frame(self, capture: cv2.VideoCapture) -> Any:
+        lost = f"{self._config.address}: no frame; unplugged or disconnected"
+        if not self._network:
+            # V4L2's own wait in `read` is 10 s long and cannot be set.
+            try:
+                ready, _ = cv2.VideoCapture.waitAny([capture], timeoutNs=_POLL_NS)
+            except cv2.error as error:
+                raise DeviceLost(f"{lost}; check the camera's cable") from error
+            self._idle = 0 if ready else self._idle + 1
+            if self._idle * _POLL_NS >= self._config.silence * SECOND_NS:
+                raise DeviceLost(
+                    f"{self._config.address}: no frame for {self._config.silence:g} s; check "
+                    "the camera's cable and power"
+                )
+            if not ready:
+                return None
+        arrived, frame = capture.read()
+        if not arrived:
+            raise DeviceLost(
+                f"{lost}, or silent for {self._config.silence:g} s; check its cable and power"
+            )
+        return frame
+
     def _spoilt(self) -> None:
         self.corrupt += 1
         self._corrupt_in_a_row += 1
@@ -255,20 +260,3 @@ class OpenCvDriver:
 
 def _fourcc_text(value: float) -> str:
     return int(value).to_bytes(4, "little", signed=False).decode("latin-1")
-
-
-@contextlib.contextmanager
-def _environment(host: str) -> Iterator[None]:
-    # The only way to hand these to OpenCV's FFMPEG; a camera is never behind a proxy.
-    options = "|".join(f"{name};{value}" for name, value in _FFMPEG_OPTIONS.items())
-    wanted = {"OPENCV_FFMPEG_CAPTURE_OPTIONS": options, "no_proxy": host}
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

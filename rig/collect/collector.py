@@ -7,17 +7,14 @@ import getpass
 import importlib.metadata
 import logging
 import platform
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from recorder.sheet import contact_sheet
 
 from recorder import Session, SessionError, SessionWriter
-try:
-    from recorder.sheet import contact_sheet
-except ImportError:
-    def contact_sheet(a,b): pass
 from rig.arm.arm import Arm
 from rig.arm.rotation import compose, transform
 from rig.bench import Bench
@@ -25,6 +22,7 @@ from rig.clock import ClockAnchor, SystemClock
 from rig.collect import report
 from rig.collect.interrupt import Interrupted, InterruptFlag
 from rig.collect.live import LiveLine
+from rig.collect.order import Order
 from rig.collect.preflight import (
     Found,
     Tare,
@@ -41,12 +39,11 @@ from rig.errors import (
     EXIT_DONE,
     EXIT_INTERRUPTED,
     EXIT_SAFETY_STOP,
-    ConfigError,
     DeviceLost,
     SafetyStop,
 )
 from rig.streams.kinds import stream_names, stream_spec
-from trajectories import Plan, plan_from_json, plan_to_json, rehearse
+from trajectories import Plan, plan_to_json
 
 logger = logging.getLogger(__name__)
 
@@ -60,22 +57,6 @@ _EXIT_CODES: dict[type[BaseException], int] = {
     OSError: EXIT_DEVICE_LOST,
 }
 """What may end a walk in progress, and the exit code of each."""
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
-    """What the operator asked for."""
-
-    path: Path
-    """The session, new or (with `resume`) stopped before."""
-    resume: bool = False
-    """Continue with the first target that is not complete."""
-    targets: int | None = None
-    """Press only so many targets of the plan; None for all."""
-    operator: str = ""
-    """Who; the login name when empty."""
-    mock_facts: dict[str, Any] | None = None
-    """What stands behind a mock bench's emulators, for the session's attributes."""
 
 
 class Collector:
@@ -94,14 +75,18 @@ class Collector:
         self._clock = SystemClock()
         self._bias = np.zeros(6)
 
-    def run(self, order: Order) -> int:
+    def run(self, order: Order, plan: Plan, total: int) -> int:
         """Collect; the exit code. Whatever ends it, what was recorded is closed and readable.
+
+        Args:
+            order: What the operator asked for.
+            plan: What to press.
+            total: How many of its targets.
 
         Raises:
             ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
         """
         started_ns = self._clock.now_ns()
-        plan, total = self._plan(order)
         with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
             streams = stack.enter_context(Streams(self._bench, self._folder, self._clock))
             found = check_devices(self._bench, streams)
@@ -143,31 +128,6 @@ class Collector:
         self._picture(order.path)
         print(report.last_line(status, reason, order.path, first + walk.done, total, seconds))
         return self._exit_code(stop)
-
-    def _plan(self, order: Order) -> tuple[Plan, int]:
-        """The plan and how many of its targets are wanted, held against the limits."""
-        plan: Plan = self._bench.trajectory
-        total = order.targets or len(plan)
-        if order.resume:
-            attrs = Session(order.path).attrs
-            if attrs["sensor"] != self._bench.sensor:
-                raise ConfigError(
-                    f"SENSOR: found {self._bench.sensor!r}; {order.path} was recorded with "
-                    f"{attrs['sensor']!r}"
-                )
-            plan = plan_from_json(attrs["plan"])
-            total = int(attrs["targets_wanted"])
-        if not 1 <= total <= len(plan):
-            raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
-        arm = self._bench.arm
-        walked = rehearse(
-            plan, self._bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration
-        )
-        if walked.broken:
-            raise ConfigError(
-                f"{self._bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}"
-            )
-        return plan, total
 
     def _start_arm(self) -> Arm:
         arm = Arm(

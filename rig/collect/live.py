@@ -1,4 +1,4 @@
-"""The line a technician watches: rewritten in place on a terminal, logged now and then otherwise."""
+"""The line a technician watches: rewritten in place on a terminal, else logged now and then."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from rig.collect.live import LiveLine
 from rig.collect.preflight import check_untouched, tip_position
 from rig.collect.streams import Streams
 from rig.errors import DeviceLost, SafetyStop
+from rig.guard import Mode
 from trajectories import Move, Plan, Point, Target
 
 logger = logging.getLogger(__name__)
@@ -85,8 +86,9 @@ class Walk:
     def _go_to_point(self, target: Target) -> None:
         """Over the point at a safe height, down to p0, and its reference."""
         x, y, clearance = target.origin
-        height = max(self._bench.arm.retract, clearance)
-        self._move((x, y, height), mode="travel")
+        approach = max(self._bench.approach, clearance)
+        self._move((x, y, max(self._bench.arm.retract, approach)), mode="travel")
+        self._move((x, y, approach), mode="travel")
         self._move((x, y, clearance), mode="guarded")
         self._take_reference(target.point)
         self._interrupt.check()
@@ -138,7 +140,7 @@ class Walk:
         self._move(target.origin, mode="guarded")
         self._interrupt.check()
 
-    def _move(self, place: Point, *, mode: str, record: Move | None = None) -> MoveResult:
+    def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
         bench, arm = self._bench, self._bench.arm
         travelling = mode == "travel"
         asked_ns = self._clock.now_ns()

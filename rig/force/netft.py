@@ -17,6 +17,7 @@ import numpy as np
 from rig.clock import SECOND_NS, Clock
 from rig.driver import Inbox, Receiver
 from rig.errors import ConfigError, DeviceLost
+from rig.force.arrival import StampedSocket
 from rig.force.config import NetFtConfig
 from rig.force.rdt import (
     COMMAND_REALTIME,
@@ -35,6 +36,7 @@ __all__ = ["ERROR_MASK", "SATURATION_MASK", "NetFtConfig", "NetFtDriver", "statu
 logger = logging.getLogger(__name__)
 
 _POLL = 0.1
+_CAPACITY = 60_000
 _RESTART = 1000
 # A packet this many places late is no reordering: the box has begun a new stream.
 
@@ -49,8 +51,9 @@ class NetFtDriver:
         self._config = config
         self._clock = clock
         self._socket: socket.socket | None = None
+        self._stamped: StampedSocket | None = None
         self._receiver: Receiver | None = None
-        self._inbox = Inbox(clock, capacity=60_000)
+        self._inbox = Inbox(clock, _CAPACITY)
         self._page: Page | None = None
         self._scale = np.ones(6)
         self._sequence = -1
@@ -77,7 +80,7 @@ class NetFtDriver:
         """
         self.close()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
-        self._inbox = Inbox(self._clock, capacity=60_000)
+        self._inbox = Inbox(self._clock, _CAPACITY)
         self._sequence = -1
         self._page = self._settled_page(deadline_ns)
         self._scale = np.repeat(self._page.scale(), 3)
@@ -87,7 +90,8 @@ class NetFtDriver:
             udp.connect((self._config.host, self._config.udp_port))
             udp.send(emit_request(COMMAND_REALTIME))
             udp.settimeout(self._left(deadline_ns))
-            self._sort(udp.recv(64), self._clock.now_ns())
+            stamped = StampedSocket(udp, self._clock)
+            self._sort(*stamped.receive(64))
         except OSError as error:
             udp.close()
             raise DeviceLost(
@@ -95,7 +99,7 @@ class NetFtDriver:
                 "box's Communications page and that no firewall blocks UDP"
             ) from error
         udp.settimeout(_POLL)
-        self._socket = udp
+        self._socket, self._stamped = udp, stamped
         self._idle = 0
         self._receiver = Receiver(f"netft-{self._config.host}", self._receive, self._inbox)
 
@@ -137,7 +141,7 @@ class NetFtDriver:
             except OSError as error:
                 logger.debug("%s: stop not sent: %s", self._address(), error)
             self._socket.close()
-            self._socket = None
+            self._socket = self._stamped = None
 
     def _address(self) -> str:
         return f"{self._config.host}:{self._config.udp_port}"
@@ -190,11 +194,10 @@ class NetFtDriver:
         return page
 
     def _receive(self) -> None:
-        udp = self._socket
-        if udp is None:
+        if self._stamped is None:
             raise DeviceLost(f"{self._address()}: not open")
         try:
-            packet = udp.recv(64)
+            packet, t_ns = self._stamped.receive(64)
         except TimeoutError:
             # Counted waits rather than the clock: after this process itself was suspended, what
             # waits in the socket is received before anything counts as silence.
@@ -208,9 +211,8 @@ class NetFtDriver:
             return
         except OSError as error:
             raise DeviceLost(f"{self._address()}: {error}; check the box's power") from error
-        now_ns = self._clock.now_ns()
         self._idle = 0
-        self._sort(packet, now_ns)
+        self._sort(packet, t_ns)
 
     def _sort(self, packet: bytes, t_ns: int) -> None:
         if len(packet) != RECORD.size:

@@ -113,7 +113,7 @@ class StreamHandle:
             self._send("close", None)
             summary = self._answer("closed", _CLOSE_TIMEOUT)
         except (DeviceLost, ConfigError, SessionError):
-            # Whatever ended the stream was or will be reported by `check`; here only the end counts.
+            # `check` reports whatever ended the stream; here only the end counts.
             summary = None
         self._process.join(_CLOSE_TIMEOUT)
         if self._process.is_alive():

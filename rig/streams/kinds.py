@@ -139,7 +139,7 @@ def stream_spec(
         return pose_spec(rate_hz, device=facts, **attrs)
     if name == "taxels":
         return taxels_spec(rate_hz, device=facts, **attrs)
-    codec = "jpeg" if facts.get("bytes_kept") else "zstd"
+    codec = "jpeg" if facts["jpeg_bytes_kept"] else "zstd"
     return camera_spec(
         rate_hz,
         height=facts["height"],

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import sys
 import threading
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +30,8 @@ from rig.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
 from rig.force.emulation import SharedWorld, World, add_arguments, serve
 
 Log = npt.NDArray[np.float64]
+
+_BACKLOG = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,9 @@ class XelaEmulator:
         self._rng = np.random.default_rng(config.seed)
         self._ending = threading.Event()
         self._changed = threading.Condition()
-        self._messages: tuple[str, ...] = ()
+        # The newest scans, each as what is sent for it: a client that falls behind gets them all in
+        # order, as from the vendor's server, up to this many.
+        self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
         self._number = 0
         self._missed = 0
         self._server: Server | None = None
@@ -159,7 +165,7 @@ class XelaEmulator:
             )
             with self._changed:
                 self._number += 1
-                self._messages = tuple(self.messages(message))
+                self._scans.append(tuple(self.messages(message)))
                 self._changed.notify_all()
 
     def _counts(self) -> list[int]:
@@ -184,7 +190,11 @@ class XelaEmulator:
     def _newer_than(self, sent: int) -> tuple[int, tuple[str, ...]]:
         with self._changed:
             self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
-            return self._number, () if self._ending.is_set() else self._messages
+            if self._ending.is_set():
+                return self._number, ()
+            behind = min(self._number - sent, len(self._scans))
+            newer = itertools.islice(self._scans, len(self._scans) - behind, None)
+            return self._number, tuple(itertools.chain.from_iterable(newer))
 
 
 def load_log(path: Path) -> Log:

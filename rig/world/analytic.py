@@ -105,7 +105,7 @@ class AnalyticWorld:
         wrench = np.concatenate([force, np.zeros(3)])
         lever = np.array([tip[0], tip[1], self._spec.gauge_depth])
         wrench[3:] = np.cross(lever, force)
-        state = np.zeros((), WORLD_STATE)
+        state: np.void = np.zeros(1, WORLD_STATE)[0]
         state["t_ns"] = t_ns
         state["pose"] = pose
         state["depth"] = depth
@@ -114,7 +114,7 @@ class AnalyticWorld:
         state["wrench"] = wrench
         if self._spec.taxels is not None:
             state["taxels"] = self._spec.taxels.counts(self.surface(state))
-        return state[()]  # type: ignore[no-any-return]
+        return state
 
     def surface(self, state: np.void) -> Surface:
         """The deformed surface of `state`."""

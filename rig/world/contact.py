@@ -132,7 +132,7 @@ class Sphere:
             - 8 / math.pi**3 * (a0**3 + 4 * math.pi**2 / 15 * b0) * c**3
             + 16 * a0 / math.pi**4 * (a0**3 + 3 * math.pi**2 / 5 * b0) * c**4
         )
-        hertz = 4 / 3 * layer.modulus / (1 - nu**2) * math.sqrt(self.radius) * depth**1.5
+        hertz = 4 / 3 * layer.modulus / (1 - nu**2) * math.sqrt(self.radius * depth**3)
         return hertz * series
 
 

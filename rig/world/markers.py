@@ -91,7 +91,7 @@ class MarkerCamera:
         """The view as RGB (480, 640, 3) uint8."""
         import cv2
 
-        image = self._lit.copy()
+        image: np.ndarray = self._lit.copy()
         if surface.depth > 0:
             self._shade(image, surface)
         scale = 1 << _SUBPIXEL_BITS

@@ -38,4 +38,5 @@ class TaxelField:
             [self.counts_per_mm_shear, self.counts_per_mm_shear, -self.counts_per_mm_normal]
         )
         # The image's y points down and so does the pad's.
-        return np.clip(rest + moved * gain * np.array([1, -1, 1]), 0, 65535)
+        counts: np.ndarray = np.clip(rest + moved * gain * np.array([1, -1, 1]), 0, 65535)
+        return counts

@@ -1,0 +1,123 @@
+"""python -m recorder info|check|recover|repack|sheet SESSION."""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from recorder import SessionError
+from recorder.check import check
+from recorder.info import describe
+from recorder.recover import recover
+from recorder.repack import PROFILES, repack
+from recorder.sheet import contact_sheet
+
+_QUIET = 2.0  # shorter work shows no progress [s]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; return 0 when done, 1 when a check found something, 2 on wrong input."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except SessionError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"error: {error.filename or options.session}: {error.strerror}", file=sys.stderr)
+        return 2
+
+
+def _info(options: argparse.Namespace) -> int:
+    print(describe(options.session))
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+    findings = check(options.session)
+    for finding in findings:
+        print(finding)
+    if not findings:
+        print(f"{options.session}: nothing found")
+    return 1 if findings else 0
+
+
+def _recover(options: argparse.Namespace) -> int:
+    recovery = recover(options.session)
+    for stream in recovery.streams:
+        line = f"{stream.name:18s} {stream.rows:9d} rows"
+        if stream.touched:
+            line += f", {stream.recovered_rows} of them brought back"
+            line += f", {stream.torn_bytes} torn bytes and {stream.dropped_rows} half rows dropped"
+        print(line)
+    what = "recovered" if recovery.touched else "nothing to do"
+    print(f"{options.session}: {what}, status {recovery.status}")
+    return 0
+
+
+def _repack(options: argparse.Namespace) -> int:
+    repack(options.session, options.destination, options.profile, progress=_Progress())
+    print(f"{options.destination}: written, profile {options.profile}")
+    return 0
+
+
+def _sheet(options: argparse.Namespace) -> int:
+    target = options.output or options.session.with_suffix(".png")
+    contact_sheet(options.session, target, count=options.count)
+    print(f"{target}: written")
+    return 0
+
+
+class _Progress:
+    """One line, rewritten, for work that takes longer than a moment."""
+
+    def __init__(self) -> None:
+        self._start = self._shown = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how far it is, and how long it will take."""
+        now = time.monotonic()
+        last = done == total and self._shown > self._start
+        if now - self._start < _QUIET or (now - self._shown < 0.5 and not last):
+            return
+        self._shown = now
+        left = (now - self._start) * (total - done) / done
+        line = f"\r{done}/{total} images  {int(left // 60)}:{int(left % 60):02d} left "
+        print(line, end="\n" if last else "", file=sys.stderr, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m recorder", description="Look after recorded sessions."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=text, description=text)
+        added.add_argument("session", type=Path, help="the session, a directory NAME.zarr")
+        added.set_defaults(run=run)
+        return added
+
+    command("info", _info, "Show what a session holds.")
+    command("check", _check, "Look for everything that can be wrong; exit 1 if anything is.")
+    command("recover", _recover, "Close a session whose recording was killed.")
+    pack = command("repack", _repack, "Copy a session with its images stored in another way.")
+    pack.add_argument("destination", type=Path, help="the copy; must not exist")
+    pack.add_argument(
+        "--profile",
+        choices=PROFILES,
+        default="portable",
+        help="portable: lossless pixels for every Zarr reader; camera: the camera's JPEG bytes "
+        "(default: %(default)s)",
+    )
+    picture = command("sheet", _sheet, "Draw a session on one page.")
+    picture.add_argument("--output", type=Path, help="the PNG (default: SESSION with .png)")
+    picture.add_argument(
+        "--count", type=int, default=12, help="frames to show (default: %(default)s)"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

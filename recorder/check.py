@@ -1,0 +1,72 @@
+"""Looks for everything that can be wrong with a session. Reads all of it, changes nothing."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from recorder.check_content import check_frames, check_segments, check_stream
+from recorder.check_storage import (
+    check_arrays,
+    check_chunks,
+    check_stream_files,
+    check_table,
+)
+from recorder.errors import SessionError
+from recorder.findings import Finding
+from recorder.layout import StreamLayout
+from recorder.reader import Session
+from recorder.session import read_session_attrs
+
+
+def check(path: str | os.PathLike[str]) -> list[Finding]:
+    """Return what is wrong with a session; an empty list for a sound one.
+
+    What cannot be read is reported once, and not judged for its content.
+
+    Raises:
+        SessionError: Not a session at all.
+    """
+    return list(_check(Path(path)))
+
+
+def _check(path: Path) -> Iterator[Finding]:
+    attrs = read_session_attrs(path)
+    if attrs.get("status") == "recording":
+        message = "status is 'recording': still running, or killed (python -m recorder recover)"
+        yield Finding("unfinished", ".", message)
+    unreadable: set[str] = set()
+    for finding in check_arrays(path):
+        yield finding
+        if finding.code == "metadata":
+            unreadable.add(finding.where)
+    if unreadable:
+        return
+    contents = {}
+    groups = sorted(entry.parent for entry in (path / "streams").glob("*/zarr.json"))
+    for group in (*groups, path / "segments", path / "reference"):
+        findings = list(check_stream_files(path, group))
+        if not any(finding.code in ("metadata", "wrong-dtype") for finding in findings):
+            for layout in StreamLayout.load(group).columns:
+                damage, crcs = check_chunks(path, layout)
+                findings += damage
+                if layout.column.is_image:
+                    contents[group.name] = crcs
+        yield from findings
+        if any(finding.code not in ("torn-tail", "journal-left") for finding in findings):
+            unreadable.add(group.name)
+    damaged_tables = set()
+    for name in ("targets", "frames"):
+        for finding in check_table(path, name):
+            yield finding
+            damaged_tables.add(name)
+    session = Session(path)
+    try:
+        for name, stream in session.streams.items():
+            if name not in unreadable:
+                yield from check_stream(session, stream, contents.get(name))
+        if not unreadable and "targets" not in damaged_tables:
+            yield from check_segments(session)
+        if "segments" not in unreadable and "frames" not in damaged_tables:
+            yield from check_frames(session)
+    except SessionError as error:
+        yield Finding("metadata", ".", str(error))

@@ -1,0 +1,126 @@
+"""Runs `python -m rig collect` as a technician does, and finds its processes to kill them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+
+@dataclass
+class Collection:
+    """One running collection."""
+
+    session: Path
+    process: subprocess.Popen[str]
+    lines: list[str] = field(default_factory=list)
+
+    @classmethod
+    def start(cls, session: Path, *arguments: str, sensor: str = "tacpalm") -> Collection:
+        where = [] if "--resume" in arguments else ["--out", str(session)]
+        if "--bench" not in arguments:
+            where += ["--sensor", sensor]
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        return cls(session, process)
+
+    def wait(self, timeout: float = 55.0) -> int:
+        """Its exit code, with everything it printed in `lines`."""
+        try:
+            output, _ = self.process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            self.kill_all()
+            output, _ = self.process.communicate()
+            raise AssertionError(f"hangs after:\n{output}") from None
+        self.lines += output.splitlines()
+        return self.process.returncode
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines)
+
+    def processes(self) -> dict[int, str]:
+        """Command lines of this collection's processes, the main one among them, by pid."""
+        parents: dict[int, int] = {}
+        commands: dict[int, str] = {}
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                status = (entry / "stat").read_text()
+                command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            except OSError:
+                continue
+            pid = int(entry.name)
+            parents[pid] = int(status.rsplit(")", 1)[1].split()[1])
+            commands[pid] = command
+        found = {self.process.pid}
+        while more := {pid for pid, parent in parents.items() if parent in found} - found:
+            found |= more
+        return {pid: commands[pid] for pid in found if pid in commands}
+
+    def emulator(self, module: str) -> int:
+        """The pid of the emulator `python -m <module>`."""
+        return next(pid for pid, command in self.processes().items() if f"-m {module}" in command)
+
+    def stream(self, name: str) -> int:
+        """The pid of one stream's process: the one that writes `<session>/streams/<name>`."""
+        folder = str(self.session / "streams" / name)
+        for pid, command in self.processes().items():
+            if "multiprocessing.spawn" not in command:
+                continue
+            for link in Path(f"/proc/{pid}/fd").iterdir():
+                try:
+                    target = os.readlink(link)
+                except OSError:
+                    continue
+                if target.startswith(folder + "/"):
+                    return pid
+        raise LookupError(f"no process writes {folder}")
+
+    def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
+        """Wait for `condition`, with the collection still running."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if self.process.poll() is not None or time.monotonic() > deadline:
+                self.kill_all()
+                output, _ = self.process.communicate()
+                raise AssertionError(f"it did not come so far:\n{output}")
+            time.sleep(0.02)
+
+    def recording(self) -> bool:
+        """Whether frames, poses and forces are being stored."""
+        return any(self.session.glob("streams/*/value/c/*/*/*.partial")) or any(
+            self.session.glob("streams/force/t_ns/journal-*")
+        )
+
+    def segments(self) -> int:
+        """Bytes of the segment journal: grows by one row a phase."""
+        return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
+
+    def kill_all(self) -> None:
+        """SIGKILL to every process, children first found, main last."""
+        pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)
+        for pid in pids:
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        deadline = time.monotonic() + 10
+        while any(Path(f"/proc/{pid}").exists() for pid in pids if pid != self.process.pid):
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.01)

@@ -1,0 +1,212 @@
+"""Alignment equals the definition, written out one query at a time."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from recorder.align import (
+    exposure_window,
+    held,
+    linear,
+    mean,
+    nearest,
+    pose,
+    quaternion,
+    rotation_vector,
+)
+
+LATE = 5_000_000_000_000_000  # [ns]; here float64 resolves no better than 1 ns in seconds * 1e9
+instants = st.integers(0, 40)
+sample_times = st.lists(instants, max_size=12).map(
+    lambda times: np.sort(LATE + np.array(times, np.int64))
+)
+query_times = st.lists(st.integers(-5, 45), max_size=12).map(
+    lambda times: LATE + np.array(times, np.int64)
+)
+ages = st.one_of(st.just(np.inf), st.integers(0, 20).map(lambda ns: ns * 1e-9 + 1e-12))
+
+
+@given(sample_times, query_times, ages)
+def test_held_is_the_latest_sample_that_is_not_later(
+    times: Any, query: Any, max_age: float
+) -> None:
+    result = held(times, query, max_age=max_age)
+    for place, moment in enumerate(query):
+        before = [i for i, t in enumerate(times) if t <= moment]
+        expected = max(before) if before else -1
+        assert result.index[place] == expected
+        assert_age(result, place, times, moment, expected, max_age)
+
+
+@given(sample_times, query_times, ages)
+def test_nearest_is_nearest_and_the_earlier_of_two(times: Any, query: Any, max_age: float) -> None:
+    result = nearest(times, query, max_age=max_age)
+    for place, moment in enumerate(query):
+        order = sorted(range(len(times)), key=lambda i: (abs(int(times[i] - moment)), times[i], -i))
+        expected = order[0] if order else -1
+        assert result.index[place] == expected
+        assert_age(result, place, times, moment, expected, max_age)
+
+
+def assert_age(result: Any, place: int, times: Any, moment: int, index: int, limit: float) -> None:
+    if index < 0:
+        assert np.isnan(result.age[place])
+        assert not result.valid[place]
+    else:
+        age = int(moment - times[index]) * 1e-9
+        assert result.age[place] == pytest.approx(age, abs=1e-15)
+        assert result.valid[place] == (abs(age) <= limit)
+
+
+@given(sample_times, query_times, ages)
+def test_linear_lies_on_the_line_between_its_neighbours(
+    times: Any, query: Any, max_age: float
+) -> None:
+    values = np.random.default_rng(0).normal(size=(len(times), 2))
+    result = linear(times, values, query, max_age=max_age)
+    for place, moment in enumerate(query):
+        if not len(times) or not times[0] <= moment <= times[-1]:
+            assert np.isnan(result.value[place]).all()
+            assert not result.valid[place]
+            continue
+        lower = max(i for i, t in enumerate(times) if t <= moment)
+        upper = lower if times[lower] == moment else lower + 1
+        gap = int(times[upper] - times[lower])
+        weight = int(moment - times[lower]) / gap if gap else 0.0
+        expected = values[lower] + weight * (values[upper] - values[lower])
+        np.testing.assert_allclose(result.value[place], expected, rtol=1e-12, atol=1e-12)
+        sides = int(moment - times[lower]), int(times[upper] - moment)
+        assert result.gap[place] == pytest.approx(gap * 1e-9, abs=1e-15)
+        assert result.age[place] == pytest.approx(min(sides) * 1e-9, abs=1e-15)
+        assert result.valid[place] == (max(sides) * 1e-9 <= max_age)
+
+
+@given(sample_times, query_times, st.integers(0, 10), ages)
+def test_mean_is_that_of_the_samples_inside_or_else_the_line(
+    times: Any, stop: Any, length: int, max_age: float
+) -> None:
+    values = np.random.default_rng(1).normal(size=(len(times), 2))
+    start = stop - length
+    result = mean(times, values, start, stop, max_age=max_age)
+    middle = linear(times, values, start + length // 2, max_age=max_age)
+    for place in range(len(stop)):
+        inside = [i for i, t in enumerate(times) if start[place] <= t <= stop[place]]
+        if inside:
+            np.testing.assert_allclose(result.value[place], values[inside].mean(axis=0), atol=1e-12)
+            age = int(stop[place] - times[inside[-1]]) * 1e-9
+            lead = int(times[inside[0]] - start[place]) * 1e-9
+            assert result.age[place] == pytest.approx(age, abs=1e-15)
+            assert result.valid[place] == (max(age, lead) <= max_age)
+            assert not result.interpolated[place]
+        else:
+            np.testing.assert_array_equal(result.value[place], middle.value[place])
+            assert result.valid[place] == middle.valid[place]
+            assert result.interpolated[place] == bool(np.isfinite(middle.value[place]).all())
+
+
+def test_one_nan_reaches_no_further_than_the_means_it_lies_in() -> None:
+    times = LATE + np.arange(100, dtype=np.int64)
+    values = np.ones((100, 1))
+    values[50] = np.nan
+    stop = times[10:]
+    result = mean(times, values, stop - 5, stop)
+    np.testing.assert_array_equal(
+        np.isnan(result.value[:, 0]), (stop >= times[50]) & (stop - 5 <= times[50])
+    )
+
+
+def test_exposures_end_at_the_capture() -> None:
+    start, stop = exposure_window(np.array([LATE]), 1 / 60)
+    assert (int(stop[0]), int(stop[0] - start[0])) == (LATE, 16_666_667)
+
+
+vectors = hnp.arrays(np.float64, 3, elements=st.floats(-3, 3)).filter(
+    lambda v: 1e-6 < np.linalg.norm(v) < np.pi
+)
+directions = hnp.arrays(np.float64, 3, elements=st.floats(-1, 1)).filter(
+    lambda v: np.linalg.norm(v) > 0.1
+)
+
+
+def matrix(vector: Any) -> Any:
+    """Return the rotation matrix of a rotation vector, by Rodrigues' formula."""
+    angle = np.linalg.norm(vector)
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def interpolated(first: Any, second: Any, weight: float) -> Any:
+    """Return the rotation vector at `weight` between two, as `pose` gives it."""
+    poses = np.concatenate([np.zeros((2, 3)), [first, second]], axis=1)
+    times = np.array([LATE, LATE + 1000], np.int64)
+    return pose(times, poses, np.array([LATE + round(1000 * weight)])).value[0, 3:]
+
+
+@given(vectors)
+def test_rotation_vectors_survive_the_way_through_quaternions(vector: Any) -> None:
+    back = rotation_vector(quaternion(vector[None]))[0]
+    np.testing.assert_allclose(matrix(back), matrix(vector), atol=1e-12)
+    assert np.linalg.norm(back) <= np.pi + 1e-12
+
+
+@given(directions, st.floats(-1e-7, 1e-7), st.floats(0, 1))
+def test_interpolation_is_smooth_where_the_rotation_vector_wraps(
+    axis: Any, off: float, weight: float
+) -> None:
+    """At pi the vector is cut, v and v - 2 pi axis being one rotation; nothing may spin round."""
+    axis = axis / np.linalg.norm(axis)
+    first, second = (np.pi - 0.01) * axis, -(np.pi - 0.01 + off) * axis
+    weight = round(1000 * weight) / 1000
+    expected = (np.pi - 0.01 + weight * (0.02 - off)) * axis
+    found = interpolated(first, second, weight)
+    np.testing.assert_allclose(matrix(found), matrix(expected), atol=1e-9)
+
+
+@given(vectors, directions, st.floats(0.01, 3.0), st.floats(0, 1))
+def test_interpolation_turns_at_a_constant_rate_about_one_axis(
+    start: Any, axis: Any, angle: float, weight: float
+) -> None:
+    axis = axis / np.linalg.norm(axis)
+    weight = round(1000 * weight) / 1000
+    end = rotation_of(matrix(angle * axis) @ matrix(start))
+    expected = matrix(weight * angle * axis) @ matrix(start)
+    np.testing.assert_allclose(matrix(interpolated(start, end, weight)), expected, atol=1e-7)
+
+
+@given(vectors, vectors, st.floats(0, 1))
+def test_a_vector_and_its_wrap_interpolate_alike(first: Any, second: Any, weight: float) -> None:
+    wrapped = second - 2 * np.pi * second / np.linalg.norm(second)
+    between = np.linalg.norm(rotation_of(matrix(first).T @ matrix(second)))
+    if between > np.pi - 1e-3:
+        return  # half a turn apart, both ways round are as short
+    plain, other = interpolated(first, second, weight), interpolated(first, wrapped, weight)
+    np.testing.assert_allclose(matrix(plain), matrix(other), atol=1e-9)
+
+
+def rotation_of(rotation: Any) -> Any:
+    """Return the rotation vector of a matrix: its axis from the symmetric part, robust at pi."""
+    cosine = (np.trace(rotation) - 1) / 2
+    skew = np.array([rotation[2, 1], rotation[0, 2], rotation[1, 0]]) - np.array(
+        [rotation[1, 2], rotation[2, 0], rotation[0, 1]]
+    )
+    angle = np.arctan2(np.linalg.norm(skew) / 2, cosine)
+    if angle < 3:
+        return skew / 2 * (angle / np.sin(angle)) if angle > 1e-9 else skew / 2
+    outer = (rotation + rotation.T) / 2 - cosine * np.eye(3)
+    axis = outer[:, np.argmax(np.diag(outer))]
+    axis = axis / np.linalg.norm(axis)
+    return angle * axis * (1.0 if axis @ skew >= 0 else -1.0)
+
+
+def test_positions_move_on_straight_lines() -> None:
+    poses = np.array([[0, 0, 0, 0, 0, 3.0], [1, 2, 4, 0, 0, -3.0]])
+    result = pose(np.array([0, 1000]), poses, np.array([250]))
+    np.testing.assert_allclose(result.value[0, :3], [0.25, 0.5, 1.0])
+    assert abs(result.value[0, 5]) > 3

@@ -1,0 +1,110 @@
+"""A device that dies in the middle: a clear message, the right exit code, the data kept, the arm
+stopped or retracted."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collecting import Collection
+
+from recorder import OUTCOMES, Session
+from recorder.check import check
+
+pytestmark = pytest.mark.timeout(120)
+
+EMULATORS = {
+    "arm": "rig.arm.emulator",
+    "force": "rig.force.netft_emulator",
+    "camera": "rig.camera.mjpeg_emulator",
+    "taxels": "rig.taxels.xela_emulator",
+}
+
+
+def pressing(folder: Path, sensor: str, *arguments: str) -> Collection:
+    """A collection that has pressed at least one phase."""
+    run = Collection.start(folder / "s.zarr", "--targets", "4", *arguments, sensor=sensor)
+    run.until(run.recording)
+    run.until(lambda: run.segments() > 0)
+    return run
+
+
+def stopped_in_order(run: Collection) -> Session:
+    """The session that is left: closed, whole, saying why."""
+    session = Session(run.session)
+    assert session.status == "stopped"
+    assert len(session.streams["force"]) > 500
+    unfinished = {finding.code for finding in check(run.session)} - {"truncated", "gap"}
+    assert not unfinished, check(run.session)
+    assert run.lines[-1].startswith("stopped")
+    assert str(run.session) in run.lines[-1]
+    return session
+
+
+@pytest.mark.parametrize("device", sorted(EMULATORS))
+def test_a_killed_device_ends_the_session_with_everything_kept(device: str, tmp_path: Path) -> None:
+    run = pressing(tmp_path, "uskin" if device == "taxels" else "tacpalm")
+    os.kill(run.emulator(EMULATORS[device]), signal.SIGKILL)
+    assert run.wait() == 3, run.text
+    session = stopped_in_order(run)
+    named = {"arm": "arm|pose|controller"}.get(device, device)
+    assert any(word in session.attrs["reason"] for word in named.split("|")), run.text
+    if device == "arm":
+        assert "NOT RETRACTED" in session.attrs["reason"]
+    else:
+        height = session.streams["pose"].column("value")[-1][2] - session.attrs["contact_frame"][2]
+        assert height > 0.015
+
+
+def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path: Path) -> None:
+    from recorder.recover import recover
+
+    run = pressing(tmp_path, "tacpalm")
+    os.kill(run.stream("camera"), signal.SIGKILL)
+    assert run.wait() == 3, run.text
+    assert "camera: its process ended" in run.text
+    recover(run.session)
+    session = Session(run.session)
+    assert len(session.streams["camera"]) > 10
+    assert {finding.code for finding in check(run.session)} <= {"truncated", "gap"}
+
+
+def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
+    bench = limited_bench(tmp_path, hard=0.9, soft=0.8, rating=0.3)
+    run = Collection.start(tmp_path / "s.zarr", "--targets", "4", "--bench", str(bench))
+    code = run.wait()
+    # 0.9 of 0.3 N is below the first press; the soft limit ends each target before the hard one
+    # unless the slope overtakes it, so either way the sensor never sees more than the rating.
+    assert code in (0, 4), run.text
+    force = np.asarray(Session(run.session).streams["force"].column("value"))
+    assert -force[:, 2].min() < 0.3
+
+
+def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
+    bench = limited_bench(tmp_path, hard=5.0, soft=0.5, rating=0.4)
+    run = Collection.start(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
+    assert run.wait() == 0, run.text
+    session = Session(run.session)
+    limited = OUTCOMES.index("force_limited")
+    assert list(session.segments["outcome"]) == [limited, limited]
+    assert "Fz" in run.text
+
+
+def limited_bench(folder: Path, *, hard: float, soft: float, rating: float) -> Path:
+    """The TacPalm's mock bench with other limits."""
+    path = folder / "bench.yaml"
+    base = Path(__file__).parent.parent / "benches" / "tacpalm.yaml"
+    path.write_text(
+        f"""
+extends: {base}
+limits:
+  force_rating_n: [12.0, 12.0, {rating}]
+  soft_fraction: {soft}
+  hard_fraction: {hard}
+  stiffness_n_per_mm: 0.001
+"""
+    )
+    return path

@@ -1,0 +1,93 @@
+"""The live line says where it is and how long it takes, and keeps off a file that is no terminal."""
+
+from __future__ import annotations
+
+import io
+import logging
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.clock import FakeClock
+from rig.collect.live import LiveLine, minutes
+from rig.latest import FORCE_LATEST
+from rig.streams.process import COUNTERS
+from trajectories import PressShear
+
+PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3)
+
+
+class FakeHandle:
+    def latest(self) -> np.void:
+        record = np.zeros(1, FORCE_LATEST)[0]
+        record["value"][2] = -2.413
+        return record
+
+
+class FakeStreams:
+    def __getitem__(self, name: str) -> FakeHandle:
+        return FakeHandle()
+
+    def counters(self) -> dict[str, np.void]:
+        count = np.zeros(1, COUNTERS)[0]
+        count["rate_hz"], count["dropped"] = 59.9, 2
+        return {"camera": count}
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def live(out: Any, clock: FakeClock) -> LiveLine:
+    return LiveLine(FakeStreams(), len(PLAN), clock, out)  # type: ignore[arg-type]
+
+
+def test_the_line_says_all_a_technician_asks() -> None:
+    out, clock = Terminal(), FakeClock()
+    line = live(out, clock)
+    targets = list(PLAN.targets())
+    line.at(targets[0], None)
+    line.at(targets[36], PLAN.moves(targets[36])[1])
+    clock.advance(36.0)
+    line.tick()
+    text = out.getvalue()
+    words = ("target 37/240", "shear_inc", "1.20 mm", "Fz  -2.41 N", "camera 60 Hz", "dropped 2")
+    for word in words:
+        assert word in text
+    # 36 targets in 36 s: 204 to go, this one included.
+    assert "3:24 left" in text
+    assert "\n" not in text
+    line.end()
+    assert out.getvalue().endswith("\n")
+
+
+def test_it_is_not_rewritten_faster_than_anybody_reads() -> None:
+    out, clock = Terminal(), FakeClock()
+    line = live(out, clock)
+    line.at(next(PLAN.targets()), None)
+    for _ in range(100):
+        line.tick()
+        clock.advance(0.01)
+    assert 4 <= out.getvalue().count("\r") <= 6
+
+
+def test_without_a_terminal_it_is_a_log_line_every_ten_seconds(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    out, clock = io.StringIO(), FakeClock()
+    line = live(out, clock)
+    line.at(next(PLAN.targets()), None)
+    with caplog.at_level(logging.INFO):
+        for _ in range(301):
+            line.tick()
+            clock.advance(0.1)
+    assert out.getvalue() == ""
+    assert len(caplog.records) == 4
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0, "0:00"), (59.6, "1:00"), (3661, "61:01")])
+def test_minutes(seconds: float, text: str) -> None:
+    assert minutes(seconds) == text

@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.arm.rotation import transform
+from rig.clock import FakeClock
+from rig.guard import AXES, Guard, GuardLimits, judge_safety, outside_box
+from rig.latest import FORCE_LATEST, POSE_LATEST
+
+RATING = (10.0, 11.0, 12.0, 0.1, 0.2, 0.3)
+BOX = ((-0.02, -0.03, -0.001), (0.02, 0.03, 0.1))
+FRAME = (0.4, -0.1, 0.2, 0.0, 0.0, 0.5)
+LIMITS = GuardLimits(force_rating=RATING, box=BOX, force_status_mask=0x20000)
+MS = 1_000_000
+
+
+def force(t_ns: int, value=(0.0,) * 6, status: int = 0):
+    record = np.zeros((), FORCE_LATEST)
+    record["t_ns"], record["status"], record["value"] = t_ns, status, value
+    return record[()]
+
+
+def pose(t_ns: int, place=(0.0, 0.0, 0.01), safety: int = 1):
+    """A pose record with the TCP at `place` in the contact frame."""
+    record = np.zeros((), POSE_LATEST)
+    record["t_ns"], record["safety_status"] = t_ns, safety
+    record["value"][:3] = transform(FRAME, place)
+    return record[()]
+
+
+def check(guard: Guard, clock: FakeClock, value=(0.0,) * 6, mode="guarded", **place):
+    now_ns = clock.now_ns()
+    return guard.check(now_ns, force(now_ns, value), pose(now_ns, **place), mode)
+
+
+def ramp(rate: float, *, axis: int = 2, mode="guarded", steps: int = 400):
+    """Samples at 4 ms of a force that grows at `rate` [N/s]: the load at the verdict, and it."""
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    for _ in range(steps):
+        clock.advance(0.004)
+        value = np.zeros(6)
+        value[axis] = rate * clock.now_ns() / 1e9
+        verdict = check(guard, clock, value, mode)
+        if verdict is not None:
+            return abs(value[axis]) / RATING[axis], verdict
+    return None, None
+
+
+def test_nothing_wrong_is_no_verdict():
+    assert check(Guard(LIMITS, FRAME), FakeClock()) is None
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(
+    ("share", "kind"), [(0.849, None), (0.851, "force_soft"), (1.001, "force_hard")]
+)
+def test_each_axis_and_sign_has_its_limits(axis, sign, share, kind):
+    value = np.zeros(6)
+    value[axis] = sign * share * RATING[axis]
+    verdict = check(Guard(LIMITS, FRAME), FakeClock(), value)
+    assert (verdict and verdict.kind) == kind
+    if verdict:
+        name, unit = AXES[axis]
+        assert verdict.reason.startswith(f"{name}: ")
+        assert unit in verdict.reason
+
+
+def test_a_steep_ramp_trips_before_the_limit_is_reached():
+    share, verdict = ramp(100.0)
+    assert verdict.kind == "force_soft"
+    assert "in 20 ms" in verdict.reason
+    # 100 N/s for 20 ms is 2 N of 12 N: about a sixth of the rating early.
+    assert 0.85 - 2 / 12 - 0.04 < share < 0.85 - 2 / 12 + 0.04
+
+
+def test_a_steep_ramp_the_other_way_trips_early_too():
+    share, verdict = ramp(-100.0)
+    assert verdict.kind == "force_soft"
+    assert share < 0.75
+
+
+def test_a_slow_ramp_trips_at_the_limit():
+    share, verdict = ramp(10.0)
+    assert verdict.kind == "force_soft"
+    assert share == pytest.approx(0.85 - 0.2 / 12, abs=0.01)
+
+
+def test_noise_well_below_the_limit_does_not_trip():
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    random = np.random.default_rng(1)
+    for _ in range(5000):
+        clock.advance(0.004)
+        value = np.array([0, 0, -0.8 * RATING[2], 0, 0, 0])
+        value += random.normal(0, 0.002, 6) * RATING
+        assert check(guard, clock, value) is None
+
+
+def test_unloading_fast_does_not_trip():
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    for load in np.linspace(-10.0, 0.0, 8):
+        clock.advance(0.004)
+        assert check(guard, clock, (0, 0, load, 0, 0, 0)) is None
+
+
+def test_the_same_sample_seen_again_is_no_slope():
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    record = force(clock.now_ns(), (0, 0, 9.0, 0, 0, 0))
+    for _ in range(10):
+        clock.advance(0.004)
+        assert guard.check(clock.now_ns(), record, pose(clock.now_ns())) is None
+
+
+@pytest.mark.parametrize(
+    ("force_age", "pose_age", "kind"),
+    [
+        (50 * MS, 100 * MS, None),
+        (50 * MS + 1, 0, "stale_force"),
+        (0, 100 * MS + 1, "stale_pose"),
+    ],
+)
+def test_data_is_stale_just_past_its_limit(force_age, pose_age, kind):
+    now_ns = 10_000 * MS
+    guard = Guard(LIMITS, FRAME)
+    verdict = guard.check(now_ns, force(now_ns - force_age), pose(now_ns - pose_age))
+    assert (verdict and verdict.kind) == kind
+
+
+def test_missing_data_is_stale_unless_it_is_not_watched():
+    now_ns = 10_000 * MS
+    assert Guard(LIMITS, FRAME).check(now_ns, None, pose(now_ns)).kind == "stale_force"
+    assert Guard(LIMITS, FRAME).check(now_ns, force(now_ns), None).kind == "stale_pose"
+    blind = Guard(LIMITS, FRAME, watch_force=False, watch_pose=False)
+    assert blind.check(now_ns, None, None) is None
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("face", [0, 1])
+def test_each_face_of_the_box_holds(axis, face):
+    inside, outside = [0.0, 0.0, 0.01], [0.0, 0.0, 0.01]
+    inside[axis] = BOX[face][axis] * (1 - 1e-6)
+    outside[axis] = BOX[face][axis] * (1 + 1e-3)
+    guard = Guard(LIMITS, FRAME)
+    assert check(guard, FakeClock(), place=inside) is None
+    for mode in ("guarded", "travel"):
+        verdict = check(guard, FakeClock(), place=outside, mode=mode)
+        assert verdict.kind == "box"
+        assert f"{'xyz'[axis]} = " in verdict.reason
+    assert check(guard, FakeClock(), place=outside, mode="retreat") is None
+
+
+def test_a_target_outside_the_box_says_so_in_millimetres():
+    reason = outside_box(LIMITS, FRAME, transform(FRAME, (0.0, 0.0, -0.0012)))
+    assert reason is not None
+    assert "z = -1.20 mm" in reason
+    assert "allowed -1.00 to 100.00 mm" in reason
+    assert outside_box(LIMITS, FRAME, (np.nan, 0.0, 0.0)) is not None
+
+
+def test_retreat_may_leave_a_load_above_both_limits():
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    for load in (13.0, 13.0, 13.01, 12.99, 13.0, 12.0, 8.0, 4.0):
+        clock.advance(0.004)
+        assert check(guard, clock, (0, 0, -load, 0, 0, 0), "retreat") is None
+
+
+def test_retreat_stops_while_a_load_above_the_hard_limit_grows():
+    share, verdict = ramp(-100.0, mode="retreat")
+    assert verdict.kind == "force_hard"
+    assert 1.0 < share < 1.1
+
+
+def test_retreat_goes_on_without_data_and_with_a_saturated_sensor():
+    now_ns = 10_000 * MS
+    guard = Guard(LIMITS, FRAME)
+    assert guard.check(now_ns, None, None, "retreat") is None
+    record = force(now_ns - 1000 * MS, status=0x20000)
+    assert guard.check(now_ns, record, pose(now_ns), "retreat") is None
+
+
+def test_retreat_is_not_held_by_a_sensor_lost_while_its_load_grew():
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    for load in (10.0, 11.0, 12.0, 13.0, 14.0):
+        clock.advance(0.004)
+        newest = force(clock.now_ns(), (0, 0, load, 0, 0, 0))
+        verdict = guard.check(clock.now_ns(), newest, None, "retreat")
+    assert verdict.kind == "force_hard"
+    clock.advance(0.0501)
+    assert guard.check(clock.now_ns(), newest, None, "retreat") is None
+
+
+def test_samples_too_far_apart_predict_nothing():
+    guard, clock = Guard(LIMITS, FRAME), FakeClock()
+    for load in (2.0, 4.0, 6.0, 8.0, 9.0):
+        clock.advance(0.025)
+        assert check(guard, clock, (0, 0, load, 0, 0, 0)) is None
+
+
+def test_travel_keeps_the_soft_limit():
+    assert check(Guard(LIMITS, FRAME), FakeClock(), (8.6, 0, 0, 0, 0, 0), "travel").kind == (
+        "force_soft"
+    )
+
+
+def test_only_masked_status_bits_count():
+    now_ns = 10_000 * MS
+    guard = Guard(LIMITS, FRAME)
+    assert guard.check(now_ns, force(now_ns, status=0x10000), pose(now_ns)) is None
+    verdict = guard.check(now_ns, force(now_ns, status=0x20000), pose(now_ns))
+    assert verdict.kind == "force_status"
+
+
+def test_a_force_that_is_not_a_number_stops():
+    verdict = check(Guard(LIMITS, FRAME), FakeClock(), (np.nan, 0, 0, 0, 0, 0))
+    assert verdict.kind == "force_status"
+
+
+@pytest.mark.parametrize("mode", ["guarded", "travel", "retreat"])
+@pytest.mark.parametrize(
+    ("bits", "kind"),
+    [(0x1, None), (0x3, None), (0x404, "protective_stop"), (0x4C0, "emergency_stop")],
+)
+def test_safety_stops_count_in_every_mode(mode, bits, kind):
+    now_ns = 10_000 * MS
+    verdict = Guard(LIMITS, FRAME).check(now_ns, force(now_ns), pose(now_ns, safety=bits), mode)
+    assert (verdict and verdict.kind) == kind
+
+
+@pytest.mark.parametrize("bit", range(11))
+def test_every_safety_bit_but_normal_reduced_and_recovery_stops(bit):
+    assert (judge_safety(1 << bit) is None) == (bit in (0, 1, 3))
+
+
+def test_the_most_serious_reason_wins():
+    now_ns = 10_000 * MS
+    hard, soft = (0, 0, 13.0, 0, 0, 0), (0, 0, 11.0, 0, 0, 0)
+    stale = force(now_ns - 1000 * MS, soft)
+    assert Guard(LIMITS, FRAME).check(now_ns, stale, pose(now_ns)).kind == "stale_force"
+    fresh = force(now_ns, hard)
+    assert Guard(LIMITS, FRAME).check(now_ns, fresh, None).kind == "force_hard"
+    stopped = pose(now_ns, safety=0x404)
+    assert Guard(LIMITS, FRAME).check(now_ns, fresh, stopped).kind == "protective_stop"
+
+
+def test_combined_loads_count_only_when_asked():
+    value = (0, 0, 0.7 * RATING[2], 0.5 * RATING[3], 0, 0)
+    assert check(Guard(LIMITS, FRAME), FakeClock(), value) is None
+    limits = GuardLimits(force_rating=RATING, box=BOX, combined_fraction=1.05)
+    verdict = check(Guard(limits, FRAME), FakeClock(), value)
+    assert verdict.kind == "force_hard"
+    assert "Fz and Txy together" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"force_rating": (1.0,) * 5}, "force_rating"),
+        ({"force_rating": (0.0,) * 6}, "force_rating"),
+        ({"soft_fraction": 1.2}, "soft_fraction"),
+        ({"box": (BOX[1], BOX[0])}, "box"),
+    ],
+)
+def test_senseless_limits_are_refused(change, named):
+    with pytest.raises(ValueError, match=named):
+        GuardLimits(**{"force_rating": RATING, "box": BOX, **change})

@@ -1,0 +1,75 @@
+"""Readers of a shared record see whole records, in order, and survive a dead writer."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.shared import LatestRecord
+
+PAIR = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
+
+
+def test_the_latest_record_is_read_whole(tmp_path: Path) -> None:
+    writer = LatestRecord.create(tmp_path / "x", PAIR)
+    reader = LatestRecord.attach(tmp_path / "x", PAIR)
+    assert reader.read() is None
+    for k in range(30):
+        writer.write((k, np.full(40, k)))
+        found = reader.read()
+        assert found is not None
+        assert reader.count == k + 1
+        assert int(found["a"]) == k
+        assert (found["value"] == k).all()
+    reader.close()
+    writer.close()
+    writer.close()
+
+
+def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    writer = LatestRecord.create(path, PAIR)
+    code = textwrap.dedent(
+        f"""
+        import sys
+        import numpy as np
+        from pathlib import Path
+        from rig.shared import LatestRecord
+        dtype = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
+        record = LatestRecord.attach(Path({str(path)!r}), dtype, writable=True)
+        k = 0
+        while True:
+            k += 1
+            record.write((k, np.full(40, k)))
+        """
+    )
+    process = subprocess.Popen([sys.executable, "-c", code])
+    try:
+        while writer.count == 0:
+            assert process.poll() is None
+        last = 0
+        for _ in range(20_000):
+            found = writer.read()
+            assert found is not None
+            assert (found["value"] == found["a"]).all()
+            assert int(found["a"]) >= last
+            last = int(found["a"])
+    finally:
+        process.kill()
+        process.wait()
+    # Killed anywhere in a write, the record before it stays readable.
+    found = writer.read()
+    assert found is not None
+    assert (found["value"] == found["a"]).all()
+    writer.close()
+
+
+def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
+    LatestRecord.create(tmp_path / "x", PAIR).close()
+    with pytest.raises(ValueError, match="expected"):
+        LatestRecord.attach(tmp_path / "x", np.dtype([("a", "<i8", (100,))]))
