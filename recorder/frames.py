@@ -53,7 +53,7 @@ def write_frames(path: Path, rate_hz: float) -> None:
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
     write_table(building, frames_table(Session(path), rate_hz), UNITS)
-    merge_attrs(building, {"rate_hz": rate_hz, "phases": list(PHASES)})
+    merge_attrs(building, {"rate_hz": float(rate_hz), "phases": list(PHASES)})
     if final.exists():
         final.rename(old)
     building.rename(final)

@@ -224,9 +224,9 @@ class Session:
 
     @cached_property
     def rate_hz(self) -> float:
-        """Rate of the frames view: attrs `frames_rate_hz`; before it is known, the signal's."""
-        if "frames_rate_hz" in self.attrs:
-            return float(self.attrs["frames_rate_hz"])
+        """Rate of the frames view: attrs `rate_hz`; before it is known, the signal's."""
+        if "rate_hz" in self.attrs:
+            return float(self.attrs["rate_hz"])
         for name in ("camera", "taxels", "pose", "force"):
             if name in self.streams:
                 return self.streams[name].rate_hz

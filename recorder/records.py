@@ -90,10 +90,15 @@ class RecordLog:
     `append` is called by one thread; `sync` may be called by another.
     """
 
-    def __init__(self, path: Path, *, end: int = 0) -> None:
-        """Open a log, creating it when missing, and drop whatever lies behind byte `end`."""
+    def __init__(self, path: Path, *, end: int = 0, below: Path | None = None) -> None:
+        """Open a log, creating it when missing, and drop whatever lies behind byte `end`.
+
+        Directories below `below` may be as new as the file, and are made durable with it.
+        """
         self.path = path
         self.end = end
+        depth = len(path.relative_to(below).parts) if below is not None else 1
+        self._directories = [*path.parents][:depth]
         self._fd = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
         os.ftruncate(self._fd, end)
         self._synced = -1  # bytes; a fresh file's name is not durable either
@@ -148,7 +153,8 @@ class RecordLog:
             return
         os.fdatasync(self._fd)
         if self._synced < 0:
-            sync_directory(self.path.parent)
+            for directory in self._directories:
+                sync_directory(directory)
         self._synced = end
 
     def close(self) -> None:

@@ -147,7 +147,7 @@ class SessionWriter:
             raise SessionError(f"found status {status!r}, expected one of {', '.join(final)}")
         self.close()
         recover_streams(self.path)
-        merge_attrs(self.path, {"frames_rate_hz": rate_hz})
+        merge_attrs(self.path, {"rate_hz": float(rate_hz)})
         write_frames(self.path, rate_hz)
         merge_attrs(self.path, {"status": status, "reason": reason})
 

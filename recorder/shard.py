@@ -35,7 +35,8 @@ class OpenShard:
         self._entries = [(record.offset, record.nbytes) for record in records]
         path = layout.partial(number)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._log = RecordLog(path, end=records[-1].end if records else 0)
+        end = records[-1].end if records else 0
+        self._log = RecordLog(path, end=end, below=layout.path)
 
     def __len__(self) -> int:
         """Return how many chunks it holds."""

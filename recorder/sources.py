@@ -109,13 +109,13 @@ def source(stream: StreamLike, rows: slice) -> Source:
         order = np.argsort(times, kind="stable")
         times, numbers = times[order], numbers[order]
         values = None if values is None else values[order]
-    default = _MAX_AGE.get(stream.name, _MAX_AGE_PERIODS / stream.rate_hz)
+    max_age = _MAX_AGE.get(stream.name, _MAX_AGE_PERIODS / stream.rate_hz)
     return Source(
         times,
         numbers,
         values,
-        float(stream.attrs.get("max_age", default)),
-        float(stream.attrs.get("exposure", EXPOSURE)),
+        _number(stream, "max_age", max_age),
+        _number(stream, "exposure", EXPOSURE),
     )
 
 
@@ -125,10 +125,16 @@ def captured(stream: StreamLike) -> Times:
     Arrival minus attrs `latency` [s]; or the device's own time, where attrs `device_clock` is
     `monotonic`, because then it is the same clock (V4L2).
     """
-    arrived = stream.t_ns - round(float(stream.attrs.get("latency", 0.0)) / NS)
+    arrived = stream.t_ns - round(_number(stream, "latency", 0.0) / NS)
     if stream.attrs.get("device_clock") != "monotonic" or "device_t" not in stream.names:
         return arrived
     device_t = stream.array("device_t")
     known = np.isfinite(device_t)
     stamped = np.round(np.where(known, device_t, 0.0) / NS).astype(np.int64)
     return np.where(known, stamped, arrived)
+
+
+def _number(stream: StreamLike, key: str, default: float) -> float:
+    """Return an attribute that may be missing, or null because nobody knows it."""
+    value = stream.attrs.get(key)
+    return default if value is None else float(value)

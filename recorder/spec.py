@@ -251,7 +251,7 @@ REFERENCE = StreamSpec(
 TARGET_UNITS: Mapping[str, tuple[str, str]] = {
     "point": ("1", "number of the contact point"),
     "depth": ("m", "planned indentation"),
-    "direction": ("1", "number of the shear direction; -1 for none"),
-    "planned": ("m", "planned shear displacement and depth in the contact frame"),
+    "direction": ("1", "number of the shear direction, 0 along +x, counter-clockwise; -1 for none"),
+    "planned": ("m", "planned place of the tip at full shear, in the robot's base frame"),
 }
 """Units and description of the columns of `targets`."""

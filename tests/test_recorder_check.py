@@ -122,7 +122,7 @@ def write_frames_without_offsets(path: Path) -> None:
     """Build frames for a session whose segments point to targets that are not there."""
     shutil.rmtree(path / "targets" / "point")
     write_frames(path, 40)
-    edit_json(path / "zarr.json", lambda d: d["attributes"].update(frames_rate_hz=40))
+    edit_json(path / "zarr.json", lambda d: d["attributes"].update(rate_hz=40))
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,10 @@ stopped or retracted."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from collecting import Collection
 
 from recorder import OUTCOMES, Session
 from recorder.check import check
+from rig.arm import faults
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -70,6 +73,22 @@ def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path:
     session = Session(run.session)
     assert len(session.streams["camera"]) > 10
     assert {finding.code for finding in check(run.session)} <= {"truncated", "gap"}
+
+
+def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Path) -> None:
+    run = pressing(tmp_path, "tacpalm")
+    emulator = run.processes()[run.emulator(EMULATORS["arm"])]
+    host = emulator.split("--host ")[1].split()[0]
+    with socket.create_connection((host, faults.PORT), 5.0) as port:
+        port.sendall(json.dumps({"fault": "protective_stop"}).encode() + b"\n")
+        assert b"protective" in port.recv(4096).lower()
+    assert run.wait() == 4, run.text
+    session = stopped_in_order(run)
+    assert "protective" in session.attrs["reason"].lower()
+    # Only a person may unlock it, so there is no retract either, and it says so.
+    assert "NOT RETRACTED" in session.attrs["reason"]
+    heights = np.asarray(session.streams["pose"].column("value"))[-200:, 2]
+    assert np.ptp(heights) < 1e-6
 
 
 def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:

@@ -154,10 +154,11 @@ class Walk:
                 on_wait=self._wait,
             )
         except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt):
+            ended_ns = self._clock.now_ns()
             with contextlib.suppress(SafetyStop, DeviceLost):
                 self._arm.halt()
             if record is not None:
-                self._note(record, "stopped", asked_ns, self._clock.now_ns())
+                self._note(record, "stopped", asked_ns, ended_ns)
             raise
         if record is not None:
             outcome = "complete" if result.outcome == "done" else result.outcome
