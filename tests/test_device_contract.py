@@ -27,9 +27,9 @@ from rig.camera.opencv import OpenCvDriver
 from rig.camera.sources import LoopSource
 from rig.clock import SystemClock
 from rig.driver import Driver, Inbox, Receiver
+from rig.emulation import Emulator, SharedWorld
 from rig.errors import DeviceLost
 from rig.force.config import NetFtConfig
-from rig.force.emulation import Emulator, SharedWorld
 from rig.force.netft import NetFtDriver
 from rig.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
 from rig.taxels.config import XelaConfig

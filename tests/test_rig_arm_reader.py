@@ -16,8 +16,8 @@ from rig.arm.kinematics import POSTURE, flange_pose
 from rig.arm.reader import COLUMNS, RtdeLink, RtdePoseDriver
 from rig.arm.robot import CYCLE
 from rig.clock import SystemClock
+from rig.emulation import SharedWorld
 from rig.errors import DeviceLost
-from rig.force.emulation import SharedWorld
 from rig.latest import ARM_TRUTH, WORLD_STATE
 from rig.shared import LatestRecord
 

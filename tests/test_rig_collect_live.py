@@ -1,4 +1,4 @@
-"""The live line says where it is and how long it takes, and keeps off a file that is no terminal."""
+"""The live line says where it is and how long it takes, and keeps off a file."""
 
 from __future__ import annotations
 

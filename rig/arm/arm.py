@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 _ANSWER = 10.0
 """The child answers a move, or says how long it will take, within this [s]."""
-_STOP_ANSWER = 15.0
+_STOP_ANSWER = 5.0
 """The same for a halt, which may have to wait for a move to end [s]."""
 
 

@@ -28,7 +28,7 @@ from rig.arm.kinematics import POSTURE, flange_pose
 from rig.arm.robot import CYCLE
 from rig.arm.rotation import compose
 from rig.clock import SECOND_NS, Clock, SystemClock
-from rig.force.emulation import SharedWorld, add_arguments, serve
+from rig.emulation import SharedWorld, add_arguments, serve
 from rig.latest import ARM_TRUTH
 from rig.shared import LatestRecord
 

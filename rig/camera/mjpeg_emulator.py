@@ -25,7 +25,7 @@ from typing import Any
 from rig.camera.jpeg import stamped
 from rig.camera.sources import FrameSource, LoopSource, WorldSource
 from rig.clock import Clock, Pacer, SystemClock
-from rig.force.emulation import SharedWorld, World, add_arguments, serve
+from rig.emulation import SharedWorld, World, add_arguments, serve
 
 logger = logging.getLogger(__name__)
 

@@ -25,8 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.clock import Clock, Pacer, SystemClock
+from rig.emulation import SharedWorld, World, add_arguments, serve
 from rig.errors import ConfigError
-from rig.force.emulation import SharedWorld, World, add_arguments, serve
 from rig.force.rdt import (
     COMMAND_BIAS,
     COMMAND_REALTIME,

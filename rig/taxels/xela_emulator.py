@@ -27,7 +27,7 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
-from rig.force.emulation import SharedWorld, World, add_arguments, serve
+from rig.emulation import SharedWorld, World, add_arguments, serve
 
 Log = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import threading
 from pathlib import Path
 
 from rig.clock import SystemClock
-from rig.force.emulation import add_arguments, serve
+from rig.emulation import add_arguments, serve
 from rig.latest import ARM_TRUTH, WORLD_STATE
 from rig.shared import LatestRecord
 from rig.world import World, build_world

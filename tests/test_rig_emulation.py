@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.clock import SystemClock
+from rig.emulation import UNTOUCHED_DEPTH, SharedWorld
 from rig.force.config import NetFtConfig
-from rig.force.emulation import UNTOUCHED_DEPTH, SharedWorld
 from rig.force.netft import NetFtDriver
 from rig.latest import WORLD_STATE
 from rig.shared import LatestRecord
