@@ -9,20 +9,23 @@ BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR))
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help collect resume preview mock check-session test test-all check format setup clean
+.PHONY: help collect resume preview compare mock check-session test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-collect: $(VENV)/.rig  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=] [OUT=] [CAMERA=path [STILL=1]] [TAXELS=path] [BENCH=file]
+collect: $(VENV)/.rig  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file]
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
-	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH))
+	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator $(OPERATOR))
 
-resume: $(VENV)/.rig  ## Continue a stopped session: SESSION=sessions/x.zarr SENSOR=tacpalm
-	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) --resume $(SESSION)
+resume: $(VENV)/.rig  ## Continue a stopped session: SESSION=sessions/x.zarr [BENCH=file]
+	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(SOURCES) --resume $(SESSION)
 
 preview: $(VENV)/.rig  ## Draw the plan and check its limits: SENSOR=tacpalm [OUT=plan.png]
 	@$(PY) -m rig preview $(BENCHARG) $(if $(OUT),--out $(OUT))
+
+compare: $(VENV)/.rig  ## Hold a mock session against the World's truth: SESSION= TRUTH=
+	@$(PY) -m rig compare --session $(SESSION) --truth $(TRUTH)
 
 mock: $(VENV)/.rig  ## Run the emulators of a bench until Ctrl-C: SENSOR=tacpalm
 	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)

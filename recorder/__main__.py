@@ -17,7 +17,10 @@ _QUIET = 2.0  # shorter work shows no progress [s]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return 0 when done, 1 when a check found something, 2 on wrong input."""
+    """Run one command; return 0 when done, 1 when a check found something, 2 on wrong input.
+
+    130 after an interruption: whatever was being made is not there, or as it was before.
+    """
     options = _parser().parse_args(arguments)
     try:
         return int(options.run(options))
@@ -27,6 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         print(f"error: {error.filename or options.session}: {error.strerror}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
 
 
 def _info(options: argparse.Namespace) -> int:

@@ -164,9 +164,7 @@ class RecordLog:
             self._fd = -1
 
     def __enter__(self) -> Self:
-        """Return the log."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the log."""
         self.close()

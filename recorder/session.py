@@ -159,11 +159,9 @@ class SessionWriter:
             self.reference.close()
 
     def __enter__(self) -> Self:
-        """Return the session."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the tables; without `finish` the session stays `recording`."""
         self.close()
 
 

@@ -131,11 +131,9 @@ class StreamWriter:
             os.close(self._lock)
 
     def __enter__(self) -> Self:
-        """Return the writer."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the writer."""
         self.close()
 
     def _hand_over(self) -> None:

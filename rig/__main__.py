@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from recorder import SessionError
+from recorder import Session, SessionError
 from rig.bench import bench_from, find_bench, load_bench
 from rig.clock import file_stamp
 from rig.collect.collector import Collector
@@ -34,7 +34,7 @@ def _arguments() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(dest="verb", required=True)
 
     bench = argparse.ArgumentParser(add_help=False)
-    chosen = bench.add_mutually_exclusive_group(required=True)
+    chosen = bench.add_mutually_exclusive_group()
     chosen.add_argument("--sensor", help="name of a bench file: benches/lab/ first, then benches/")
     chosen.add_argument("--bench", type=Path, help="path of a bench file")
     bench.add_argument("--benches", type=Path, default=Path("benches"), help="folder of them")
@@ -58,7 +58,7 @@ def _arguments() -> argparse.ArgumentParser:
     collect.add_argument(
         "--out", type=Path, help="session to write (default: in sessions/)"
     )
-    collect.add_argument("--resume", type=Path, help="continue this stopped session")
+    collect.add_argument("--resume", type=Path, help="continue this stopped session (its sensor is known)")
     collect.add_argument("--targets", type=int, help="press only the first N targets")
     collect.add_argument("--indenter", help="name of the indenter on the arm")
     collect.add_argument("--operator", default="", help="who records (default: the login name)")
@@ -80,8 +80,15 @@ def _arguments() -> argparse.ArgumentParser:
 
 
 def _bench_path(options: argparse.Namespace) -> Path:
-    path: Path = options.bench or find_bench(options.sensor, options.benches)
-    return path
+    if options.bench is not None:
+        path: Path = options.bench
+        return path
+    sensor = options.sensor
+    if sensor is None and getattr(options, "resume", None) is not None:
+        sensor = Session(options.resume).attrs["sensor"]
+    if sensor is None:
+        raise ConfigError("--sensor, --bench: both missing; allowed: one of them")
+    return find_bench(sensor, options.benches)
 
 
 def _sources(options: argparse.Namespace) -> Sources:

@@ -25,7 +25,7 @@ class Collection:
     @classmethod
     def start(cls, session: Path, *arguments: str, sensor: str = "tacpalm") -> Collection:
         where = [] if "--resume" in arguments else ["--out", str(session)]
-        if "--bench" not in arguments:
+        if "--bench" not in arguments and "--resume" not in arguments:
             where += ["--sensor", sensor]
         process = subprocess.Popen(
             [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],

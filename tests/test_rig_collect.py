@@ -152,6 +152,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     ("arguments", "word"),
     [
         (("--sensor", "nose"), "tacpalm"),
+        ((), "--sensor"),
         (("--sensor", "tacpalm", "--targets", "161"), "1 to 160"),
         (("--sensor", "tacpalm", "--targets", "0"), "1 to 160"),
         (("--sensor", "tacpalm", "--camera", "/no/such"), "no such file"),

@@ -92,14 +92,17 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
 
 
 def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
-    bench = limited_bench(tmp_path, hard=0.9, soft=0.8, rating=0.3)
+    # With both limits at one place, and no look ahead by which the soft one comes first.
+    bench = limited_bench(tmp_path, hard=0.8, soft=0.8, rating=0.3, horizon_ms=0.001)
     run = Collection.start(tmp_path / "s.zarr", "--targets", "4", "--bench", str(bench))
-    code = run.wait()
-    # 0.9 of 0.3 N is below the first press; the soft limit ends each target before the hard one
-    # unless the slope overtakes it, so either way the sensor never sees more than the rating.
-    assert code in (0, 4), run.text
-    force = np.asarray(Session(run.session).streams["force"].column("value"))
-    assert -force[:, 2].min() < 0.3
+    assert run.wait() == 4, run.text
+    session = Session(run.session)
+    assert session.status == "stopped"
+    assert "Fz" in session.attrs["reason"]
+    assert "NOT RETRACTED" not in session.attrs["reason"]
+    assert list(session.segments["outcome"]) == [OUTCOMES.index("stopped")]
+    force = np.asarray(session.streams["force"].column("value"))
+    assert 0.2 < -force[:, 2].min() < 0.3
 
 
 def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
@@ -112,7 +115,9 @@ def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> Non
     assert "Fz" in run.text
 
 
-def limited_bench(folder: Path, *, hard: float, soft: float, rating: float) -> Path:
+def limited_bench(
+    folder: Path, *, hard: float, soft: float, rating: float, horizon_ms: float = 20.0
+) -> Path:
     """The TacPalm's mock bench with other limits."""
     path = folder / "bench.yaml"
     base = Path(__file__).parent.parent / "benches" / "tacpalm.yaml"
@@ -123,6 +128,7 @@ limits:
   force_rating_n: [12.0, 12.0, {rating}]
   soft_fraction: {soft}
   hard_fraction: {hard}
+  horizon_ms: {horizon_ms}
   stiffness_n_per_mm: 0.001
 """
     )
