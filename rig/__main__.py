@@ -55,21 +55,17 @@ def _arguments() -> argparse.ArgumentParser:
     collect = verbs.add_parser(
         "collect", parents=[bench, sources], help="record one session along the bench's plan"
     )
+    collect.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
     collect.add_argument(
-        "--out", type=Path, help="session to write (default: in sessions/)"
+        "--resume", type=Path, help="continue this stopped session (its sensor is known)"
     )
-    collect.add_argument("--resume", type=Path, help="continue this stopped session (its sensor is known)")
     collect.add_argument("--targets", type=int, help="press only the first N targets")
     collect.add_argument("--indenter", help="name of the indenter on the arm")
     collect.add_argument("--operator", default="", help="who records (default: the login name)")
-    collect.add_argument(
-        "--truth", type=Path, help="mock bench: log the World's truth here"
-    )
+    collect.add_argument("--truth", type=Path, help="mock bench: log the World's truth here")
 
     preview = verbs.add_parser("preview", parents=[bench], help="draw the plan, check its limits")
-    preview.add_argument(
-        "--out", type=Path, help="PNG to write (default: in sessions/)"
-    )
+    preview.add_argument("--out", type=Path, help="PNG to write (default: in sessions/)")
 
     compare = verbs.add_parser("compare", help="hold a mock session against the World's truth")
     compare.add_argument("--session", type=Path, required=True, help="a session")

@@ -1,4 +1,4 @@
-"""What the preflight refuses: a slow device, a tip in the sensor, a restless gauge, made contact."""
+"""What the preflight refuses: slow device, tip in the sensor, restless gauge, made contact."""
 
 from __future__ import annotations
 

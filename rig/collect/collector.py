@@ -189,7 +189,7 @@ class Collector:
                         name,
                         found.facts[name],
                         found.rates[name],
-                        **({"bias": tare.mean.tolist()} if name == "force" else {}),
+                        **_stream_attrs(name, order, tare),
                     )
                     for name in stream_names(self._bench)
                 ],
@@ -261,6 +261,15 @@ class Collector:
         if stop is None:
             return EXIT_DONE
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
+
+
+def _stream_attrs(name: str, order: Order, tare: Tare) -> dict[str, Any]:
+    """What a stream's attributes hold beyond the facts of its device."""
+    if name == "force":
+        return {"bias": tare.mean.tolist()}
+    if name == "camera" and order.mock_facts and "camera" in order.mock_facts:
+        return {"source_motion": order.mock_facts["camera"]["motion"]}
+    return {}
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
