@@ -151,16 +151,11 @@ def _clock_steps(
     t_ns: NDArray[np.int64], columns: Mapping[str, Array], limit: float
 ) -> NDArray[np.intp]:
     """Return the rows after which the offset between host and device has changed for good."""
-    host = (t_ns - t_ns[0]) * NS
     device_t = columns.get("device_t")
-    if device_t is not None and np.isfinite(device_t).all():
-        offset = host - (device_t - device_t[0])
-    elif "seq" in columns:
-        seq = columns["seq"] - columns["seq"][0]
-        stride = max(float(np.median(np.diff(seq))), 1.0)
-        offset = host - seq * (float(np.median(np.diff(host))) / stride)
-    else:
+    # Without a device clock a step cannot be told from a device that paused: that is a gap.
+    if device_t is None or not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
+    offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
     found = [
         at
         for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit))

@@ -14,6 +14,26 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 
 
+def quick_bench(folder: Path, sensor: str, *, limits: str = "{}") -> Path:
+    """A mock bench that wastes no test's time: short preflight, fast travel where nothing is near.
+
+    Args:
+        folder: Where to write it.
+        sensor: The bench it extends.
+        limits: YAML mapping merged over its limits.
+    """
+    path = folder / "bench.yaml"
+    path.write_text(
+        f"""
+extends: {ROOT / "benches" / f"{sensor}.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
+arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
+limits: {limits}
+"""
+    )
+    return path
+
+
 @dataclass
 class Collection:
     """One running collection."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import threading
 from collections.abc import Iterator
@@ -42,7 +41,6 @@ def nothing_left_behind() -> Iterator[None]:
     """Fail a test that leaks a thread or a child process."""
     threads, children = set(threading.enumerate()), _children()
     yield
-    gc.collect()
     # zarr keeps one event loop thread and its pool for the life of the process, multiprocessing
     # one resource tracker; neither is ours.
     ours = [

@@ -80,8 +80,8 @@ RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
         "streams/pose",
         only_in("pose", shifted("device_t", slice(200, None), -1.5)),
     ),
-    "host clock steps against the sequence": (
-        "clock-step",
+    "device pauses and loses no number": (
+        "gap",
         "streams/force",
         only_in("force", shifted("t_ns", slice(1500, None), 250_000_000)),
     ),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collecting import Collection
+from collecting import Collection, quick_bench
 
 from recorder import OUTCOMES, Session
 from recorder.check import check
@@ -27,9 +27,10 @@ EMULATORS = {
 }
 
 
-def pressing(folder: Path, sensor: str, *arguments: str) -> Collection:
+def pressing(folder: Path, sensor: str) -> Collection:
     """A collection that has pressed at least one phase."""
-    run = Collection.start(folder / "s.zarr", "--targets", "4", *arguments, sensor=sensor)
+    bench = quick_bench(folder, sensor)
+    run = Collection.start(folder / "s.zarr", "--targets", "4", "--bench", str(bench))
     run.until(run.recording)
     run.until(lambda: run.segments() > 0)
     return run
@@ -119,17 +120,11 @@ def limited_bench(
     folder: Path, *, hard: float, soft: float, rating: float, horizon_ms: float = 20.0
 ) -> Path:
     """The TacPalm's mock bench with other limits."""
-    path = folder / "bench.yaml"
-    base = Path(__file__).parent.parent / "benches" / "tacpalm.yaml"
-    path.write_text(
-        f"""
-extends: {base}
-limits:
-  force_rating_n: [12.0, 12.0, {rating}]
-  soft_fraction: {soft}
-  hard_fraction: {hard}
-  horizon_ms: {horizon_ms}
-  stiffness_n_per_mm: 0.001
-"""
-    )
-    return path
+    limits = {
+        "force_rating_n": [12.0, 12.0, rating],
+        "soft_fraction": soft,
+        "hard_fraction": hard,
+        "horizon_ms": horizon_ms,
+        "stiffness_n_per_mm": 0.001,
+    }
+    return quick_bench(folder, "tacpalm", limits=json.dumps(limits))

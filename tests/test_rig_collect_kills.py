@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collecting import Collection
+from collecting import Collection, quick_bench
 
 from recorder import Session
 from recorder.check import check
@@ -44,7 +44,8 @@ def latest_times(folder: Path) -> dict[str, int]:
 
 def killed(folder: Path, rng: random.Random) -> tuple[Collection, dict[str, int]]:
     """A one-target collection, killed at a random moment of its recording."""
-    run = Collection.start(folder / "s.zarr", "--targets", "1")
+    bench = quick_bench(folder, "tacpalm")
+    run = Collection.start(folder / "s.zarr", "--targets", "1", "--bench", str(bench))
     run.until(run.recording)
     shared = run_folder(run)
     time.sleep(rng.uniform(0.0, 3.5))
@@ -77,7 +78,8 @@ def look_for_losses(path: Path, newest: dict[str, int]) -> None:
 
 
 def resume(run: Collection) -> None:
-    again = Collection.start(run.session, "--resume", str(run.session))
+    bench = quick_bench(run.session.parent, "tacpalm")
+    again = Collection.start(run.session, "--resume", str(run.session), "--bench", str(bench))
     assert again.wait(100) == 0, again.text
     session = Session(run.session)
     assert session.status == "complete"

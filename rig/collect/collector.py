@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from recorder.sheet import contact_sheet
 
 from recorder import Session, SessionError, SessionWriter
+from recorder.sheet import contact_sheet
 from rig.arm.arm import Arm
 from rig.arm.rotation import compose, transform
 from rig.bench import Bench
@@ -168,6 +168,7 @@ class Collector:
             "operator": order.operator or getpass.getuser(),
             "tare": {"mean": tare.mean.tolist(), "std": tare.std.tolist()},
             "rates_hz": found.rates,
+            "bench": self._content,
             "devices": found.facts,
         }
         if order.resume:
