@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from rig.latest import WORLD_STATE
+from rig.realtime import DEVICE_PRIORITY, be_punctual
 from rig.shared import LatestRecord
 
 UNTOUCHED_DEPTH = -0.01
@@ -96,12 +97,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def serve(name: str, emulator: Emulator, *, until_stdin_closes: bool) -> int:
+def serve(
+    name: str, emulator: Emulator, *, until_stdin_closes: bool, punctual: bool = False
+) -> int:
     """Run `emulator` until the process is told to end.
+
+    Args:
+        name: What it is called in its one line of output.
+        emulator: What is served.
+        until_stdin_closes: End when whoever started this process is gone.
+        punctual: Ask for real-time scheduling: for devices of hundreds of samples a second.
 
     Returns:
         Exit code: 0, or 2 when the address cannot be listened on.
     """
+    if punctual:
+        be_punctual(DEVICE_PRIORITY)
     logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -6,16 +6,22 @@ import ctypes
 import gc
 import os
 
-_FIFO_PRIORITY = 50
+RIG_PRIORITY = 50
+"""Of the streams' processes."""
+DEVICE_PRIORITY = 60
+"""Of emulators that send hundreds of times a second: the devices they stand for wait for nobody."""
 _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 
 
-def be_punctual() -> dict[str, bool]:
+def be_punctual(priority: int = RIG_PRIORITY) -> dict[str, bool]:
     """Real-time scheduling, no timer slack, no garbage collection, for this process.
 
     The default timer slack alone wakes every sleep 50 us late. Garbage collection is switched off
     because a stream's loop makes no cycles.
+
+    Args:
+        priority: Of SCHED_FIFO, 1 to 99.
 
     Returns:
         What was granted, by name; stored with every stream.
@@ -23,12 +29,12 @@ def be_punctual() -> dict[str, bool]:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return {"sched_fifo": _fifo(), "timer_slack": _timer_slack(), "gc_off": True}
+    return {"sched_fifo": _fifo(priority), "timer_slack": _timer_slack(), "gc_off": True}
 
 
-def _fifo() -> bool:
+def _fifo(priority: int) -> bool:
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
         return False
     return True
