@@ -125,12 +125,13 @@ def _collect(options: argparse.Namespace) -> int:
     _log_to(session.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
+        watch = None
         if bench.mock:
             mock = stack.enter_context(
                 MockBench(content, str(path), folder, sources=sources, truth=options.truth)
             )
-            content = mock.content
-        collector = Collector(bench_from(content, str(path)), content, folder)
+            content, watch = mock.content, mock.check
+        collector = Collector(bench_from(content, str(path)), content, folder, watch)
         return collector.run(order, plan, total)
 
 

@@ -199,9 +199,25 @@ class MockBench:
             selector.select((deadline_ns - self._clock.now_ns()) / SECOND_NS)
             line = stdout.readline() if selector.select(0) else ""
         if not line.startswith("ready"):
-            log = (self._folder / f"{name}.log").read_text().strip()
-            last = log.splitlines()[-1] if log else "no word from it"
-            raise DeviceLost(f"{name} emulator did not start on {self.host}: {last}")
+            raise DeviceLost(
+                f"{name} emulator did not start on {self.host}: {self._last_word(name)}"
+            )
+
+    def check(self) -> None:
+        """Notice an emulator, or the World, that ended on its own.
+
+        Raises:
+            DeviceLost: Names it, with its last word.
+        """
+        for name, process in self.processes.items():
+            if process.poll() is not None:
+                raise DeviceLost(
+                    f"{name}: its emulator ended (code {process.returncode}): {self._last_word(name)}"
+                )
+
+    def _last_word(self, name: str) -> str:
+        lines = (self._folder / f"{name}.log").read_text().strip().splitlines()
+        return lines[-1] if lines else "no word from it"
 
     def close(self) -> None:
         """End every emulator; safe twice."""

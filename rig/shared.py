@@ -57,11 +57,24 @@ class LatestRecord:
 
     @classmethod
     def create(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
-        """Make the file, empty (count 0), and open it for writing."""
+        """Make the file, empty (count 0), and open it for writing.
+
+        Raises:
+            FileExistsError: It is there: a reader that has it mapped would be killed (SIGBUS) by
+                the moment in which it is empty.
+        """
         stride = _COUNTER.itemsize + dtype.itemsize
         stride += -stride % 64
-        path.write_bytes(bytes(64 + _SLOTS * stride))
+        with path.open("xb") as file:
+            file.write(bytes(64 + _SLOTS * stride))
         return cls(path, dtype, writable=True)
+
+    @classmethod
+    def publish(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
+        """Open for writing what is there, or make it: for a writer that starts after its readers."""
+        if path.exists():
+            return cls.attach(path, dtype, writable=True)
+        return cls.create(path, dtype)
 
     @classmethod
     def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> LatestRecord:

@@ -24,6 +24,7 @@ EMULATORS = {
     "force": "rig.force.netft_emulator",
     "camera": "rig.camera.mjpeg_emulator",
     "taxels": "rig.taxels.xela_emulator",
+    "world": "rig.world.host",
 }
 
 

@@ -69,6 +69,21 @@ def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> N
     writer.close()
 
 
+def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    LatestRecord.create(path, PAIR).close()
+    reader = LatestRecord.attach(path, PAIR)
+    with pytest.raises(FileExistsError):
+        LatestRecord.create(path, PAIR)
+    writer = LatestRecord.publish(path, PAIR)
+    writer.write((7, np.zeros(40)))
+    found = reader.read()
+    assert found is not None
+    assert int(found["a"]) == 7
+    fresh = LatestRecord.publish(tmp_path / "y", PAIR)
+    assert fresh.count == 0
+
+
 def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
     LatestRecord.create(tmp_path / "x", PAIR).close()
     with pytest.raises(ValueError, match="expected"):

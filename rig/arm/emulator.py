@@ -239,7 +239,7 @@ def main(argv: list[str] | None = None) -> int:
         controller = Controller(np.array(pose), tcp, force_limit=arguments.force_limit)
     except ValueError as error:
         parser.error(str(error))
-    state = LatestRecord.create(arguments.state, ARM_TRUTH) if arguments.state else None
+    state = LatestRecord.publish(arguments.state, ARM_TRUTH) if arguments.state else None
     world = SharedWorld(arguments.world)
     emulator = ArmEmulator(arguments.host, controller, SystemClock(), state=state, world=world)
     try:

@@ -7,6 +7,7 @@ import getpass
 import importlib.metadata
 import logging
 import platform
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -66,9 +67,17 @@ class Collector:
         bench: The bench, with addresses filled in.
         content: Its file as read, for the session.
         folder: Run folder for shared records.
+        watch: Raises when what is behind the devices is gone, as a mock bench's World.
     """
 
-    def __init__(self, bench: Bench, content: dict[str, Any], folder: Path) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        content: dict[str, Any],
+        folder: Path,
+        watch: Callable[[], None] | None = None,
+    ) -> None:
+        self._watch = watch
         self._bench = bench
         self._content = content
         self._folder = folder
@@ -88,7 +97,9 @@ class Collector:
         """
         started_ns = self._clock.now_ns()
         with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
-            streams = stack.enter_context(Streams(self._bench, self._folder, self._clock))
+            streams = stack.enter_context(
+                Streams(self._bench, self._folder, self._clock, self._watch)
+            )
             found = check_devices(self._bench, streams)
             interrupt.check()
             check_clear(self._bench, streams)

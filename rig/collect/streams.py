@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,14 @@ class Streams:
         bench: The bench, with addresses filled in.
         folder: Run folder for shared records.
         clock: Clock.
+        watch: Raises when what is behind the devices is gone, as a mock bench's World.
     """
 
-    def __init__(self, bench: Bench, folder: Path, clock: Clock) -> None:
+    def __init__(
+        self, bench: Bench, folder: Path, clock: Clock, watch: Callable[[], None] | None = None
+    ) -> None:
         self._clock = clock
+        self._watch = watch
         self._handles = {name: StreamHandle(name, bench, folder) for name in stream_names(bench)}
         self._summaries: dict[str, Any] = {}
         self._closed = False
@@ -71,6 +75,7 @@ class Streams:
             ConfigError, DeviceLost, SessionError: What ended it.
         """
         now_ns = self._clock.now_ns()
+        # The streams first: of a device that is gone, its driver knows more than its process.
         for handle in self:
             handle.check()
             latest = handle.latest()
@@ -79,6 +84,8 @@ class Streams:
                     f"{handle.name}: no sample for {(now_ns - int(latest['t_ns'])) / SECOND_NS:.1f}"
                     f" s; allowed: {_SILENT:.1f} s; is the device powered and connected?"
                 )
+        if self._watch is not None:
+            self._watch()
 
     def counters(self) -> dict[str, np.void]:
         """COUNTERS of every stream that has shown some."""
