@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from recorder.attrs import read_session_attrs
 from recorder.check_content import check_frames, check_segments, check_stream
 from recorder.check_storage import (
     check_arrays,
@@ -15,7 +16,6 @@ from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.layout import StreamLayout
 from recorder.reader import Session
-from recorder.session import read_session_attrs
 
 
 def check(path: str | os.PathLike[str]) -> list[Finding]:

@@ -15,9 +15,9 @@ import zarr
 from numpy.typing import NDArray
 
 from recorder import images
+from recorder.attrs import read_session_attrs
 from recorder.errors import SessionError
 from recorder.layout import CHUNKS_PER_SHARD, Layout, StreamLayout, decoded_rows
-from recorder.session import read_session_attrs
 from recorder.shard import MISSING, Index, read_index
 from recorder.sources import Sources, sources_of_run
 from recorder.tables import Table

@@ -4,12 +4,12 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from recorder.attrs import read_session_attrs
 from recorder.durable import TEMPORARY
 from recorder.frames import remove_leftovers, write_frames
 from recorder.layout import StreamLayout, merge_attrs
 from recorder.reader import Session
 from recorder.restore import survey
-from recorder.session import read_session_attrs
 from recorder.writer import StreamWriter
 
 

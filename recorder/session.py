@@ -8,9 +8,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from recorder.durable import read_json, sync_directory
+from recorder.attrs import read_session_attrs
+from recorder.durable import sync_directory
 from recorder.errors import SessionError
+from recorder.frames import write_frames
 from recorder.layout import StreamLayout, create_stream, merge_attrs, write_group
+from recorder.recover import recover_streams
 from recorder.restore import survey
 from recorder.spec import (
     FORMAT,
@@ -90,8 +93,6 @@ class SessionWriter:
         Raises:
             SessionError: Not a session, or one that is being written.
         """
-        from recorder.recover import recover_streams
-
         session = Path(path)
         read_session_attrs(session)
         recover_streams(session)
@@ -139,9 +140,6 @@ class SessionWriter:
         Raises:
             SessionError: An unknown status, or a stream that is still being written.
         """
-        from recorder.frames import write_frames
-        from recorder.recover import recover_streams
-
         final = STATUSES[1:]
         if status not in final:
             raise SessionError(f"found status {status!r}, expected one of {', '.join(final)}")
@@ -163,25 +161,6 @@ class SessionWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def read_session_attrs(path: Path) -> dict[str, Any]:
-    """Return the attributes of a session.
-
-    Raises:
-        SessionError: Not a session, or of a newer format.
-    """
-    if not path.is_dir():
-        raise SessionError(f"{path}: no such session")
-    attrs: dict[str, Any] = read_json(path / "zarr.json").get("attributes", {})
-    if attrs.get("format") != FORMAT:
-        raise SessionError(f"{path}: found format {attrs.get('format')!r}, expected {FORMAT!r}")
-    version = attrs.get("format_version")
-    if not isinstance(version, int) or version > FORMAT_VERSION:
-        raise SessionError(
-            f"{path}: found format_version {version}, this program reads up to {FORMAT_VERSION}"
-        )
-    return attrs
 
 
 def _stream_names(path: Path) -> list[str]:

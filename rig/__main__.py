@@ -94,7 +94,10 @@ def _sources(options: argparse.Namespace) -> Sources:
 
 def _banner(mock: bool, path: Path) -> str:
     if mock:
-        return f"MOCK BENCH ({path}): every device is an emulator, no arm moves"
+        return (
+            f"MOCK BENCH ({path}): every device is an emulator, no arm moves; "
+            "time limits are looser than a lab's"
+        )
     return f"LAB BENCH ({path}): the arm WILL move"
 
 

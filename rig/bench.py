@@ -11,6 +11,7 @@ from rig.camera.config import CameraConfig
 from rig.config import build, read_yaml
 from rig.errors import ConfigError
 from rig.force.config import NetFtConfig
+from rig.force.rdt import ERROR_MASK, SATURATION_MASK
 from rig.guard import GuardLimits
 from rig.taxels.config import XelaConfig
 from rig.world.analytic import AnalyticSpec
@@ -141,6 +142,7 @@ class Bench:
                 (limits.box_x[0], limits.box_y[0], -limits.depth_max),
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
+            force_status_mask=ERROR_MASK | SATURATION_MASK,
         )
 
 

@@ -211,9 +211,8 @@ class MockBench:
         """
         for name, process in self.processes.items():
             if process.poll() is not None:
-                raise DeviceLost(
-                    f"{name}: its emulator ended (code {process.returncode}): {self._last_word(name)}"
-                )
+                word = self._last_word(name)
+                raise DeviceLost(f"{name}: its emulator ended (code {process.returncode}): {word}")
 
     def _last_word(self, name: str) -> str:
         lines = (self._folder / f"{name}.log").read_text().strip().splitlines()

@@ -71,7 +71,7 @@ class LatestRecord:
 
     @classmethod
     def publish(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
-        """Open for writing what is there, or make it: for a writer that starts after its readers."""
+        """Open for writing what is there, or make it: for a writer that may come after readers."""
         if path.exists():
             return cls.attach(path, dtype, writable=True)
         return cls.create(path, dtype)

@@ -5,9 +5,10 @@ A spec is stored as JSON with the session it made; the moves are derived from it
 
 from trajectories.force_depth import ForceDepth
 from trajectories.limits import Limits, Rehearsal, rehearse
-from trajectories.moves import PHASES, Move, Plan, Point, Target, plan_from_json, plan_to_json
+from trajectories.moves import PHASES, Move, Plan, Point, Target
 from trajectories.press_shear import PressShear
 from trajectories.profile import move_duration
+from trajectories.stored import plan_from_json, plan_to_json
 
 __all__ = [
     "PHASES",

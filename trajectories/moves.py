@@ -1,4 +1,4 @@
-"""The vocabulary of a plan: points, targets, moves; and plans to and from JSON.
+"""The vocabulary of a plan: points, targets, moves.
 
 Frame: the contact frame. Its origin lies on the untouched surface of the sensor at its centre, z
 points out of the sensor, so an indentation is a negative z.
@@ -6,10 +6,9 @@ points out of the sensor, so an indentation is a negative z.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
 """Names of the phases; their index is the code that is stored."""
@@ -79,40 +78,3 @@ def check_positive(spec: object, names: Sequence[str]) -> None:
         value = getattr(spec, name)
         if not 0 < value < float("inf"):
             raise ValueError(f"{name}: {value!r}; allowed: a finite number above 0")
-
-
-def plan_kinds() -> dict[str, type[Any]]:
-    """Every spec there is, by the word that names it."""
-    from trajectories.force_depth import ForceDepth
-    from trajectories.press_shear import PressShear
-
-    return {PressShear.KIND: PressShear, ForceDepth.KIND: ForceDepth}
-
-
-def plan_to_json(plan: Plan) -> dict[str, Any]:
-    """The spec as plain JSON values, SI units, with its `kind`."""
-    if not dataclasses.is_dataclass(plan) or isinstance(plan, type):
-        raise TypeError(f"plan: {plan!r}; allowed: {sorted(plan_kinds())}")
-    return {"kind": plan.kind, **dataclasses.asdict(plan)}
-
-
-def plan_from_json(stored: dict[str, Any]) -> Plan:
-    """The spec that `plan_to_json` wrote.
-
-    Raises:
-        ValueError: An unknown kind or field, or a value the spec refuses.
-    """
-    fields = dict(stored)
-    kind = fields.pop("kind", None)
-    kinds = plan_kinds()
-    if kind not in kinds:
-        raise ValueError(f"plan.kind: {kind!r}; allowed: {sorted(kinds)}")
-    spec = kinds[kind]
-    known = {field.name for field in dataclasses.fields(spec)}
-    if unknown := sorted(set(fields) - known):
-        raise ValueError(f"plan: unknown {unknown}; known: {sorted(known)}")
-    values = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()
-    }
-    plan: Plan = spec(**values)
-    return plan

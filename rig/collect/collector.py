@@ -34,7 +34,7 @@ from rig.collect.preflight import (
 )
 from rig.collect.progress import first_open_target
 from rig.collect.streams import Streams
-from rig.collect.walk import Walk
+from rig.collect.walk import Walk, require_arrival
 from rig.errors import (
     EXIT_DEVICE_LOST,
     EXIT_DONE,
@@ -156,13 +156,14 @@ class Collector:
         x, y, z = (float(value) for value in tip_position(self._bench, streams))
         height = max(self._bench.arm.retract, z)
         pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
-        arm.move(
+        result = arm.move(
             pose,
             speed=self._bench.arm.travel_speed,
             acceleration=self._bench.arm.travel_acceleration,
             mode="travel",
             on_wait=streams.check,
         )
+        require_arrival(result, pressing=False)
 
     def _open_session(
         self,

@@ -23,6 +23,19 @@ from trajectories import Move, Plan, Point, Target
 logger = logging.getLogger(__name__)
 
 
+def require_arrival(result: MoveResult, *, pressing: bool) -> None:
+    """Let a move pass that arrived, or a press that the soft force limit ended.
+
+    Raises:
+        DeviceLost: The arm stopped short of its target on its own.
+        SafetyStop: It felt a force where nothing should be.
+    """
+    if result.outcome == "stopped":
+        raise DeviceLost(f"arm: {result.reason}")
+    if result.outcome == "force_limited" and not pressing:
+        raise SafetyStop(f"contact where none was expected: {result.reason}")
+
+
 class Walk:
     """Presses the targets of a plan from a given one on.
 
@@ -163,6 +176,7 @@ class Walk:
         if record is not None:
             outcome = "complete" if result.outcome == "done" else result.outcome
             self._note(record, outcome, result.start_ns, result.end_ns)
+        require_arrival(result, pressing=record is not None)
         return result
 
     def _wait(self) -> None:

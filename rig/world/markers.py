@@ -12,6 +12,8 @@ from rig.world.surface import Surface
 WIDTH, HEIGHT = 640, 480
 _SUBPIXEL_BITS = 4
 # cv2.circle takes centres and radii in 1/16 px, so a marker moves smoothly.
+_SHADE, _SHADE_DEPTH = 90.0, 1.5e-3
+# Largest change of grey on a dent's flank, and the depth [m] at which half of it is reached.
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +127,7 @@ class MarkerCamera:
         across = (self._column[:, left:right] - np.float32(centre_column)) / np.float32(reach)
         down = (self._row[top:bottom] - np.float32(centre_row)) / np.float32(reach)
         bell = np.exp(-(across**2 + down**2))
-        slope = 60e3 * surface.depth * bell
+        slope = _SHADE * surface.depth / (surface.depth + _SHADE_DEPTH) * bell
         patch = image[top:bottom, left:right].astype(np.float32)
         for channel, (east, south) in enumerate(((1.0, 0.2), (-0.3, -1.0), (-0.7, 0.8))):
             patch[..., channel] += slope * (east * across + south * down)

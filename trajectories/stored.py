@@ -1,0 +1,41 @@
+"""Plans to and from JSON: what a session keeps of its plan."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from trajectories.force_depth import ForceDepth
+from trajectories.moves import Plan
+from trajectories.press_shear import PressShear
+
+KINDS: dict[str, type[Any]] = {PressShear.KIND: PressShear, ForceDepth.KIND: ForceDepth}
+"""Every spec there is, by the word that names it."""
+
+
+def plan_to_json(plan: Plan) -> dict[str, Any]:
+    """The spec as plain JSON values, SI units, with its `kind`."""
+    if not dataclasses.is_dataclass(plan) or isinstance(plan, type):
+        raise TypeError(f"plan: {plan!r}; allowed: {sorted(KINDS)}")
+    return {"kind": plan.kind, **dataclasses.asdict(plan)}
+
+
+def plan_from_json(stored: dict[str, Any]) -> Plan:
+    """The spec that `plan_to_json` wrote.
+
+    Raises:
+        ValueError: An unknown kind or field, or a value the spec refuses.
+    """
+    fields = dict(stored)
+    kind = fields.pop("kind", None)
+    if kind not in KINDS:
+        raise ValueError(f"plan.kind: {kind!r}; allowed: {sorted(KINDS)}")
+    spec = KINDS[kind]
+    known = {field.name for field in dataclasses.fields(spec)}
+    if unknown := sorted(set(fields) - known):
+        raise ValueError(f"plan: unknown {unknown}; known: {sorted(known)}")
+    values = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()
+    }
+    plan: Plan = spec(**values)
+    return plan
