@@ -98,7 +98,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def serve(
-    name: str, emulator: Emulator, *, until_stdin_closes: bool, punctual: bool = False
+    name: str,
+    emulator: Emulator,
+    *,
+    until_stdin_closes: bool,
+    priority: int = DEVICE_PRIORITY,
 ) -> int:
     """Run `emulator` until the process is told to end.
 
@@ -106,13 +110,12 @@ def serve(
         name: What it is called in its one line of output.
         emulator: What is served.
         until_stdin_closes: End when whoever started this process is gone.
-        punctual: Ask for real-time scheduling: for devices of hundreds of samples a second.
+        priority: Of the real-time scheduling that is asked for.
 
     Returns:
         Exit code: 0, or 2 when the address cannot be listened on.
     """
-    if punctual:
-        be_punctual(DEVICE_PRIORITY)
+    be_punctual(priority)
     logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

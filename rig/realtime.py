@@ -9,7 +9,9 @@ import os
 RIG_PRIORITY = 50
 """Of the streams' processes."""
 DEVICE_PRIORITY = 60
-"""Of emulators that send hundreds of times a second: the devices they stand for wait for nobody."""
+"""Of emulators: the devices they stand for wait for nobody."""
+CAMERA_PRIORITY = 40
+"""Of the camera's emulator, which draws for milliseconds on end: below all that must not wait."""
 _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collecting import Collection, quick_bench
+from collecting import Collection, faults_of, quick_bench
 
 from recorder import OUTCOMES, Session
-from recorder.check import check
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -37,7 +36,7 @@ def test_the_first_line_says_mock_and_so_does_the_session(
 def test_it_is_complete_and_clean(collected: tuple[Session, Collection, Path]) -> None:
     session, run, _ = collected
     assert session.status == "complete"
-    assert [str(finding) for finding in check(run.session)] == []
+    assert faults_of(run.session) == []
     assert run.lines[-1].startswith("complete: 2 of 2 targets")
 
 
@@ -144,7 +143,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     assert session.status == "complete"
     assert len(session.runs) == 2
     assert len(session.streams["force"]) > rows
-    assert [str(finding) for finding in check(run.session)] == []
+    assert faults_of(run.session) == []
     done = set(zip(session.segments["target"], session.segments["phase"], strict=True))
     assert len(done) == 4
 

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collecting import Collection, quick_bench
+from collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
-from recorder.check import check
 from recorder.recover import recover
 from rig.camera.jpeg import frame_stamp
 from rig.shared import LatestRecord
@@ -60,7 +59,7 @@ def look_for_losses(path: Path, newest: dict[str, int]) -> None:
     """Whole rows only, consecutive, and every sample that was shown is there."""
     session = Session(path)
     assert session.status == "recovered"
-    assert {finding.code for finding in check(path)} <= {"truncated", "gap"}, check(path)
+    assert faults_of(path, stopped=True) == []
     for name, stream in session.streams.items():
         times = np.asarray(stream.t_ns)
         assert (np.diff(times) > 0).all()
@@ -84,8 +83,8 @@ def resume(run: Collection) -> None:
     session = Session(run.session)
     assert session.status == "complete"
     assert len(session.runs) == 2
-    findings = [finding for finding in check(run.session) if finding.code != "gap"]
-    assert findings == []
+    # The killed run's streams may end before its last phase does.
+    assert faults_of(run.session, stopped=True) == []
 
 
 def test_a_killed_collection_loses_nothing_and_is_resumed(tmp_path: Path) -> None:

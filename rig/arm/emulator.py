@@ -243,9 +243,7 @@ def main(argv: list[str] | None = None) -> int:
     world = SharedWorld(arguments.world)
     emulator = ArmEmulator(arguments.host, controller, SystemClock(), state=state, world=world)
     try:
-        return serve(
-            "arm", emulator, until_stdin_closes=arguments.until_stdin_closes, punctual=True
-        )
+        return serve("arm", emulator, until_stdin_closes=arguments.until_stdin_closes)
     finally:
         world.close()
         if state is not None:

@@ -26,6 +26,7 @@ from rig.camera.jpeg import stamped
 from rig.camera.sources import FrameSource, LoopSource, WorldSource
 from rig.clock import Clock, Pacer, SystemClock
 from rig.emulation import SharedWorld, World, add_arguments, serve
+from rig.realtime import CAMERA_PRIORITY
 
 logger = logging.getLogger(__name__)
 
@@ -235,7 +236,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     config = MjpegEmulatorConfig(args.host, args.port, args.fps)
     emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
     try:
-        return serve("camera", emulator, until_stdin_closes=args.until_stdin_closes)
+        return serve(
+            "camera",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            priority=CAMERA_PRIORITY,
+        )
     finally:
         world.close()
 

@@ -7,6 +7,7 @@ import getpass
 import importlib.metadata
 import logging
 import platform
+import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -127,17 +128,35 @@ class Collector:
                 for handle in streams:
                     handle.record(writer.stream_path(handle.name))
                 walk.press(plan, first, total)
-            except tuple(_EXIT_CODES) as error:
+            except BaseException as error:
+                # Whatever it is: the arm leaves and the session is closed before anything else.
                 stop = error
+            interrupt.ignore()
             live.end()
             retracted = self._retract(arm)
             status, reason = self._outcome(stop, retracted)
-            summaries = self._close(streams, writer, status, reason)
+            try:
+                summaries = self._close(streams, writer, status, reason)
+            except SessionError as error:
+                print(error, file=sys.stderr)
+                return EXIT_DEVICE_LOST
+            if stop is not None and not isinstance(stop, tuple(_EXIT_CODES)):
+                raise stop
         seconds = (self._clock.now_ns() - started_ns) / 1e9
         session = Session(order.path)
         print(report.cadence(self._bench, session, summaries))
         self._picture(order.path)
-        print(report.last_line(status, reason, order.path, first + walk.done, total, seconds))
+        print(
+            report.last_line(
+                status,
+                reason,
+                order.path,
+                done=first + walk.done,
+                limited=walk.limited,
+                total=total,
+                seconds=seconds,
+            )
+        )
         return self._exit_code(stop)
 
     def _start_arm(self) -> Arm:
@@ -257,8 +276,14 @@ class Collector:
         self, streams: Streams, writer: SessionWriter, status: str, reason: str
     ) -> dict[str, Any]:
         summaries = streams.close()
-        writer.set_attrs(summary=summaries)
-        writer.finish(status, reason, rate_hz=self._bench.rate_hz)
+        try:
+            writer.set_attrs(summary=summaries)
+            writer.finish(status, reason, rate_hz=self._bench.rate_hz)
+        except OSError as error:
+            raise SessionError(
+                f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
+                f"then run: python -m recorder recover {writer.path}"
+            ) from error
         return summaries
 
     def _picture(self, path: Path) -> None:

@@ -14,11 +14,13 @@ class Interrupted(Exception):
 class InterruptFlag:
     """Catches SIGINT and SIGTERM while active, as a context manager.
 
-    The first sets `requested`; a second raises KeyboardInterrupt at once, for whoever cannot wait.
+    The first sets `requested`; a second raises KeyboardInterrupt at once, for whoever cannot wait,
+    until `ignore` is called.
     """
 
     def __init__(self) -> None:
         self.requested = False
+        self._ignored = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> InterruptFlag:
@@ -31,9 +33,13 @@ class InterruptFlag:
             signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
+        if self.requested and not self._ignored:
             raise KeyboardInterrupt
         self.requested = True
+
+    def ignore(self) -> None:
+        """From now on nothing interrupts: the arm retracts, the session is being closed."""
+        self._ignored = True
 
     def check(self) -> None:
         """Raise `Interrupted` when a stop was asked for."""

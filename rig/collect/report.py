@@ -56,7 +56,22 @@ def frames_per_target(session: Session) -> str:
     )
 
 
-def last_line(status: str, reason: str, path: Path, done: int, total: int, seconds: float) -> str:
-    """One line: how it ended, how far it came, where it lies."""
+def last_line(
+    status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
+) -> str:
+    """One line: how it ended, how far it came, where it lies.
+
+    Args:
+        status: Of the session.
+        reason: Why it was stopped, or empty.
+        path: The session.
+        done: Targets behind it.
+        limited: Those of this run that ended at the soft force limit.
+        total: Targets wanted.
+        seconds: Wall time of this run [s].
+    """
     why = f" ({reason})" if reason else ""
-    return f"{status}{why}: {done} of {total} targets in {minutes(seconds)}; readable at {path}"
+    ended = f", {limited} of them at the force limit," if limited else ""
+    return (
+        f"{status}{why}: {done} of {total} targets{ended} in {minutes(seconds)}; readable at {path}"
+    )

@@ -97,10 +97,14 @@ class Walk:
             self.done += 1
 
     def _go_to_point(self, target: Target) -> None:
-        """Over the point at a safe height, down to p0, and its reference."""
+        """Straight up, over to the point at a safe height, down to p0, and its reference."""
         x, y, clearance = target.origin
         approach = max(self._bench.approach, clearance)
-        self._move((x, y, max(self._bench.arm.retract, approach)), mode="travel")
+        height = max(self._bench.arm.retract, approach)
+        here_x, here_y, here_z = self._tip()
+        if here_z < height:
+            self._move((here_x, here_y, height), mode="travel")
+        self._move((x, y, height), mode="travel")
         self._move((x, y, approach), mode="travel")
         self._move((x, y, clearance), mode="guarded")
         self._take_reference(target.point)
@@ -148,10 +152,14 @@ class Walk:
 
     def _leave(self, target: Target) -> None:
         """Straight up from a press that reached the soft limit, then on to p0 for the next one."""
-        x, y, z = (float(value) for value in tip_position(self._bench, self._streams))
+        x, y, z = self._tip()
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         self._move(target.origin, mode="guarded")
         self._interrupt.check()
+
+    def _tip(self) -> Point:
+        x, y, z = tip_position(self._bench, self._streams)
+        return (float(x), float(y), float(z))
 
     def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
         bench, arm = self._bench, self._bench.arm

@@ -271,7 +271,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         parser.error(str(error))
     try:
-        return serve("netft", emulator, until_stdin_closes=args.until_stdin_closes, punctual=True)
+        return serve("netft", emulator, until_stdin_closes=args.until_stdin_closes)
     finally:
         world.close()
 

@@ -99,7 +99,7 @@ def main(argv: list[str] | None = None) -> int:
             LatestRecord.attach(options.world, WORLD_STATE, writable=True),
             truth,
         )
-        return serve("world", host, until_stdin_closes=options.until_stdin_closes, punctual=True)
+        return serve("world", host, until_stdin_closes=options.until_stdin_closes)
 
 
 if __name__ == "__main__":
