@@ -20,6 +20,8 @@ _TOP = (40, 90, 560, 590)
 _SIDE = (620, 90, 1140, 330)
 
 ToPixel = Callable[[float, float], tuple[float, float]]
+Colours = dict[float, tuple[int, int, int]]
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
 def preview(bench: Bench, picture: Path) -> int:
@@ -110,8 +112,8 @@ def _draw_top(
     canvas: ImageDraw.ImageDraw,
     bench: Bench,
     targets: list[Target],
-    colours: dict[float, tuple[int, int, int]],
-    font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
+    colours: Colours,
+    font: Font,
 ) -> None:
     box_x, box_y = bench.limits.box_x, bench.limits.box_y
     margin = 0.08 * (box_x[1] - box_x[0])
@@ -146,8 +148,8 @@ def _draw_side(
     canvas: ImageDraw.ImageDraw,
     bench: Bench,
     targets: list[Target],
-    colours: dict[float, tuple[int, int, int]],
-    font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
+    colours: Colours,
+    font: Font,
 ) -> None:
     deepest = max(target.depth for target in targets)
     reach = max(math.dist(target.bottom, target.sheared) for target in targets) or deepest

@@ -7,17 +7,10 @@ from types import TracebackType
 
 import numpy as np
 
+from rig.latest import WORLD_STATE
+
 _FIELDS = ("t_ns", "pose", "depth", "contact", "shear", "wrench")
-TRUTH = np.dtype(
-    [
-        ("t_ns", "<i8"),
-        ("pose", "<f8", (6,)),
-        ("depth", "<f8"),
-        ("contact", "<f8", (2,)),
-        ("shear", "<f8", (2,)),
-        ("wrench", "<f8", (6,)),
-    ]
-)
+TRUTH = np.dtype([(name, WORLD_STATE[name]) for name in _FIELDS])
 """One logged state: WORLD_STATE without taxels."""
 
 
