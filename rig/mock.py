@@ -118,15 +118,16 @@ class MockBench:
         LatestRecord.create(self.arm_path, ARM_TRUTH).close()
         LatestRecord.create(self.world_path, WORLD_STATE).close()
         for name, arguments in self._commands(spec).items():
-            self.processes[name] = subprocess.Popen(
-                [sys.executable, "-m", *arguments, "--until-stdin-closes"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=(self._folder / f"{name}.log").open("w"),
-                text=True,
-                # Ctrl-C is for the collecting process: the bench must outlive the retract.
-                start_new_session=True,
-            )
+            with (self._folder / f"{name}.log").open("w") as log:
+                self.processes[name] = subprocess.Popen(
+                    [sys.executable, "-m", *arguments, "--until-stdin-closes"],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    text=True,
+                    # Ctrl-C is for the collecting process: the bench must outlive the retract.
+                    start_new_session=True,
+                )
         for name, process in self.processes.items():
             self._wait_ready(name, process)
 

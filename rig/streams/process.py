@@ -207,7 +207,10 @@ def run_stream(job: StreamJob, pipe: Connection) -> None:
         _report(pipe, job.name, error)
     finally:
         if loop is not None:
-            loop.close()
+            try:
+                loop.close()
+            except (SessionError, OSError) as error:
+                _report(pipe, job.name, error)
         if driver is not None:
             driver.close()
         pipe.close()
