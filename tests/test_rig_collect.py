@@ -125,7 +125,8 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
     run.until(run.recording)
     run.until(lambda: run.segments() > 0)
-    os.kill(run.process.pid, signal.SIGINT)
+    # As a terminal does: to every process of the group.
+    os.killpg(run.process.pid, signal.SIGINT)
     assert run.wait() == 130, run.text
     session = Session(run.session)
     assert session.status == "stopped"
@@ -146,6 +147,31 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     assert faults_of(run.session) == []
     done = set(zip(session.segments["target"], session.segments["phase"], strict=True))
     assert len(done) == 4
+
+
+def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothing(
+    tmp_path: Path,
+) -> None:
+    bench = tmp_path / "lab.yaml"
+    base = Path(__file__).parent.parent / "benches" / "tacpalm.yaml"
+    host = "127.0.0.239"
+    bench.write_text(
+        f"""
+extends: {base}
+mock: false
+world: null
+arm: {{host: {host}}}
+force: {{host: {host}}}
+camera: {{address: "http://{host}:8081/stream.mjpg"}}
+"""
+    )
+    run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench))
+    assert run.wait(30) == 3, run.text
+    assert run.lines[0].startswith("LAB BENCH")
+    assert "the arm WILL move" in run.lines[0]
+    assert "device lost" in run.lines[-1]
+    assert host in run.lines[-1]
+    assert not run.session.exists()
 
 
 @pytest.mark.parametrize(
