@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -163,9 +165,6 @@ def test_the_labs_bench_comes_before_the_mock_one(tmp_path: Path) -> None:
 
 
 def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
-    import re
-    import shutil
-
     shutil.copytree(BENCHES, tmp_path / "benches")
     readme = (BENCHES / "lab" / "README.md").read_text()
     example = re.search(r"```yaml\n(.*?)```", readme, re.DOTALL)
@@ -175,3 +174,15 @@ def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
     bench, _ = load_bench(path)
     assert not bench.mock
     assert bench.limits.stale_force == pytest.approx(0.05)
+
+
+def test_the_guides_example_of_a_sensor_is_a_bench(tmp_path: Path) -> None:
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    guide = (BENCHES.parent / "docs" / "adding-a-sensor.md").read_text()
+    example = re.search(r"```yaml\n(.*?)```", guide, re.DOTALL)
+    assert example is not None
+    path = tmp_path / "benches" / "digit.yaml"
+    path.write_text(example[1])
+    bench, _ = load_bench(path)
+    assert bench.sensor == "digit"
+    assert len(bench.trajectory) == 160
