@@ -127,9 +127,13 @@ class StreamHandle:
     def _send(self, command: str, argument: Any) -> None:
         try:
             self._pipe.send((command, argument))
+            return
         except OSError:
-            self.check()
-            self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+            # Nothing is raised in here: as the context of an error that is kept, this one would
+            # keep the pickling buffer of `send` in a cycle, which Python 3.12 crashes on.
+            pass
+        self.check()
+        self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
 
     def _answer(self, word: str, seconds: float) -> Any:
         if self._failure is not None:
