@@ -20,6 +20,13 @@ _SLOTS = 8
 # before it, which lies in another slot and is whole, so a dead writer never hangs a reader.
 
 
+def _layout(dtype: np.dtype[Any]) -> tuple[int, int]:
+    """Distance of two slots and size of the whole file [bytes], in whole cache lines."""
+    stride = _COUNTER.itemsize + dtype.itemsize
+    stride += -stride % 64
+    return stride, 64 + _SLOTS * stride
+
+
 class LatestRecord:
     """A structured record with one writer.
 
@@ -34,9 +41,7 @@ class LatestRecord:
 
     def __init__(self, path: Path, dtype: np.dtype[Any], *, writable: bool) -> None:
         self._dtype = dtype
-        stride = _COUNTER.itemsize + dtype.itemsize
-        stride += -stride % 64
-        size = 64 + _SLOTS * stride
+        stride, size = _layout(dtype)
         flags = os.O_RDWR if writable else os.O_RDONLY
         fd = os.open(path, flags)
         try:
@@ -63,10 +68,9 @@ class LatestRecord:
             FileExistsError: It is there: a reader that has it mapped would be killed (SIGBUS) by
                 the moment in which it is empty.
         """
-        stride = _COUNTER.itemsize + dtype.itemsize
-        stride += -stride % 64
+        _, size = _layout(dtype)
         with path.open("xb") as file:
-            file.write(bytes(64 + _SLOTS * stride))
+            file.write(bytes(size))
         return cls(path, dtype, writable=True)
 
     @classmethod

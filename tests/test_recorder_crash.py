@@ -280,13 +280,18 @@ def check_every_crash_point(
     assert crashes > 20
 
 
-def test_a_torn_tail_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
-    path = tmp_path / "camera"
+def abandoned_with_nine_images(folder: Path) -> Path:
+    path = folder / "camera"
     create_stream(path, lossless_camera(60))
     with killed_at(None):
         for rows in append_rows(path, image_row, 10):
             if rows == 9:
                 break
+    return path
+
+
+def test_a_torn_tail_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
+    path = abandoned_with_nine_images(tmp_path)
     shard = next(path.glob("value/c/0/0/0/*.partial"))
     shard.write_bytes(shard.read_bytes()[:-1])
     journal = next(path.glob("t_ns/journal-0"))
@@ -298,12 +303,7 @@ def test_a_torn_tail_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
 
 
 def test_an_image_without_its_row_does_not_count(tmp_path: Path) -> None:
-    path = tmp_path / "camera"
-    create_stream(path, lossless_camera(60))
-    with killed_at(None):
-        for rows in append_rows(path, image_row, 10):
-            if rows == 9:
-                break
+    path = abandoned_with_nine_images(tmp_path)
     journal = next(path.glob("t_ns/journal-0"))
     journal.write_bytes(journal.read_bytes()[:-1])
     assert recover(path) == 8

@@ -172,7 +172,7 @@ class Collector:
 
     def _rise(self, arm: Arm, streams: Streams) -> None:
         """To the safe height where it stands, tool upright: tare and travel happen up there."""
-        x, y, z = (float(value) for value in tip_position(self._bench, streams))
+        x, y, z = tip_position(self._bench, streams)
         height = max(self._bench.arm.retract, z)
         pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
         result = arm.move(

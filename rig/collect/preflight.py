@@ -13,6 +13,7 @@ from rig.bench import Bench
 from rig.collect.streams import Streams
 from rig.errors import DeviceLost, SafetyStop
 from rig.streams.kinds import expected_rate
+from trajectories import Point
 
 logger = logging.getLogger(__name__)
 
@@ -67,8 +68,8 @@ def check_devices(bench: Bench, streams: Streams) -> Found:
     return Found(facts, rates)
 
 
-def tip_position(bench: Bench, streams: Streams) -> np.ndarray:
-    """Where the tip is in the contact frame (3,) [m].
+def tip_position(bench: Bench, streams: Streams) -> Point:
+    """Where the tip is in the contact frame [m].
 
     Raises:
         DeviceLost: No pose has arrived yet.
@@ -76,7 +77,8 @@ def tip_position(bench: Bench, streams: Streams) -> np.ndarray:
     latest = streams["pose"].latest()
     if latest is None:
         raise DeviceLost("pose: no sample yet")
-    return np.asarray(compose(invert(bench.contact_frame), latest["value"])[:3])
+    x, y, z = compose(invert(bench.contact_frame), latest["value"])[:3].tolist()
+    return (x, y, z)
 
 
 def check_clear(bench: Bench, streams: Streams) -> None:

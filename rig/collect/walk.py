@@ -101,7 +101,7 @@ class Walk:
         x, y, clearance = target.origin
         approach = max(self._bench.approach, clearance)
         height = max(self._bench.arm.retract, approach)
-        here_x, here_y, here_z = self._tip()
+        here_x, here_y, here_z = tip_position(self._bench, self._streams)
         if here_z < height:
             self._move((here_x, here_y, height), mode="travel")
         self._move((x, y, height), mode="travel")
@@ -152,14 +152,10 @@ class Walk:
 
     def _leave(self, target: Target) -> None:
         """Straight up from a press that reached the soft limit, then on to p0 for the next one."""
-        x, y, z = self._tip()
+        x, y, z = tip_position(self._bench, self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         self._move(target.origin, mode="guarded")
         self._interrupt.check()
-
-    def _tip(self) -> Point:
-        x, y, z = tip_position(self._bench, self._streams)
-        return (float(x), float(y), float(z))
 
     def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
         bench, arm = self._bench, self._bench.arm
