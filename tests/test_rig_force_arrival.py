@@ -31,6 +31,8 @@ def test_packets_that_waited_keep_the_time_they_came(
     receiver, sender = pair
     clock = SystemClock()
     stamped = StampedSocket(receiver, clock)
+    # The kernel begins to stamp a moment after it is asked to.
+    threading.Event().wait(0.2)
     bounds = [clock.now_ns()]
     for k in range(3):
         sender.send(bytes([k]))
