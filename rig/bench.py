@@ -19,6 +19,8 @@ from trajectories import ForceDepth, Limits, PressShear
 
 LOOPBACK = "loopback"
 """Stands for the address the emulators are started on."""
+RUN_FOLDER = "runfolder"
+"""Stands for the folder where emulators of serial devices put links to their ptys."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,12 +180,12 @@ def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:
     return bench_from(content, str(path)), content
 
 
-def addressed(content: dict[str, Any], host: str) -> dict[str, Any]:
-    """`content` with `loopback` replaced by `host` in every string."""
+def addressed(content: dict[str, Any], host: str, folder: Path) -> dict[str, Any]:
+    """`content` with `loopback` replaced by `host`, `runfolder` by `folder`, in every string."""
 
     def replace(value: Any) -> Any:
         if isinstance(value, str):
-            return value.replace(LOOPBACK, host)
+            return value.replace(LOOPBACK, host).replace(RUN_FOLDER, str(folder))
         if isinstance(value, dict):
             return {key: replace(item) for key, item in value.items()}
         if isinstance(value, list):

@@ -15,16 +15,14 @@ import selectors
 import socket
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 
-from rig.arm.rotation import compose
 from rig.bench import Bench, addressed, bench_from
 from rig.clock import SECOND_NS, SystemClock
+from rig.emulators import Sources, Stage, emulator_commands, world_command
 from rig.errors import ConfigError, DeviceLost
 from rig.latest import ARM_TRUTH, WORLD_STATE
 from rig.shared import LatestRecord
@@ -33,36 +31,7 @@ logger = logging.getLogger(__name__)
 
 _READY_TIMEOUT = 30.0
 # Interpreters start one after the other on a small machine [s].
-_START_HEIGHT = 0.03
-# Where the arm waits, above the middle of the sensor [m].
 _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
-
-
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """Real recordings to serve in place of what the World would show."""
-
-    camera: Path | None = None
-    """A folder of images or a video file."""
-    camera_motion: str = "moving"
-    """`moving`: one source frame per camera frame; `still`: each image held for seconds."""
-    taxels: Path | None = None
-    """A .npy file of raw counts (T, 48)."""
-
-    def __post_init__(self) -> None:
-        """Refuse a path that is not there before anything is started."""
-        for name, path in (("CAMERA", self.camera), ("TAXELS", self.taxels)):
-            if path is not None and not path.exists():
-                raise ConfigError(f"{name}: {path}: no such file or folder")
-
-    def facts(self) -> dict[str, Any]:
-        """What the session says of them: names, not paths of this machine."""
-        facts: dict[str, Any] = {}
-        if self.camera is not None:
-            facts["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
-        if self.taxels is not None:
-            facts["taxels"] = {"name": self.taxels.name}
-        return facts
 
 
 class MockBench:
@@ -86,7 +55,7 @@ class MockBench:
         truth: Path | None = None,
     ) -> None:
         self.host = free_loopback()
-        self.content = addressed(content, self.host)
+        self.content = addressed(content, self.host, folder)
         self.bench: Bench = bench_from(self.content, where)
         if self.bench.world is None:
             raise ConfigError(f"{where}.world: missing; allowed: a world, on a mock bench")
@@ -117,7 +86,18 @@ class MockBench:
         self.world_path = self._folder / "world.state"
         LatestRecord.create(self.arm_path, ARM_TRUTH).close()
         LatestRecord.create(self.world_path, WORLD_STATE).close()
-        for name, arguments in self._commands(spec).items():
+        stage = Stage(
+            self.bench,
+            self.host,
+            self._folder,
+            spec,
+            arm=self.arm_path,
+            world=self.world_path,
+            sources=self._sources,
+            truth=self._truth,
+        )
+        commands = {**emulator_commands(stage), "world": world_command(stage)}
+        for name, arguments in commands.items():
             with (self._folder / f"{name}.log").open("w") as log:
                 self.processes[name] = subprocess.Popen(
                     [sys.executable, "-m", *arguments, "--until-stdin-closes"],
@@ -130,65 +110,6 @@ class MockBench:
                 )
         for name, process in self.processes.items():
             self._wait_ready(name, process)
-
-    def _commands(self, spec: Path) -> dict[str, list[str]]:
-        bench, world = self.bench, self.bench.world
-        noise = None if world is None else world.noise
-        start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *bench.tool_rotation))
-        states = ["--world", str(self.world_path)]
-        host = ["--host", self.host]
-        truth = ["--truth", str(self._truth)] if self._truth else []
-        commands = {
-            "arm": [
-                "rig.arm.emulator",
-                *host,
-                *states,
-                *("--state", str(self.arm_path)),
-                *("--pose", *(repr(float(value)) for value in start)),
-                *("--tcp", *(repr(float(value)) for value in bench.arm.tcp)),
-            ],
-            "world": [
-                "rig.world.host",
-                *("--spec", str(spec)),
-                *("--arm", str(self.arm_path)),
-                *("--world", str(self.world_path)),
-                *truth,
-            ],
-            "force": [
-                "rig.force.netft_emulator",
-                *host,
-                *states,
-                *("--http-port", str(bench.force.http_port)),
-                *("--udp-port", str(bench.force.udp_port)),
-                *(("--noise", str(noise.force)) if noise else ()),
-            ],
-        }
-        if bench.camera is not None:
-            shown = ["--view", str(spec)]
-            if self._sources.camera is not None:
-                motion = self._sources.camera_motion
-                shown = ["--source", str(self._sources.camera), "--motion", motion]
-            commands["camera"] = [
-                "rig.camera.mjpeg_emulator",
-                *host,
-                *states,
-                *("--port", str(urlsplit(bench.camera.address).port)),
-                *("--fps", str(bench.camera.rate_hz)),
-                *shown,
-            ]
-        if bench.taxels is not None:
-            felt = ["--noise", str(noise.counts)] if noise else []
-            if self._sources.taxels is not None:
-                felt = ["--source", str(self._sources.taxels)]
-            commands["taxels"] = [
-                "rig.taxels.xela_emulator",
-                *host,
-                *states,
-                *("--port", str(urlsplit(bench.taxels.address).port)),
-                *("--rate-hz", str(bench.taxels.rate_hz)),
-                *felt,
-            ]
-        return commands
 
     def _wait_ready(self, name: str, process: subprocess.Popen[str]) -> None:
         stdout = process.stdout

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from rig.bench import find_bench, load_bench
+from rig.emulators import Sources
 from rig.errors import ConfigError, DeviceLost
-from rig.mock import MockBench, Sources, free_loopback
+from rig.mock import MockBench, free_loopback
 
 BENCHES = Path(__file__).parent.parent / "benches"
 

@@ -1,0 +1,164 @@
+"""How each device's emulator is started: one row per kind of device a bench file can name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from rig.arm.config import ArmConfig
+from rig.arm.rotation import compose
+from rig.bench import Bench
+from rig.camera.config import CameraConfig
+from rig.errors import ConfigError
+from rig.force.config import NetFtConfig
+from rig.taxels.config import XelaConfig
+from rig.world.analytic import Noise
+
+_START_HEIGHT = 0.03
+# Where the arm waits, above the middle of the sensor [m].
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Real recordings to serve in place of what the World would show."""
+
+    camera: Path | None = None
+    """A folder of images or a video file."""
+    camera_motion: str = "moving"
+    """`moving`: one source frame per camera frame; `still`: each image held for seconds."""
+    taxels: Path | None = None
+    """A .npy file of raw counts (T, 48)."""
+
+    def __post_init__(self) -> None:
+        """Refuse a path that is not there before anything is started."""
+        for name, path in (("CAMERA", self.camera), ("TAXELS", self.taxels)):
+            if path is not None and not path.exists():
+                raise ConfigError(f"{name}: {path}: no such file or folder")
+
+    def facts(self) -> dict[str, Any]:
+        """What the session says of them: names, not paths of this machine."""
+        facts: dict[str, Any] = {}
+        if self.camera is not None:
+            facts["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
+        if self.taxels is not None:
+            facts["taxels"] = {"name": self.taxels.name}
+        return facts
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What the emulators of one mock bench share."""
+
+    bench: Bench
+    """With addresses filled in."""
+    host: str
+    """Loopback address they listen on."""
+    folder: Path
+    """Run folder; links to ptys are made here."""
+    spec: Path
+    """JSON file of the World."""
+    arm: Path
+    """ARM_TRUTH record."""
+    world: Path
+    """WORLD_STATE record."""
+    sources: Sources = field(default_factory=Sources)
+    """Real recordings to serve."""
+    truth: Path | None = None
+    """File to log the World's truth to."""
+
+    @property
+    def common(self) -> list[str]:
+        """Options every emulator of a sensor takes."""
+        return ["--host", self.host, "--world", str(self.world)]
+
+    @property
+    def noise(self) -> Noise | None:
+        """Of the instruments."""
+        return None if self.bench.world is None else self.bench.world.noise
+
+
+def _arm(config: ArmConfig, stage: Stage) -> list[str]:
+    bench = stage.bench
+    start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *bench.tool_rotation))
+    return [
+        "rig.arm.emulator",
+        *stage.common,
+        *("--state", str(stage.arm)),
+        *("--pose", *(repr(float(value)) for value in start)),
+        *("--tcp", *(repr(float(value)) for value in config.tcp)),
+    ]
+
+
+def _netft(config: NetFtConfig, stage: Stage) -> list[str]:
+    return [
+        "rig.force.netft_emulator",
+        *stage.common,
+        *("--http-port", str(config.http_port)),
+        *("--udp-port", str(config.udp_port)),
+        *(("--noise", str(stage.noise.force)) if stage.noise else ()),
+    ]
+
+
+def _mjpeg(config: CameraConfig, stage: Stage) -> list[str]:
+    shown = ["--view", str(stage.spec)]
+    if stage.sources.camera is not None:
+        motion = stage.sources.camera_motion
+        shown = ["--source", str(stage.sources.camera), "--motion", motion]
+    return [
+        "rig.camera.mjpeg_emulator",
+        *stage.common,
+        *("--port", str(urlsplit(config.address).port)),
+        *("--fps", str(config.rate_hz)),
+        *shown,
+    ]
+
+
+def _xela(config: XelaConfig, stage: Stage) -> list[str]:
+    felt = ["--noise", str(stage.noise.counts)] if stage.noise else []
+    if stage.sources.taxels is not None:
+        felt = ["--source", str(stage.sources.taxels)]
+    return [
+        "rig.taxels.xela_emulator",
+        *stage.common,
+        *("--port", str(urlsplit(config.address).port)),
+        *("--rate-hz", str(config.rate_hz)),
+        *felt,
+    ]
+
+
+_EMULATORS: dict[type, Callable[[Any, Stage], list[str]]] = {
+    ArmConfig: _arm,
+    NetFtConfig: _netft,
+    CameraConfig: _mjpeg,
+    XelaConfig: _xela,
+}
+
+
+def world_command(stage: Stage) -> list[str]:
+    """Module and arguments of the process that owns the World."""
+    return [
+        "rig.world.host",
+        *("--spec", str(stage.spec)),
+        *("--arm", str(stage.arm)),
+        *("--world", str(stage.world)),
+        *(("--truth", str(stage.truth)) if stage.truth else ()),
+    ]
+
+
+def emulator_commands(stage: Stage) -> dict[str, list[str]]:
+    """Module and arguments of the emulator of every device of the bench, by the device's key."""
+    bench = stage.bench
+    devices = {
+        "arm": bench.arm,
+        "force": bench.force,
+        "camera": bench.camera,
+        "taxels": bench.taxels,
+    }
+    return {
+        name: _EMULATORS[type(config)](config, stage)
+        for name, config in devices.items()
+        if config is not None
+    }
