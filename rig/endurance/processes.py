@@ -1,0 +1,91 @@
+"""What the processes of a collection hold of the machine, read from /proc."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+PROC = Path("/proc")
+
+
+@dataclass(slots=True)
+class Track:
+    """One process over time."""
+
+    role: str
+    """What it is there for."""
+    seconds: list[float] = field(default_factory=list)
+    """When it was looked at, since the start [s]."""
+    memory: list[float] = field(default_factory=list)
+    """Memory of its own then: anonymous pages, no files it has mapped [bytes]."""
+    files: list[int] = field(default_factory=list)
+    """Open file descriptors then."""
+    cpu: float = 0.0
+    """User and system time so far [s]."""
+
+
+def descendants(root: int) -> set[int]:
+    """`root` and every process below it."""
+    parents: dict[int, int] = {}
+    for entry in PROC.iterdir():
+        if entry.name.isdigit():
+            stat = _text(entry / "stat")
+            if stat:
+                parents[int(entry.name)] = int(stat.rsplit(")", 1)[1].split()[1])
+    found = {root}
+    while more := {pid for pid, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found
+
+
+def role_of(pid: int, root: int, session: Path) -> str:
+    """What a process of the collection that writes `session` is there for."""
+    if pid == root:
+        return "collect"
+    command = _text(PROC / str(pid) / "cmdline").replace("\0", " ")
+    emulator = re.search(r"-m rig\.(\w+)\.(\w+)", command)
+    if emulator:
+        return "World" if emulator[2] == "host" else f"{emulator[1]} emulator"
+    if "resource_tracker" in command:
+        return "resource tracker"
+    written = _stream_written(pid, session)
+    return f"{written} stream" if written else "arm"
+
+
+def look(pid: int, track: Track, seconds: float) -> None:
+    """Add what process `pid` holds at `seconds` to `track`; one that has gone adds nothing."""
+    status = _text(PROC / str(pid) / "status")
+    anonymous = re.search(r"RssAnon:\s+(\d+) kB", status)
+    stat = _text(PROC / str(pid) / "stat")
+    if anonymous is None or not stat:
+        return
+    fields = stat.rsplit(")", 1)[1].split()
+    try:
+        files = len(os.listdir(PROC / str(pid) / "fd"))
+    except OSError:
+        return
+    track.cpu = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    track.seconds.append(seconds)
+    track.memory.append(1024.0 * int(anonymous[1]))
+    track.files.append(files)
+
+
+def _stream_written(pid: int, session: Path) -> str | None:
+    folder = str(session.resolve() / "streams") + "/"
+    try:
+        links = [os.readlink(link) for link in (PROC / str(pid) / "fd").iterdir()]
+    except OSError:
+        return None
+    for link in links:
+        if link.startswith(folder):
+            return link.removeprefix(folder).split("/")[0]
+    return None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
