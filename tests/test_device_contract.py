@@ -9,9 +9,11 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
+import tty
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,14 +31,20 @@ from rig.clock import SystemClock
 from rig.driver import Driver, Inbox, Receiver
 from rig.emulation import Emulator, SharedWorld
 from rig.errors import DeviceLost
-from rig.force.config import NetFtConfig
+from rig.force.ati_serial import AtiSerialDriver
+from rig.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
+from rig.force.calibration_file import read_calibration
+from rig.force.config import AtiSerialConfig, NetFtConfig, NidaqConfig
 from rig.force.netft import NetFtDriver
 from rig.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
+from rig.force.nidaq import NidaqDriver
+from rig.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
 from rig.taxels.config import XelaConfig
 from rig.taxels.xela import XelaDriver
 from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 
 CLOCK = SystemClock()
+CALIBRATION = Path(__file__).parent.parent / "benches" / "mock-nano17.cal"
 OPEN_TIMEOUT = 5.0
 _numbers = itertools.count()
 
@@ -79,6 +87,20 @@ class ValvedNetFt(NetFtEmulator):
         return self.valve.passing(super().packets(packet))
 
 
+class ValvedNidaq(NidaqEmulator):
+    valve: Valve
+
+    def samples(self, volts: np.ndarray) -> np.ndarray:
+        return volts[:0] if self.valve.shut.is_set() else super().samples(volts)
+
+
+class ValvedAtiSerial(AtiSerialEmulator):
+    valve: Valve
+
+    def records(self, content: bytes) -> Iterable[bytes]:
+        return self.valve.passing(super().records(content))
+
+
 class ValvedXela(XelaEmulator):
     valve: Valve
 
@@ -99,6 +121,25 @@ def netft_emulator(host: str, valve: Valve, images: Path) -> Emulator:
     return emulator
 
 
+def nidaq_emulator(host: str, valve: Valve, images: Path) -> Emulator:
+    config = NidaqEmulatorConfig(read_calibration(CALIBRATION), host)
+    emulator = ValvedNidaq(config, SharedWorld(None), CLOCK)
+    emulator.valve = valve
+    return emulator
+
+
+def link_of(host: str) -> Path:
+    """Where the link to a pty lies: a serial port has no address of its own."""
+    return Path(tempfile.gettempdir()) / f"tactile-rig-test-{os.getpid()}-{host}"
+
+
+def ati_serial_emulator(host: str, valve: Valve, images: Path) -> Emulator:
+    config = AtiSerialEmulatorConfig(link_of(host))
+    emulator = ValvedAtiSerial(config, SharedWorld(None), CLOCK)
+    emulator.valve = valve
+    return emulator
+
+
 def xela_emulator(host: str, valve: Valve, images: Path) -> Emulator:
     emulator = ValvedXela(XelaEmulatorConfig(host), SharedWorld(None), CLOCK)
     emulator.valve = valve
@@ -109,6 +150,28 @@ def mjpeg_emulator(host: str, valve: Valve, images: Path) -> Emulator:
     emulator = ValvedMjpeg(MjpegEmulatorConfig(host), LoopSource(images), None, CLOCK)
     emulator.valve = valve
     return emulator
+
+
+@contextmanager
+def mute_port(host: str, port: int) -> Iterator[None]:
+    """Something that takes connections and says nothing."""
+    with socket.create_server((host, port)):
+        yield
+
+
+@contextmanager
+def mute_pty(host: str, port: int) -> Iterator[None]:
+    """A serial port with nothing at its other end."""
+    ours, theirs = os.openpty()
+    link = link_of(host)
+    try:
+        tty.setraw(theirs)
+        link.symlink_to(os.ttyname(theirs))
+        yield
+    finally:
+        link.unlink()
+        os.close(ours)
+        os.close(theirs)
 
 
 @dataclass(frozen=True)
@@ -122,6 +185,9 @@ class Kind:
     port: int
     columns: dict[str, tuple[type, tuple[int, ...] | None]]
     options: tuple[str, ...] = ()
+    mute: Callable[[str, int], AbstractContextManager[None]] = mute_port
+    counted: bool = True
+    """Whether what the device did not send can be told from what it did."""
 
 
 KINDS = [
@@ -132,6 +198,30 @@ KINDS = [
         "rig.force.netft_emulator",
         8080,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
+    ),
+    Kind(
+        "force-nidaq",
+        lambda host, silence: NidaqDriver(
+            NidaqConfig(str(CALIBRATION), grpc=f"{host}:31763", silence=silence), CLOCK
+        ),
+        nidaq_emulator,
+        "rig.force.nidaq_emulator",
+        31763,
+        {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
+        ("--calibration", str(CALIBRATION)),
+    ),
+    Kind(
+        "force-ati-serial",
+        lambda host, silence: AtiSerialDriver(
+            AtiSerialConfig(1280.0, 256.0, str(link_of(host)), silence=silence), CLOCK
+        ),
+        ati_serial_emulator,
+        "rig.force.ati_serial_emulator",
+        0,
+        {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
+        ("--link", "LINK"),
+        mute_pty,
+        counted=False,
     ),
     Kind(
         "taxels",
@@ -179,7 +269,8 @@ def running(kind: Kind, host: str, images: Path, silence: float = 20.0) -> Itera
 @contextmanager
 def process_of(kind: Kind, host: str, images: Path) -> Iterator[subprocess.Popen[str]]:
     """The emulator as users run it."""
-    options = [str(images) if option == "IMAGES" else option for option in kind.options]
+    places = {"IMAGES": str(images), "LINK": str(link_of(host))}
+    options = [places.get(option, option) for option in kind.options]
     process = subprocess.Popen(
         [sys.executable, "-m", kind.module, "--host", host, "--until-stdin-closes", *options],
         stdin=subprocess.PIPE,
@@ -194,6 +285,7 @@ def process_of(kind: Kind, host: str, images: Path) -> Iterator[subprocess.Popen
             yield process
         finally:
             process.kill()
+            link_of(host).unlink(missing_ok=True)
 
 
 def collect(driver: Driver, count: int) -> list[dict[str, Any]]:
@@ -301,7 +393,7 @@ def test_a_silent_device_reads_empty_and_then_goes_on_with_new_samples(
         assert samples[0]["t_ns"] > reopened_ns
         if kind.name == "camera":
             assert frame_stamp(samples[-1]["value"])[1] > reopened_ns
-        else:
+        elif kind.counted:
             assert driver.dropped > 0
 
 
@@ -372,7 +464,7 @@ def test_a_closed_port_is_device_lost(kind: Kind, host: str) -> None:
 
 
 def test_a_host_that_says_nothing_is_device_lost(kind: Kind, host: str) -> None:
-    with socket.create_server((host, kind.port)):
+    with kind.mute(host, kind.port):
         driver = kind.driver(host, 1.0)
         start_ns = CLOCK.now_ns()
         with pytest.raises(DeviceLost, match=host):
