@@ -13,6 +13,7 @@ import numpy as np
 from recorder import images
 from recorder.durable import read_json, write_json
 from recorder.errors import SessionError
+from recorder.files import LOCAL, Files, read_document
 from recorder.spec import Column, StreamSpec
 
 CHUNKS_PER_SHARD = 64
@@ -30,6 +31,8 @@ class Layout:
     """What a row is."""
     rows_per_chunk: int
     """Rows of an inner chunk: 1 for images."""
+    files: Files = field(default=LOCAL, repr=False, compare=False)
+    """What the directory is in."""
     dtype: np.dtype[Any] = field(init=False)
     """Little-endian numpy type of the column."""
 
@@ -73,7 +76,7 @@ class Layout:
 
     def rows(self) -> int:
         """Return the length of the array as every Zarr reader sees it."""
-        return int(read_json(self.path / "zarr.json")["shape"][0])
+        return int(read_document(self.files, self.path / "zarr.json")["shape"][0])
 
     def set_rows(self, rows: int) -> None:
         """Declare the length of the array, atomically."""
@@ -121,13 +124,13 @@ class Layout:
         }
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: Path, files: Files = LOCAL) -> Self:
         """Return the layout that an array's metadata describes.
 
         Raises:
             SessionError: Not an array of this kind.
         """
-        document = read_json(path / "zarr.json")
+        document = read_document(files, path / "zarr.json")
         try:
             (sharding,) = (codec["configuration"] for codec in document["codecs"])
             inner = sharding["codecs"][0]["name"]
@@ -141,7 +144,7 @@ class Layout:
                 description=attributes.get("description", ""),
                 codec="jpeg" if inner == "imagecodecs_jpeg" else "zstd",
             )
-            layout = cls(path, column, sharding["chunk_shape"][0])
+            layout = cls(path, column, sharding["chunk_shape"][0], files)
             expected = layout._document()
             found = {key: document[key] for key in ("node_type", "chunk_grid", "codecs")}
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -197,7 +200,8 @@ class StreamLayout:
 
     def attrs(self) -> dict[str, Any]:
         """Return the attributes of the group."""
-        attributes: dict[str, Any] = read_json(self.path / "zarr.json").get("attributes", {})
+        document = read_document(self.time.files, self.path / "zarr.json")
+        attributes: dict[str, Any] = document.get("attributes", {})
         return attributes
 
     def set_attrs(self, **attrs: Any) -> None:
@@ -205,16 +209,19 @@ class StreamLayout:
         merge_attrs(self.path, attrs)
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: Path, files: Files = LOCAL) -> Self:
         """Return the layout of a stream on disk.
 
         Raises:
             SessionError: Not a stream, or its columns do not fit together.
         """
-        names = read_json(path / "zarr.json").get("attributes", {}).get("columns")
+        names = read_document(files, path / "zarr.json").get("attributes", {}).get("columns")
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
-        columns = [Layout.load(path / str(name)) for name in names]
+        for name in map(str, names):
+            if Path(name).name != name or name == "..":  # it must not lead out of the stream
+                raise SessionError(f"{path}: found column {name!r}, expected a plain name")
+        columns = [Layout.load(path / str(name), files) for name in names]
         small = tuple(column for column in columns if not column.column.is_image)
         images_ = [column for column in columns if column.column.is_image]
         if not small or len({column.rows_per_chunk for column in small}) != 1:

@@ -4,7 +4,7 @@ A chunk that is declared but not there is an error here; a Zarr reader would see
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from recorder import images
 from recorder.attrs import read_session_attrs
+from recorder.column import ColumnReader, LazyRows
 from recorder.errors import SessionError
-from recorder.layout import CHUNKS_PER_SHARD, Layout, StreamLayout, decoded_rows
-from recorder.shard import MISSING, Index, read_index
+from recorder.files import LOCAL, Files, locate
+from recorder.layout import StreamLayout
 from recorder.sources import Sources, sources_of_run
 from recorder.tables import Table
 from recorder.window import Window, align_window, ticks_before
@@ -26,71 +27,21 @@ from recorder.window import Window, align_window, ticks_before
 Array = np.ndarray[Any, Any]
 
 
-class ColumnReader:
-    """Reads the chunks of one column straight from its shards.
-
-    Holds no file open, so that it may be forked, pickled and copied.
-    """
-
-    def __init__(self, layout: Layout) -> None:
-        """Read the declared length; shards are looked at when they are needed."""
-        self.layout = layout
-        self.rows = layout.rows()
-        self._indices: dict[int, Index] = {}
-
-    def chunk(self, number: int) -> bytes:
-        """Return an encoded chunk.
-
-        Raises:
-            SessionError: It is missing or cut short.
-        """
-        shard, place = divmod(number, CHUNKS_PER_SHARD)
-        path = self.layout.shard(shard)
-        if shard not in self._indices:
-            self._indices[shard] = read_index(path)
-        offset, nbytes = (int(value) for value in self._indices[shard][place])
-        if offset == MISSING:
-            raise SessionError(f"{path}: chunk {place} is missing")
-        fd = os.open(path, os.O_RDONLY)
-        try:
-            data = os.pread(fd, nbytes, offset)
-        finally:
-            os.close(fd)
-        if len(data) != nbytes:
-            raise SessionError(f"{path}: chunk {place} is cut short")
-        return data
-
-    def read(self) -> Array:
-        """Return all rows (n, ...) of a small column.
-
-        Raises:
-            SessionError: A chunk is missing or damaged.
-        """
-        step = self.layout.rows_per_chunk
-        out = np.empty((self.rows, *self.layout.column.shape), self.layout.dtype)
-        for first in range(0, self.rows, step):
-            rows = decoded_rows(self.layout, self.chunk(first // step))
-            out[first : first + step] = rows[: self.rows - first]
-        return out
-
-
 class Stream:
     """One stream of a session: columns of equal length, as recorded."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: Files = LOCAL) -> None:
         """Open a stream; `Session.streams` does it for you.
 
         Raises:
             SessionError: Not a stream.
         """
-        self.layout = StreamLayout.load(path)
+        self.layout = StreamLayout.load(path, files)
         self.name = path.name
         self.attrs = self.layout.attrs()
         self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
         self._rows = min(reader.rows for reader in self._readers.values())
         self._columns: dict[str, Array] = {}
-        if self.layout.image is not None:
-            self._decode = images.decoder(self.layout.image.column)
 
     def __len__(self) -> int:
         """Return how many rows every column holds."""
@@ -137,8 +88,26 @@ class Stream:
         """
         reader = self._reader(name)
         if reader.layout.column.is_image:
-            return zarr.open_array(reader.layout.path, mode="r")
+            return reader.layout.files.array(reader.layout.path)
         return self.array(name)
+
+    def rows_between(self, name: str, start: int, stop: int) -> Array:
+        """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
+
+        Raises:
+            SessionError: No such column, an image column, or a damaged chunk.
+        """
+        reader = self._reader(name)
+        if reader.layout.column.is_image:
+            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
+        return reader.rows_between(start, min(stop, self._rows))
+
+    def values(self, rows: slice) -> Array | LazyRows:
+        """Return rows of the column `value` (n, ...): in memory, or read as used if remote."""
+        reader = self._reader("value")
+        if reader.layout.files.local or "value" in self._columns:
+            return self.array("value")[rows]
+        return LazyRows(reader, rows)
 
     def images(self, rows: Sequence[int] | NDArray[np.integer[Any]] | slice) -> images.Image:
         """Return images (n, h, w, channels) uint8, RGB.
@@ -149,8 +118,10 @@ class Stream:
         image = self._image()
         numbers = range(self._rows)[rows] if isinstance(rows, slice) else rows
         out = np.empty((len(numbers), *image.layout.column.shape), np.uint8)
-        for place, row in enumerate(numbers):
-            out[place] = self._decode(image.chunk(self._checked(int(row))))
+        chunks = image.chunks([self._checked(int(row)) for row in numbers])
+        decode = images.decoder(image.layout.column)
+        for place, data in enumerate(chunks):
+            out[place] = decode(data)
         return out
 
     def jpeg(self, row: int) -> bytes | None:
@@ -163,6 +134,23 @@ class Stream:
         if image.layout.column.codec != "jpeg":
             return None
         return image.chunk(self._checked(row))
+
+    @property
+    def jpeg_shape(self) -> tuple[int, ...] | None:
+        """Shape (h, w, channels) of images kept as JPEG bytes; None for any other stream."""
+        image = self.layout.image
+        return image.column.shape if image is not None and image.column.codec == "jpeg" else None
+
+    def jpegs(self, rows: Sequence[int]) -> Iterator[bytes]:
+        """Yield the camera's own bytes of some images, several fetched at once if remote.
+
+        Raises:
+            SessionError: No images here, stored otherwise, or a row outside the stream.
+        """
+        image = self._image()
+        if image.layout.column.codec != "jpeg":
+            raise SessionError(f"{self.name}: images are stored as pixels, without JPEG bytes")
+        return image.chunks([self._checked(int(row)) for row in rows])
 
     def _reader(self, name: str) -> ColumnReader:
         if name not in self._readers:
@@ -186,21 +174,42 @@ class Session:
     A session that is still being recorded opens with what is sealed so far; `warning` says so.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        storage_options: Mapping[str, Any] | None = None,
+    ) -> None:
         """Open a session.
 
+        Args:
+            path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.zarr`.
+            storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+
         Raises:
-            SessionError: Not a session, or of a newer format.
+            SessionError: Not a session, of a newer format, out of reach, or remote and unfinished.
         """
-        self.path = Path(path)
-        self.attrs = read_session_attrs(self.path)
-        groups = sorted(entry.parent for entry in (self.path / "streams").glob("*/zarr.json"))
-        self.streams: Mapping[str, Stream] = {group.name: Stream(group) for group in groups}
-        self.targets = Table.of_group(self.path / "targets")
-        self.segments = _table(self.path / "segments")
-        self.reference = _table(self.path / "reference")
-        self.frames = Table.of_group(self.path / "frames")
+        self.files, self.path = locate(path, storage_options)
+        self.attrs = read_session_attrs(self.path, self.files)
+        if self.status == "recording" and not self.files.local:
+            raise SessionError(
+                f"{self.name}: was copied while it was recorded; recover it where it was "
+                "recorded (python -m recorder recover) and copy it again"
+            )
+        groups = self.files.groups(self.path / "streams")
+        self.streams: Mapping[str, Stream] = {
+            group.name: Stream(group, self.files) for group in groups
+        }
+        self.targets = Table.of_group(self.path / "targets", self.files)
+        self.segments = _table(self.path / "segments", self.files)
+        self.reference = _table(self.path / "reference", self.files)
+        self.frames = Table.of_group(self.path / "frames", self.files)
         self._sources: dict[int, Sources] = {}
+
+    @property
+    def name(self) -> str:
+        """Where it is, as a person would write it: the path or the URL."""
+        return self.files.name(self.path)
 
     @property
     def status(self) -> str:
@@ -217,7 +226,7 @@ class Session:
         """What a reader should know before trusting the session, or None."""
         if self.status == "recording":
             return (
-                f"{self.path}: still recording, or killed while it was; only sealed rows are "
+                f"{self.name}: still recording, or killed while it was; only sealed rows are "
                 "visible (python -m recorder recover, once nothing writes to it)"
             )
         return None
@@ -230,7 +239,7 @@ class Session:
         for name in ("camera", "taxels", "pose", "force"):
             if name in self.streams:
                 return self.streams[name].rate_hz
-        raise SessionError(f"{self.path}: no stream has a rate to go by; say rate_hz")
+        raise SessionError(f"{self.name}: no stream has a rate to go by; say rate_hz")
 
     def rows_of_run(self, name: str, run: int) -> slice:
         """Return the rows of a stream that belong to a run."""
@@ -296,6 +305,6 @@ class Session:
         return replace(rows, image=pixels)
 
 
-def _table(path: Path) -> Table:
-    stream = Stream(path)
+def _table(path: Path, files: Files) -> Table:
+    stream = Stream(path, files)
     return Table(path, stream.names, stream.array)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from recorder.durable import TEMPORARY, sync_directory
 from recorder.errors import SessionError
+from recorder.files import LOCAL, Files
 from recorder.layout import CHUNKS_PER_SHARD, Layout
 from recorder.records import HEADER, Record, RecordLog, scan
 
@@ -94,22 +95,21 @@ def packed_index(entries: list[tuple[int, int]]) -> bytes:
     return data + int(google_crc32c.value(data)).to_bytes(4, "little")
 
 
-def read_index(path: Path) -> Index:
+def read_index(path: Path, files: Files = LOCAL) -> Index:
     """Return the index of a sealed shard.
 
     Raises:
         SessionError: No such shard, or its index is damaged.
     """
     try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            tail = os.pread(file.fileno(), INDEX_BYTES, max(size - INDEX_BYTES, 0))
+        tail = files.tail(path, INDEX_BYTES)
     except FileNotFoundError:
-        raise SessionError(f"{path}: shard missing") from None
+        raise SessionError(f"{files.name(path)}: shard missing") from None
     if len(tail) != INDEX_BYTES:
-        raise SessionError(f"{path}: {size} bytes, too short for a shard index")
+        found = len(tail)
+        raise SessionError(f"{files.name(path)}: {found} bytes, too short for a shard index")
     if int(google_crc32c.value(tail[:-4])) != int.from_bytes(tail[-4:], "little"):
-        raise SessionError(f"{path}: checksum of the shard index does not match")
+        raise SessionError(f"{files.name(path)}: checksum of the shard index does not match")
     return np.frombuffer(tail[:-4], "<u8").reshape(CHUNKS_PER_SHARD, 2)
 
 

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.align import NS, Times
+from recorder.align import NS, Times, Values
 
 Array = np.ndarray[Any, Any]
 
@@ -25,7 +25,7 @@ class Source:
     """Capture times (m,) [ns], ascending."""
     rows: NDArray[np.int64]
     """Row of the stream that each is (m,)."""
-    values: Array | None
+    values: Values | None
     """Values (m, ...); None for images, which stay on disk."""
     max_age: float
     """Oldest value that is still valid [s]."""
@@ -85,6 +85,10 @@ class StreamLike(Protocol):
         """Return a small column (n, ...)."""
         ...
 
+    def values(self, rows: slice) -> Values:
+        """Return rows of the column `value` (n, ...), or what is indexed like them."""
+        ...
+
 
 def sources_of_run(streams: Mapping[str, StreamLike], rows: Mapping[str, slice]) -> Sources:
     """Return the known streams of one run.
@@ -104,7 +108,7 @@ def source(stream: StreamLike, rows: slice) -> Source:
     """Return some rows of a stream with the times at which they were captured."""
     times = captured(stream)[rows]
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
-    values = None if stream.name == "camera" else stream.array("value")[rows]
+    values = None if stream.name == "camera" else stream.values(rows)
     if np.any(np.diff(times) < 0):
         order = np.argsort(times, kind="stable")
         times, numbers = times[order], numbers[order]

@@ -1,6 +1,7 @@
 """Groups of columns that are written whole, at once: `targets` and `frames`."""
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from recorder.errors import SessionError
+from recorder.files import LOCAL, Files
 from recorder.layout import write_group
 
 Array = np.ndarray[Any, Any]
@@ -54,6 +56,10 @@ def write_table(
             array[...] = column
 
 
+def _column(files: Files, path: Path, name: str) -> Array:
+    return np.asarray(files.array(path / name))
+
+
 class Table(Mapping[str, Array]):
     """The columns of a group, read when they are first asked for."""
 
@@ -65,10 +71,10 @@ class Table(Mapping[str, Array]):
         self._read: dict[str, Array] = {}
 
     @classmethod
-    def of_group(cls, path: Path) -> "Table":
+    def of_group(cls, path: Path, files: Files = LOCAL) -> "Table":
         """Return the table in a group written by `write_table`; empty when there is none."""
-        names = tuple(sorted(entry.parent.name for entry in path.glob("*/zarr.json")))
-        return cls(path, names, lambda name: np.asarray(zarr.open_array(path / name, mode="r")))
+        names = tuple(sorted(entry.name for entry in files.groups(path)))
+        return cls(path, names, partial(_column, files, path))
 
     def __getitem__(self, name: str) -> Array:
         """Return a column (n, ...).
