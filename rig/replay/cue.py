@@ -1,0 +1,30 @@
+"""What the replaying process and its emulators tell each other, in shared memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+CUE = np.dtype([("start_ns", "<i8")])
+"""Written once, when every driver is open and every writer records: when the tape starts [ns]."""
+
+WAITING, PLAYING, ENDED, FAILED = range(4)
+"""Codes of `POSITION.state`."""
+
+POSITION = np.dtype([("state", "<i8"), ("sent", "<i8"), ("t_ns", "<i8")])
+"""How far an emulator is: its state, rows sent, and the recorded time, since the run's first
+sample, of the first row its reader has not taken [ns]."""
+
+FAR_NS = np.iinfo(np.int64).max // 2
+"""`POSITION.t_ns` of an emulator whose rows have all been taken."""
+
+
+def cue_path(folder: Path) -> Path:
+    """The CUE record of a run folder."""
+    return folder / "replay.cue"
+
+
+def position_path(folder: Path, name: str) -> Path:
+    """The POSITION record of one emulator."""
+    return folder / f"{name}.position"

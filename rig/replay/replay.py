@@ -1,0 +1,283 @@
+"""Replay of a session: its streams sent by emulators, recorded again by the real drivers.
+
+Passive: no arm is commanded. Runs are replayed one after the other, each with emulators, drivers
+and a clock anchor of its own, as `collect --resume` would record them; so device clocks and
+sequence numbers that start anew with a run do so in the replay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import Session, SessionError, SessionWriter, StreamWriter
+from recorder.clocks import fit_clocks
+from recorder.digest import session_digest, stream_digest
+from rig.clock import ClockAnchor, SystemClock
+from rig.collect.collector import software
+from rig.collect.interrupt import Interrupted, InterruptFlag
+from rig.collect.live import minutes
+from rig.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
+from rig.mock import free_loopback
+from rig.replay.bench import replay_bench
+from rig.replay.progress import ReadingProgress
+from rig.replay.result import (
+    Retiming,
+    compared,
+    covered_ns,
+    retiming,
+    span,
+    timing,
+    timing_line,
+)
+from rig.replay.run import ReplayedRun
+from rig.replay.wire import replayable
+
+logger = logging.getLogger(__name__)
+
+EXIT_DIFFERENT = 1
+_COPIED = (
+    *("sensor", "indenter", "operator", "plan", "targets_wanted", "bench", "contact_frame"),
+    *("calibration", "imported", "mock_sources"),
+)
+"""Attributes of the source that hold for the replay too."""
+_OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "clock_fit"}
+"""Attributes of a stream that the replay writes itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOrder:
+    """What the operator asked for."""
+
+    source: Path
+    """The session to replay."""
+    out: Path
+    """The session to write."""
+    speed: float = 1.0
+    """Times the recorded one; 0: as fast as the drivers read."""
+    without: tuple[str, ...] = ()
+    """Streams to leave out."""
+
+    @property
+    def speed_name(self) -> float | str:
+        """As it is stored and shown."""
+        return self.speed if self.speed > 0 else "max"
+
+
+class Replay:
+    """One replay, from the first look at the source to the last printed line."""
+
+    def __init__(self, order: ReplayOrder) -> None:
+        self._order = order
+        self._clock = SystemClock()
+        self._source = Session(order.source)
+        self._writer: SessionWriter | None = None
+        self._maps: dict[int, Retiming] = {}
+        self._start_ns: dict[int, int] = {}
+
+    def run(self) -> int:
+        """Replay; the exit code. Whatever ends it, what was recorded is closed and readable.
+
+        Raises:
+            SessionError, DeviceLost, Interrupted: Before anything was recorded.
+        """
+        order, source = self._order, self._source
+        if order.out.exists():
+            raise SessionError(f"{order.out}: exists already; choose another name")
+        names = replayable(source, order.without, ReadingProgress("checking", self._clock))
+        progress = ReadingProgress("reading", self._clock)
+        hashes = {name: stream_digest(source.streams[name], progress) for name in names}
+        stop: BaseException | None = None
+        with InterruptFlag() as interrupt:
+            try:
+                self._replay_runs(names, hashes, interrupt)
+            except BaseException as error:
+                # Whatever it is: the session is closed before anything else.
+                stop = error
+            if self._writer is None:
+                if stop is not None:
+                    raise stop
+                raise SessionError(f"{order.source}: no rows to replay")
+            interrupt.ignore()
+            try:
+                self._finish(self._writer, names, stop)
+            except (SessionError, OSError) as error:
+                out = order.out
+                print(
+                    f"{out}: could not be finished ({error}); its samples are kept: make room, "
+                    f"then run: python -m recorder recover {out}",
+                    file=sys.stderr,
+                )
+                return EXIT_DEVICE_LOST
+        if stop is not None:
+            return self._stopped(stop)
+        return self._report(names, hashes)
+
+    def _replay_runs(
+        self, names: tuple[str, ...], hashes: dict[str, str], interrupt: InterruptFlag
+    ) -> None:
+        order, source = self._order, self._source
+        for run in range(max(len(source.runs), 1)):
+            with contextlib.ExitStack() as stack:
+                folder = Path(
+                    stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-"))
+                )
+                bench = replay_bench(source, names, free_loopback(), order.speed)
+                replayed = ReplayedRun(
+                    source, names, run, bench, folder, self._clock, speed=order.speed
+                )
+                if not replayed.seconds and not any(replayed.totals.values()):
+                    continue
+                stack.enter_context(replayed)
+                facts = replayed.open(interrupt)
+                if self._writer is None:
+                    self._writer = self._create(names, hashes, facts, replayed)
+                self._writer.begin_run({**asdict(ClockAnchor.take()), "devices": facts})
+                for name in names:
+                    replayed.record(name, self._writer.stream_path(name))
+                self._start_ns[run] = replayed.cue()
+                replayed.watch(interrupt)
+
+    def _create(
+        self,
+        names: tuple[str, ...],
+        hashes: dict[str, str],
+        facts: dict[str, Any],
+        replayed: ReplayedRun,
+    ) -> SessionWriter:
+        source, order = self._source, self._order
+        attrs = source.attrs
+        anchor = ClockAnchor.take()
+        own = {
+            "mock": True,
+            "started_utc": f"{np.datetime64(anchor.utc_ns, 'ns')}Z",
+            "clock": "CLOCK_MONOTONIC",
+            "t0_ns": anchor.t0_ns,
+            "software": software(),
+            "replay_of": {
+                "name": source.path.name,
+                "sha256": session_digest(hashes),
+                "streams": hashes,
+                "left_out": sorted(set(source.streams) - set(names)),
+                "speed": order.speed_name,
+                "status": source.status,
+                "mock": attrs.get("mock"),
+                "started_utc": attrs.get("started_utc"),
+                "rate_hz": source.rate_hz,
+            },
+        }
+        specs = [
+            replayed.spec(
+                name,
+                facts[name],
+                {k: v for k, v in source.streams[name].attrs.items() if k not in _OWN_ATTRS},
+            )
+            for name in names
+        ]
+        return SessionWriter.create(
+            order.out,
+            attrs={**{key: attrs[key] for key in _COPIED if key in attrs}, **own},
+            streams=specs,
+            targets=dict(source.targets),
+        )
+
+    def _finish(
+        self, writer: SessionWriter, names: tuple[str, ...], stop: BaseException | None
+    ) -> None:
+        if stop is not None:
+            for name in names:
+                # A stream whose process was killed has rows that only a writer brings back.
+                StreamWriter.open(writer.stream_path(name)).close()
+        replay = Session(writer.path)
+        runs = list(self._start_ns)
+        for place, run in enumerate(runs):
+            start_ns = self._start_ns[run]
+            # A run without any row has no counterpart: runs of the replay are numbered anew.
+            if place != run:
+                logger.warning("run %d of the source is run %d of the replay", run, place)
+            self._maps[run] = retiming(
+                self._source, replay, names, run, start_ns, self._order.speed
+            )
+        covered = {run: covered_ns(replay, names, place) for place, run in enumerate(runs)}
+        numbers = {run: place for place, run in enumerate(runs)}
+        for row in _rows(self._source.segments):
+            run = int(row["run"])
+            if run not in self._maps:
+                continue
+            times = np.array([row["start_ns"], row["end_ns"]], np.int64)
+            start_ns, end_ns = (int(t) for t in self._maps[run](times))
+            if stop is not None and end_ns > covered[run]:
+                continue
+            end_ns = max(end_ns, start_ns + 1)
+            moved = {"run": numbers[run], "start_ns": start_ns, "end_ns": end_ns}
+            writer.segments.append(**{**row, **moved})
+        for row in _rows(self._source.reference):
+            run = int(row["run"])
+            if run not in self._maps:
+                continue
+            (t_ns,) = self._maps[run](np.array([row["t_ns"]], np.int64))
+            if stop is not None and t_ns > covered[run]:
+                continue
+            image = int(row["image"]) if "camera" in names else -1
+            moved = {"run": numbers[run], "t_ns": int(t_ns), "image": image}
+            writer.reference.append(**{**row, **moved})
+        status, reason = "complete", ""
+        if stop is not None:
+            status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
+        writer.finish(status, reason, rate_hz=self._source.rate_hz * self._faster(replay, names))
+        if self._order.speed == 1.0:
+            # At another speed the devices' clocks run as much slower than the host's.
+            fit_clocks(writer.path)
+
+    def _faster(self, replay: Session, names: tuple[str, ...]) -> float:
+        """How many times faster than recorded it went."""
+        if self._order.speed > 0:
+            return self._order.speed
+        recorded = sum(span(self._source, names, run) for run in self._start_ns)
+        replayed = sum(span(replay, names, place) for place in range(len(self._start_ns)))
+        return recorded / replayed if recorded > 0 and replayed > 0 else 1.0
+
+    def _stopped(self, stop: BaseException) -> int:
+        out = self._order.out
+        print(f"stopped ({str(stop) or type(stop).__name__}); readable at {out}", file=sys.stderr)
+        if isinstance(stop, Interrupted | KeyboardInterrupt):
+            return EXIT_INTERRUPTED
+        if isinstance(stop, DeviceLost | SessionError | OSError):
+            return EXIT_DEVICE_LOST
+        raise stop
+
+    def _report(self, names: tuple[str, ...], hashes: dict[str, str]) -> int:
+        order = self._order
+        replay = Session(order.out)
+        progress = ReadingProgress("comparing", self._clock)
+        again = {name: stream_digest(replay.streams[name], progress) for name in names}
+        rows = {name: len(replay.streams[name]) for name in names}
+        equal, lines = compared(hashes, again, rows)
+        recorded = sum(span(self._source, names, run) for run in self._start_ns)
+        took = sum(span(replay, names, place) for place in range(len(self._start_ns)))
+        lines.append(
+            f"{minutes(recorded)} ({recorded:.1f} s) recorded, replayed in {took:.1f} s "
+            f"({recorded / took if took > 0 else 1.0:.1f} times as fast)"
+        )
+        if order.speed > 0:
+            for name in names:
+                error = timing(self._source, replay, name, self._maps)
+                if error is not None:
+                    lines.append(timing_line(name, error))
+        verdict = "equal" if equal else "DIFFERENT"
+        lines.append(f"{verdict}: {order.source} and its replay; readable at {order.out}")
+        print("\n".join(lines), flush=True)
+        return EXIT_DONE if equal else EXIT_DIFFERENT
+
+
+def _rows(table: Any) -> list[dict[str, Any]]:
+    names = list(table)
+    count = len(table[names[0]])
+    return [{name: table[name][row] for name in names} for row in range(count)]

@@ -1,0 +1,142 @@
+"""What a replay came to: the same bytes, and how far from the recorded times they arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from recorder import Session
+from rig.clock import SECOND_NS
+from rig.replay.wire import origin_ns
+
+Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Retiming:
+    """Recorded times of one run on the clock of its replay."""
+
+    origin_ns: int
+    """Recorded time of the run's first sample [ns]."""
+    start_ns: int
+    """When it was due in the replay [ns]."""
+    speed: float
+    """Times the recorded one; 0: the tables below hold instead."""
+    recorded_ns: Ints
+    """Times of the rows of the run's densest stream (n,), as recorded [ns]."""
+    replayed_ns: Ints
+    """And as replayed (n,) [ns]."""
+
+    def __call__(self, t_ns: Ints) -> Ints:
+        """`t_ns` (n,) on the replay's clock: one offset and the speed, or between rows [ns]."""
+        since = np.asarray(t_ns, np.int64) - self.origin_ns
+        if self.speed == 1.0:
+            return since + self.start_ns
+        if self.speed > 0:
+            return np.rint(since / self.speed).astype(np.int64) + self.start_ns
+        if not len(self.recorded_ns):
+            return since + self.start_ns
+        # Differences to the first: float64 holds those to the nanosecond, not times since boot.
+        first, first_new = self.recorded_ns[0], self.replayed_ns[0]
+        known = np.maximum.accumulate(self.recorded_ns) - first
+        between = np.interp(t_ns - first, known, self.replayed_ns - first_new)
+        return np.asarray(np.rint(between).astype(np.int64) + first_new)
+
+
+def retiming(
+    source: Session, replay: Session, names: tuple[str, ...], run: int, start_ns: int, speed: float
+) -> Retiming:
+    """How the times of a run of `source` map to those of `replay`, as far as it was recorded."""
+    densest = max(names, key=lambda name: _length(source, name, run))
+    old = source.streams[densest].t_ns[source.rows_of_run(densest, run)]
+    new = replay.streams[densest].t_ns[replay.rows_of_run(densest, run)]
+    count = min(len(old), len(new))
+    return Retiming(origin_ns(source, names, run) or 0, start_ns, speed, old[:count], new[:count])
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Arrival less the recorded time on the replay's clock, over the rows of a stream [s]."""
+
+    p50: float
+    p99: float
+    largest: float
+
+
+def timing(
+    source: Session, replay: Session, name: str, maps: Mapping[int, Retiming]
+) -> Timing | None:
+    """The timing error of a stream over all its runs; None without rows.
+
+    Args:
+        source: What was replayed.
+        replay: What came of it.
+        name: The stream.
+        maps: The times of each run.
+    """
+    errors = []
+    for run, to_new in maps.items():
+        old = source.streams[name].t_ns[source.rows_of_run(name, run)]
+        new = replay.streams[name].t_ns[replay.rows_of_run(name, run)]
+        count = min(len(old), len(new))
+        errors.append((new[:count] - to_new(old[:count])) * 1e-9)
+    every = np.concatenate(errors) if errors else np.zeros(0)
+    if not every.size:
+        return None
+    p50, p99 = np.percentile(every, [50, 99])
+    return Timing(float(p50), float(p99), float(every[np.abs(every).argmax()]))
+
+
+def compared(
+    source: Mapping[str, str], replay: Mapping[str, str], rows: Mapping[str, int]
+) -> tuple[bool, list[str]]:
+    """Whether all digests are equal, and a line for each stream.
+
+    Args:
+        source: Digests of the source's streams.
+        replay: Digests of the replay's.
+        rows: Rows of the replay's.
+    """
+    lines = []
+    for name, digest in source.items():
+        equal = replay[name] == digest
+        verdict = "equal" if equal else "DIFFERENT"
+        lines.append(f"{name:<7}{rows[name]:>9} rows  sha256 {digest}  {verdict}")
+        if not equal:
+            lines.append(f"{'':<30}{replay[name]}  in the replay")
+    return all(replay[name] == digest for name, digest in source.items()), lines
+
+
+def timing_line(name: str, error: Timing) -> str:
+    """One line about the timing error of a stream."""
+    return (
+        f"{name:<7} arrival less recorded time: p50 {1e3 * error.p50:+.3f} ms  "
+        f"p99 {1e3 * error.p99:+.3f} ms  largest {1e3 * error.largest:+.3f} ms"
+    )
+
+
+def _length(session: Session, name: str, run: int) -> int:
+    rows = session.rows_of_run(name, run)
+    return len(range(*rows.indices(len(session.streams[name]))))
+
+
+def covered_ns(replay: Session, names: tuple[str, ...], run: int) -> int:
+    """Up to when every stream of a run has rows [ns]."""
+    last = []
+    for name in names:
+        times = replay.streams[name].t_ns[replay.rows_of_run(name, run)]
+        last.append(int(times[-1]) if len(times) else 0)
+    return min(last)
+
+
+def span(session: Session, names: tuple[str, ...], run: int) -> float:
+    """Time from the first to the last row of a run in any stream [s]."""
+    ends = []
+    for name in names:
+        times = session.streams[name].t_ns[session.rows_of_run(name, run)]
+        if len(times):
+            ends += [int(times.min()), int(times.max())]
+    return (max(ends) - min(ends)) / SECOND_NS if ends else 0.0

@@ -1,0 +1,339 @@
+"""Recordings made elsewhere become sound sessions, or leave nothing behind but a clear error."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import simplejpeg
+from PIL import Image
+
+from recorder import Session, SessionError, check
+from recorder.__main__ import main
+from recorder.importing import ImportOrder, import_session
+from recorder.importing.avi import read_avi
+from recorder.importing.jpeg import whole_jpeg
+from recorder.importing.units import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
+from recorder.sheet import contact_sheet
+
+SIZE = (48, 64)
+
+
+def picture(number: int) -> Any:
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    return np.stack([x * 3, y * 4, 7 * number + 0 * x], axis=-1).astype(np.uint8)
+
+
+def jpegs(count: int) -> list[bytes]:
+    return [simplejpeg.encode_jpeg(picture(k), quality=90) for k in range(count)]
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack("<4sI", kind, len(content)) + content + b"\0" * (len(content) % 2)
+
+
+def listed(kind: bytes, form: bytes, *chunks: bytes) -> bytes:
+    return chunk(kind, form + b"".join(chunks))
+
+
+def avi(
+    frames: list[bytes],
+    *,
+    codec: bytes = b"MJPG",
+    rate: tuple[int, int] = (30, 1),
+    sound_first: bool = False,
+    opendml: bool = False,
+) -> bytes:
+    """An AVI file; with sound before the picture, or with half of it in a second RIFF chunk."""
+    head = struct.pack(
+        "<4s4sIHHIIIIIIII", b"vids", codec, 0, 0, 0, 0, rate[1], rate[0], 0, 0, 0, 0, 0
+    )
+    video = listed(b"LIST", b"strl", chunk(b"strh", head), chunk(b"strf", bytes(16) + codec))
+    sound = listed(b"LIST", b"strl", chunk(b"strh", b"auds" + bytes(52)), chunk(b"strf", bytes(18)))
+    streams = [sound, video] if sound_first else [video]
+    name = b"01dc" if sound_first else b"00dc"
+    content = [chunk(name, frame) for frame in frames]
+    if sound_first:
+        content = [part for frame in content for part in (chunk(b"00wb", b"abc"), frame)]
+    half = len(content) // 2 if opendml else len(content)
+    first = listed(b"LIST", b"movi", listed(b"LIST", b"rec ", *content[:half]))
+    file = listed(
+        b"RIFF", b"AVI ", listed(b"LIST", b"hdrl", chunk(b"avih", bytes(56)), *streams), first
+    )
+    if opendml:
+        file += listed(b"RIFF", b"AVIX", listed(b"LIST", b"movi", *content[half:]))
+    return file
+
+
+def order(folder: Path, **options: Any) -> ImportOrder:
+    return ImportOrder(out=folder / "s.zarr", sensor="wedge", indenter="ball", **options)
+
+
+def refused(folder: Path, match: str, **options: Any) -> None:
+    """The import raises, and nothing is left where the session would be."""
+    before = set(folder.iterdir())
+    with pytest.raises(SessionError, match=match):
+        import_session(order(folder, **options))
+    assert set(folder.iterdir()) == before
+
+
+def saved(path: Path, content: Any) -> Path:
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif isinstance(content, str):
+        path.write_text(content)
+    else:
+        np.save(path, content)
+    return path
+
+
+@pytest.mark.parametrize("options", [{}, {"sound_first": True}, {"opendml": True}])
+def test_the_cameras_own_bytes_are_taken_out_of_an_avi_file(
+    options: dict[str, bool], tmp_path: Path
+) -> None:
+    frames = jpegs(7)
+    motion = read_avi(saved(tmp_path / "v.avi", avi(frames, rate=(30_000, 1001), **options)))
+    assert motion is not None
+    assert motion.frames == frames
+    assert motion.rate_hz == pytest.approx(29.97, abs=1e-3)
+
+
+def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
+    frames, force = jpegs(40), 3.0 * np.sin(np.arange(40) / 9) + 0.123_456_789
+    video = saved(tmp_path / "v.avi", avi(frames))
+    said = import_session(
+        order(tmp_path, video=video, force=saved(tmp_path / "f.npy", force), force_hz=30, units="N")
+    )
+    session = Session(tmp_path / "s.zarr")
+    assert check(tmp_path / "s.zarr") == []
+    assert [session.streams["camera"].jpeg(row) for row in range(40)] == frames
+    value = session.streams["force"].array("value")
+    assert np.abs(value[:, 2] + force).max() <= 5e-7
+    assert not value[:, [0, 1, 3, 4, 5]].any()
+    assert session.streams["force"].attrs["axes_measured"] == ["Fz"]
+    assert (session.attrs["mock"], session.status) == (False, "complete")
+    assert session.attrs["imported"]["files"]["video"]["name"] == "v.avi"
+    assert session.attrs["imported"]["assumed"] == said
+    assert any("not measured, stored as 0" in line for line in said)
+    assert str(tmp_path) not in json.dumps(session.attrs)
+    frames_view = session.frames
+    assert len(frames_view["t_ns"]) == 40
+    assert frames_view["valid"].all()
+    assert set(frames_view["target"].tolist()) == {-1}
+    contact_sheet(session.path, tmp_path / "sheet.png")
+    assert main(["info", str(session.path)]) == 0
+
+
+def test_a_dropped_frame_leaves_its_place_in_time(tmp_path: Path) -> None:
+    frames = jpegs(5)
+    frames[2] = b""
+    said = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi(frames))))
+    times = Session(tmp_path / "s.zarr").streams["camera"].t_ns
+    assert times.tolist() == [0, 33_333_333, 100_000_000, 133_333_333]
+    assert any("1 dropped frames" in line for line in said)
+
+
+def test_missing_huffman_tables_are_put_in_and_change_no_pixel(tmp_path: Path) -> None:
+    whole = jpegs(1)[0]
+    bare, at = whole[:2], 2
+    while whole[at + 1] != 0xDA:
+        length = 2 + struct.unpack_from(">H", whole, at + 2)[0]
+        if whole[at + 1] != 0xC4:
+            bare += whole[at : at + length]
+        at += length
+    bare += whole[at:]
+    mended, changed = whole_jpeg(bare, "x")
+    assert changed
+    assert np.array_equal(simplejpeg.decode_jpeg(mended), simplejpeg.decode_jpeg(whole))
+    assert whole_jpeg(whole, "x") == (whole, False)
+    said = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi([bare] * 3))))
+    assert any("Huffman tables put into 3 images" in line for line in said)
+
+
+def test_a_folder_of_images_is_taken_in_the_order_of_its_numbers(tmp_path: Path) -> None:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number in (10, 2, 1):
+        Image.fromarray(picture(number)).save(folder / f"image_{number}.png")
+    import_session(order(tmp_path, video=folder, fps=20.0))
+    camera = Session(tmp_path / "s.zarr").streams["camera"]
+    assert camera.jpeg(0) is None
+    for row, number in enumerate((1, 2, 10)):
+        assert np.array_equal(camera.images([row])[0], picture(number))
+    assert camera.t_ns.tolist() == [0, 50_000_000, 100_000_000]
+
+
+def test_a_video_that_must_be_decoded_is_stored_as_it_decodes(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2", reason="needs OpenCV to write a video")
+    path = tmp_path / "v.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 25.0, SIZE[::-1])
+    for number in range(6):
+        writer.write(np.ascontiguousarray(picture(number)[:, :, ::-1]))
+    writer.release()
+    import_session(order(tmp_path, video=path))
+    camera = Session(tmp_path / "s.zarr").streams["camera"]
+    assert (len(camera), camera.rate_hz) == (6, 25.0)
+    assert np.array_equal(camera.images([5])[0], picture(5))
+
+
+def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    counts = (30_000 + rng.normal(0, 50, (90, 48))).astype(np.float32)
+    path = saved(tmp_path / "t.npy", counts)
+    said = import_session(order(tmp_path, taxels=path, taxels_hz=60))
+    session = Session(tmp_path / "s.zarr")
+    assert check(tmp_path / "s.zarr") == []
+    value = session.streams["taxels"].array("value")
+    assert np.array_equal(value.reshape(90, 48), np.rint(counts))
+    largest = np.abs(counts - np.rint(counts)).max()
+    assert any(f"largest change {largest:.3g} counts" in line for line in said)
+    assert session.streams["taxels"].array("seq").tolist() == list(range(1, 91))
+    contact_sheet(session.path, tmp_path / "sheet.png")
+
+
+@pytest.mark.parametrize(
+    ("bad", "found"), [(np.nan, "nan"), (-1.0, "-1"), (65_536.0, "65536"), (np.inf, "inf")]
+)
+def test_a_count_that_no_taxel_gives_is_named_with_its_row(
+    bad: float, found: str, tmp_path: Path
+) -> None:
+    counts = np.full((20, 48), 100.0)
+    counts[13, 5] = bad
+    path = saved(tmp_path / "t.npy", counts)
+    refused(tmp_path, f"row 13: found {found}; allowed: 0 to 65535", taxels=path, taxels_hz=60)
+
+
+def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
+    text = "time (ms),Fx(N),Fy [N],Fz_N,Tx(Nmm),Ty (N-mm),Tz [N mm],X(m)\n"
+    text += "".join(f"{5 * k},{k},0,-{k}.5,1000,0,{2 * k},9\n" for k in range(30))
+    path = saved(tmp_path / "f.csv", text)
+    refused(tmp_path, r"column 'X\(m\)': not known; allowed: Fx, .*--ignore NAME", force=path)
+    import_session(order(tmp_path, force=path, ignore=("X(m)",)))
+    force = Session(tmp_path / "s.zarr").streams["force"]
+    assert force.array("value")[3] == pytest.approx([3, 0, -3.5, 1, 0, 0.006], abs=1e-12)
+    assert force.t_ns[:3].tolist() == [0, 5_000_000, 10_000_000]
+    assert force.rate_hz == 200
+    assert check(tmp_path / "s.zarr") == []
+
+
+@pytest.mark.parametrize(
+    ("header", "match"),
+    [
+        ("Fx,Fy", r"column 'Fx': says no unit; say --units \(N, mN"),
+        ("Fx (N),Fx (N)", "column Fx comes twice"),
+        ("Fx (stone)", r"found unit 'stone'; allowed: N, mN"),
+        ("Tz (N)", r"found unit 'N'; allowed: N m, N mm"),
+        ("time,Fx (N)", r"column 'time': says no unit"),
+        ("time_s", "no force column"),
+        ("force", "column 'force': not known; allowed: Fx"),
+    ],
+)
+def test_nothing_is_guessed_from_a_header(header: str, match: str) -> None:
+    with pytest.raises(SessionError, match=match):
+        parse_header(header.split(","), force=None, torque=None, ignore=(), where="f.csv")
+
+
+def test_units_are_read_however_they_are_set_apart() -> None:
+    for text in ("N mm", "N-mm", "Nmm", "N*mm", "N.mm"):
+        assert parse_unit(text, TORQUE_UNITS, "x") == 1e-3
+    with pytest.raises(SessionError, match="allowed: N, "):
+        parse_unit("n", FORCE_UNITS, "x")
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("Fx (N),Fy (N)\n1,2\n3\n", r"line 3: found 1 values, the header has 2; is the file cut"),
+        ("Fx (N)\n1\nx\n", r"line 3: Fx \(N\): found 'x', expected a number"),
+        ("Fx (N)\n1\nnan\n", r"line 3: NaN or infinite"),
+        ("t_s,Fx (N)\n0,1\n1,1\n1,1\n", r"line 4: its time does not advance"),
+        ("Fx (N)\n", "expected a header and rows"),
+        ("Fx (N)\n1e9\n1\n", "row 0: .* is beyond 2147; are the units right"),
+    ],
+)
+def test_a_broken_csv_is_refused_with_its_line(text: str, match: str, tmp_path: Path) -> None:
+    rate = {} if "t_s" in text else {"force_hz": 100.0}
+    refused(tmp_path, match, force=saved(tmp_path / "f.csv", text), **rate)
+
+
+def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    wrench = rng.normal(0, 5, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
+    path = saved(tmp_path / "f.npy", wrench)
+    options = {"force": path, "force_hz": 100.0, "units": "N", "torque_units": "N m"}
+    said = import_session(order(tmp_path, **options))
+    value = Session(tmp_path / "s.zarr").streams["force"].array("value")
+    counts = np.rint(value / np.repeat([1e-6, 1e-9], 3)).astype(np.int64)
+    scale = np.repeat([1.0 / 1e6, 1e-3 / 1e6], 3)
+    assert (counts.astype(float) * scale - 0.0).tobytes() == value.tobytes()
+    assert np.abs(value - wrench)[:, :3].max() <= 5.01e-7
+    assert np.abs(value - wrench)[:, 3:].max() <= 5.01e-10
+    assert any("largest change" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "match"),
+    [
+        (lambda data: data[:-900], r"cut short: chunk .* lacks \d+ bytes"),
+        (lambda data: data[:400], "cut short"),
+        (lambda data: data.replace(b"\xff\xd9", b"\0\0", 1), "frame 0: no whole JPEG"),
+        (lambda data: b"RIFF\4\0\0\0AVI ", "without a frame of video"),
+    ],
+)
+def test_a_damaged_video_leaves_nothing(spoil: Any, match: str, tmp_path: Path) -> None:
+    refused(tmp_path, match, video=saved(tmp_path / "v.avi", spoil(avi(jpegs(5)))))
+
+
+def test_images_of_unequal_size_are_refused(tmp_path: Path) -> None:
+    other = simplejpeg.encode_jpeg(np.zeros((32, 32, 3), np.uint8))
+    refused(tmp_path, "image 2 is 32x32", video=saved(tmp_path / "v.avi", avi([*jpegs(2), other])))
+
+
+def test_recordings_of_unequal_length_are_refused_unless_trimmed(tmp_path: Path) -> None:
+    video = saved(tmp_path / "v.avi", avi(jpegs(60)))
+    force = saved(tmp_path / "f.npy", np.arange(300.0) / 100)
+    options = {"video": video, "force": force, "force_hz": 300.0, "units": "N"}
+    refused(tmp_path, r"unequal length: video 2.000 s, force 1.000 s.*--trim", **options)
+    import_session(order(tmp_path, trim=True, **options))
+    session = Session(tmp_path / "s.zarr")
+    assert len(session.streams["camera"]) == 30
+    assert len(session.streams["force"]) == 300
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({}, "nothing to import"),
+        ({"fps": 30.0}, "nothing to import"),
+        ({"taxels": Path("t.npy"), "fps": 30.0}, "--fps: found 30 without the file"),
+        ({"taxels": Path("t.npy"), "taxels_hz": -1.0}, "--taxels-hz: found -1"),
+    ],
+)
+def test_an_order_that_makes_no_sense_is_refused(options: Any, match: str, tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match=match):
+        order(tmp_path, **options)
+
+
+@pytest.mark.parametrize("content", [b"", b"no numpy", b"\x93NUMPY\1\0"])
+def test_a_file_that_is_no_npy_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = saved(tmp_path / "t.npy", content)
+    refused(tmp_path, "no whole .npy file", taxels=path, taxels_hz=60.0)
+
+
+def test_the_command_line_says_what_was_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = saved(tmp_path / "t.npy", np.full((60, 48), 10.25) + np.arange(60)[:, None])
+    out = str(tmp_path / "s.zarr")
+    command = ["import", out, "--taxels", str(path), "--sensor", "uskin", "--indenter", "ball"]
+    assert main(command) == 2
+    assert "say --taxels-hz" in capsys.readouterr().err
+    assert main([*command, "--taxels-hz", "60"]) == 0
+    assert "largest change 0.25 counts" in capsys.readouterr().out
+    assert main([*command, "--taxels-hz", "60"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["check", out]) == 0
