@@ -1,0 +1,109 @@
+"""Who may see the page and who may ask for something: decided from a request's headers alone.
+
+Three ways in are closed. Another machine: without the token it gets nothing. Another web site in
+the operator's browser: its Origin is not ours. A name that a stranger's DNS points at this machine:
+the Host is not ours. The token comes once in the address and lives in a cookie from then on, which
+only this page's own requests carry (HttpOnly, SameSite=Strict).
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+import socket
+from dataclasses import dataclass, field
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+LOOPBACK_HOST = "127.0.0.1"
+DEFAULT_PORT = 8765
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach a server bound to `host`."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """What a request must show."""
+
+    host: str = LOOPBACK_HOST
+    """Address the server is bound to."""
+    port: int = DEFAULT_PORT
+    """Its TCP port."""
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(18), repr=False)
+    """144 random bits; never logged."""
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie: a browser does not keep ports apart, so the name does."""
+        return f"rig_watch_{self.port}"
+
+    @property
+    def set_cookie(self) -> str:
+        """The Set-Cookie header that lets a browser in."""
+        return f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def knows_host(self, host: str | None) -> bool:
+        """Whether a Host header names this server, whatever the port (a tunnel may change it).
+
+        A server bound to loopback answers to loopback names; any other to addresses and to this
+        machine's own names.
+        """
+        if not host:
+            return False
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        if is_loopback(name) or name == self.host.lower():
+            return True
+        if is_loopback(self.host):
+            return False
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            ours = socket.gethostname().lower()
+            return name in (ours, f"{ours}.local", socket.getfqdn().lower())
+        return True
+
+    def same_origin(self, origin: str | None, host: str | None) -> bool:
+        """Whether an Origin header says that our own page asks."""
+        return bool(host) and origin == f"http://{host}"
+
+    def may_open(self, path: str, cookies: str | None) -> bool:
+        """Whether the page may be shown: to this machine always, to others with the token.
+
+        Args:
+            path: Of the request, with its query.
+            cookies: Cookie header.
+        """
+        if is_loopback(self.host):
+            return True
+        return self._is_token(_query_token(path)) or self.has_cookie(cookies)
+
+    def has_cookie(self, cookies: str | None) -> bool:
+        """Whether a Cookie header carries the token; what the live data and commands ask for."""
+        jar: SimpleCookie = SimpleCookie()
+        try:
+            jar.load(cookies or "")
+        except CookieError:
+            return False
+        return self.cookie in jar and self._is_token(jar[self.cookie].value)
+
+    def _is_token(self, found: str) -> bool:
+        return hmac.compare_digest(found.encode("utf-8", "replace"), self.token.encode())
+
+
+def _query_token(path: str) -> str:
+    try:
+        return parse_qs(urlsplit(path).query).get("token", [""])[0]
+    except ValueError:
+        return ""

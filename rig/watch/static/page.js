@@ -1,0 +1,320 @@
+// Connects, shows what comes, asks for what is pressed. Everything is pushed by the server.
+
+import { TargetMap } from "./map.js";
+import { Traces } from "./traces.js";
+
+const $ = (id) => document.getElementById(id);
+const STATUS = {
+  preparing: "Preparing", collecting: "Collecting", pausing: "Pausing", paused: "Paused", ending: "Ending",
+  complete: "Complete", stopped: "Stopped", gone: "Gone",
+};
+const PHASES = {
+  normal_inc: "pressing", shear_inc: "shearing", shear_dec: "shearing back", normal_dec: "releasing", "to point": "to the point",
+};
+const ENDED = new Set(["complete", "stopped", "gone"]);
+const SILENT = 2000;
+const RETRY = 1500;
+
+const map = new TargetMap($("map"), $("cell"));
+const traces = new Traces($("traces"));
+let hello = null, state = null, socket = null, heard = 0, imageBusy = false, asked = "";
+
+function text(id, value) {
+  const node = typeof id === "string" ? $(id) : id;
+  if (node.textContent !== value) node.textContent = value;
+}
+
+function signed(value, digits = 2) {
+  if (value === null || value === undefined) return "–";
+  const shown = value.toFixed(digits);
+  return Number(shown) === 0 ? shown.replace("-", "") : shown.replace("-", "−");
+}
+
+function clock(seconds) {
+  if (seconds === null || seconds === undefined) return "–";
+  const whole = Math.max(Math.round(seconds), 0), hours = Math.floor(whole / 3600);
+  const two = (n) => String(n).padStart(2, "0");
+  const minutes = Math.floor((whole % 3600) / 60);
+  return hours ? `${hours}:${two(minutes)}:${two(whole % 60)}` : `${minutes}:${two(whole % 60)}`;
+}
+
+// Connection -------------------------------------------------------------------------------------
+
+async function connect() {
+  try {
+    // The page first: its answer renews the cookie, and says why when we may not in.
+    const answer = await fetch("/", { cache: "no-store" });
+    if (answer.status === 403) return lost("Not let in: open the address that the collection printed.", true);
+    if (!answer.ok) return lost("", true);
+  } catch {
+    return lost("", true);
+  }
+  socket = new WebSocket(`ws://${location.host}/live`);
+  socket.binaryType = "blob";
+  socket.onmessage = ({ data }) => (typeof data === "string" ? take(JSON.parse(data)) : picture(data));
+  socket.onclose = ({ reason }) => {
+    socket = null;
+    lost(reason, true);
+  };
+}
+
+function lost(why, again) {
+  if (again) setTimeout(connect, RETRY);
+  buttons();
+  if (state && ENDED.has(state.status)) {
+    $("lost").hidden = true;
+    return;
+  }
+  const ago = heard ? ` since ${Math.max(1, Math.round((Date.now() - heard) / 1000))} s` : "";
+  text("lost", why ? `No connection${ago}: ${why}` : `No connection${ago}. Collecting does not depend on this page; reconnecting …`);
+  $("lost").hidden = false;
+  document.body.dataset.status = "lost";
+  text("status", "No connection");
+  text("phase", "");
+}
+
+setInterval(() => {
+  if (heard && Date.now() - heard > SILENT) lost("", false);
+}, 500);
+
+function take(message) {
+  heard = Date.now();
+  $("lost").hidden = true;
+  if (message.kind === "hello") begin(message);
+  else if (message.kind === "state") show(message);
+}
+
+function ask(command) {
+  if (socket?.readyState !== WebSocket.OPEN) return;
+  asked = command;
+  socket.send(JSON.stringify({ command }));
+  buttons();
+}
+
+// What stays -------------------------------------------------------------------------------------
+
+function begin(message) {
+  hello = message;
+  document.title = `${hello.sensor}: collection`;
+  text("what", `${hello.sensor} · ${hello.indenter} · ${hello.session}`);
+  text("bench", hello.mock ? "MOCK BENCH" : "LAB BENCH");
+  $("bench").hidden = false;
+  text("total", ` / ${hello.targets.length}`);
+  $("bar").setAttribute("aria-valuemax", hello.targets.length);
+  text("h-image", hello.camera ? "Live image" : "Taxels");
+  const sector = hello.directions > 1 ? "shear direction" : "repeat";
+  text("map-note", `rose: contact point · ring: depth, deepest outside · sector: ${sector}`);
+  $("log").textContent = "";
+  traces.clear(hello.seconds);
+  map.build(hello);
+  const { axes, ratings, soft, hard, box } = hello.limits;
+  text("limits-note", `share of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
+  $("loads").replaceChildren(...axes.map((axis, k) => {
+    const made = gauge(axis, `${axis}: share of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, ["fill"]);
+    for (const [name, share] of [["soft", soft], ["hard", hard]]) mark(made, name, share / railEnd());
+    return made;
+  }));
+  $("box").replaceChildren(
+    gauge("depth", `depth, allowed up to ${-box[2][0]} mm`, ["fill"]),
+    gauge("x", `x, allowed ${box[0].join(" to ")} mm`, ["dot"]),
+    gauge("y", `y, allowed ${box[1].join(" to ")} mm`, ["dot"]),
+  );
+}
+
+const percent = (share) => `${Math.round(100 * share)} %`;
+const railEnd = () => 1.05 * hello.limits.hard;
+
+function gauge(name, label, parts) {
+  const row = document.createElement("div");
+  row.className = "gauge";
+  const title = document.createElement("span"), rail = document.createElement("div"), value = document.createElement("b");
+  title.textContent = name;
+  rail.className = "rail";
+  rail.setAttribute("role", "meter");
+  rail.setAttribute("aria-label", label);
+  row.title = label;
+  for (const part of parts) {
+    const made = document.createElement("div");
+    made.className = part;
+    rail.append(made);
+  }
+  value.textContent = "–";
+  row.append(title, rail, value);
+  return row;
+}
+
+function mark(row, name, share) {
+  const made = document.createElement("div");
+  made.className = `mark ${name}`;
+  made.style.left = `${(100 * Math.min(share, 1)).toFixed(1)}%`;
+  row.children[1].append(made);
+}
+
+function setGauge(row, share, value, level) {
+  const part = row.children[1].firstChild;
+  const place = `${(100 * Math.min(Math.max(share, 0), 1)).toFixed(1)}%`;
+  part.style[part.className === "dot" ? "left" : "width"] = place;
+  row.children[1].setAttribute("aria-valuenow", Math.round(100 * share));
+  row.className = `gauge ${level}`;
+  text(row.children[2], value);
+}
+
+// What changes -----------------------------------------------------------------------------------
+
+function show(next) {
+  state = next;
+  const waiting = state.status === "collecting" && state.paused_by.length;
+  const status = waiting ? "pausing" : state.status;
+  document.body.dataset.status = status;
+  const who = state.paused_by.length ? ` by ${state.paused_by.join(", ")}` : "";
+  text("status", waiting ? "Pausing" : STATUS[status] + (status === "paused" ? who : ""));
+  text("phase", status === "collecting" || status === "pausing" ? PHASES[state.phase] ?? state.phase : "");
+  text("reason", state.reason);
+  $("reason").hidden = !state.reason;
+  text("target", state.target >= 0 ? String(state.target + 1) : "–");
+  text("left", clock(state.left));
+  const counts = map.show(state.outcomes, state.target);
+  for (const name of ["done", "limited", "open"]) text(`n-${name}`, String(counts[name]));
+  const behind = counts.done + counts.limited;
+  $("bar").firstElementChild.style.width = `${(100 * behind) / hello.targets.length}%`;
+  $("bar").setAttribute("aria-valuenow", behind);
+  traces.add(state.trace);
+  forces(state.force);
+  place(state.tip);
+  streams(state.streams);
+  if (!hello.camera) taxels(state.taxels);
+  log(state.log);
+  if (asked === "pause" && who) asked = "";
+  if (asked === "resume" && !state.paused_by.includes("page")) asked = "";
+  buttons();
+}
+
+function buttons() {
+  const live = socket?.readyState === WebSocket.OPEN && state && !ENDED.has(state.status);
+  const running = live && ["collecting", "paused"].includes(state.status);
+  const paused = Boolean(running && state.paused_by.includes("page"));
+  text("pause", paused ? "Resume" : "Pause");
+  $("pause").disabled = !running || asked !== "";
+  $("abort").disabled = !running || asked === "abort";
+  text("abort", running && asked === "abort" ? "Aborting" : "Abort…");
+  if (!running && $("confirm").open) $("confirm").close();
+}
+
+function forces(force) {
+  if (!force) return;
+  const names = ["fx", "fy", "fz"];
+  names.forEach((name, k) => text(`v-${name}`, signed(force.wrench[k])));
+  text("fz", signed(force.wrench[2], 1));
+  const { soft, hard } = hello.limits;
+  [...$("loads").children].forEach((row, k) => {
+    const load = force.load[k];
+    const level = load >= hard ? "over" : load >= soft ? "near" : "";
+    setGauge(row, (load ?? 0) / railEnd(), load === null ? "–" : percent(load), level);
+  });
+}
+
+function place(tip) {
+  if (!tip) return;
+  const [depth, ...sides] = $("box").children;
+  const box = hello.limits.box, deep = Math.max(-tip[2], 0), most = -box[2][0];
+  text("depth", deep > 0 ? deep.toFixed(2) : "0.00");
+  setGauge(depth, deep / most, `${deep.toFixed(2)} mm`, deep > most ? "over" : deep > 0.95 * most ? "near" : "");
+  sides.forEach((row, k) => {
+    const [low, high] = box[k], share = (tip[k] - low) / (high - low);
+    const level = share < 0 || share > 1 ? "over" : share < 0.05 || share > 0.95 ? "near" : "";
+    setGauge(row, share, `${signed(tip[k], 1)} mm`, level);
+  });
+}
+
+function streams(rows) {
+  const body = $("streams");
+  const names = Object.keys(rows);
+  while (body.children.length < names.length) {
+    const row = body.insertRow();
+    const head = document.createElement("th");
+    head.scope = "row";
+    row.append(head);
+    for (let k = 0; k < 4; k += 1) row.insertCell();
+  }
+  names.forEach((name, k) => {
+    const { rate, expected, dropped, gap, age } = rows[name];
+    const cells = body.rows[k].cells;
+    const over = ENDED.has(state.status) || state.status === "ending";
+    const silent = age > 1000 && !over;
+    const slow = rate !== undefined && Math.abs(rate - expected) > 0.15 * expected && !over;
+    text(cells[0], name);
+    text(cells[1], silent ? "silent" : rate === undefined ? "–" : `${rate.toFixed(0)} Hz`);
+    cells[1].className = silent || slow ? "wrong" : rate === undefined || over ? "" : "right";
+    text(cells[2], `${expected.toFixed(0)} Hz`);
+    text(cells[3], dropped === undefined ? "–" : String(dropped));
+    cells[3].className = dropped ? "wrong" : "";
+    text(cells[4], gap ? `${gap.toFixed(0)} ms` : "–");
+  });
+  const { watchers, refused } = state;
+  text("watchers", `${watchers} watching${refused ? `, ${refused} refused` : ""} · running for ${clock(state.elapsed)}`);
+}
+
+function log(lines) {
+  if (!lines.length) return;
+  const box = $("log");
+  const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 30;
+  const all = box.textContent.split("\n").filter(Boolean).concat(lines);
+  box.textContent = all.slice(-100).join("\n");
+  if (atEnd) box.scrollTop = box.scrollHeight;
+}
+
+async function picture(data) {
+  if (imageBusy) return;
+  imageBusy = true;
+  try {
+    const bitmap = await createImageBitmap(data);
+    const canvas = $("image");
+    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
+      canvas.width = bitmap.width;
+      canvas.height = bitmap.height;
+    }
+    canvas.getContext("2d").drawImage(bitmap, 0, 0);
+    bitmap.close();
+    canvas.dataset.shown = Number(canvas.dataset.shown ?? 0) + 1;
+    $("image-waiting").hidden = true;
+    if (state) text("image-note", `image ${state.image}`);
+  } finally {
+    imageBusy = false;
+  }
+}
+
+// 4 x 4 taxels as the server counts them: a disc for the normal force, a line for the shear.
+function taxels(values) {
+  if (!values) return;
+  const canvas = $("image"), pen = canvas.getContext("2d"), style = getComputedStyle(canvas);
+  $("image-waiting").hidden = true;
+  pen.clearRect(0, 0, canvas.width, canvas.height);
+  values.forEach(([x, y, z], k) => {
+    const u = canvas.width / 2 + 115 * ((k % 4) - 1.5), v = canvas.height / 2 + 115 * (Math.floor(k / 4) - 1.5);
+    pen.fillStyle = style.getPropertyValue("--open");
+    disc(pen, u, v, 50);
+    pen.fillStyle = style.getPropertyValue("--done");
+    disc(pen, u, v, Math.min(50, Math.sqrt(Math.abs(z)) * 0.9));
+    pen.strokeStyle = style.getPropertyValue("--limited");
+    pen.lineWidth = 4;
+    pen.beginPath();
+    pen.moveTo(u, v);
+    pen.lineTo(u + x / 40, v - y / 40);
+    pen.stroke();
+  });
+}
+
+function disc(pen, x, y, radius) {
+  pen.beginPath();
+  pen.arc(x, y, radius, 0, 2 * Math.PI);
+  pen.fill();
+}
+
+$("pause").addEventListener("click", () => ask(state.paused_by.includes("page") ? "resume" : "pause"));
+$("abort").addEventListener("click", () => $("confirm").showModal());
+$("go-on").addEventListener("click", () => $("confirm").close());
+$("abort-now").addEventListener("click", () => {
+  $("confirm").close();
+  ask("abort");
+});
+connect();

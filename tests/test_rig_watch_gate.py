@@ -1,0 +1,135 @@
+"""Who is let in to the page, judged from headers alone."""
+
+from __future__ import annotations
+
+import pytest
+from websockets.datastructures import Headers
+from websockets.http11 import Request
+
+from rig.watch.gate import Gate, is_loopback
+from rig.watch.site import Site
+
+LOCAL = Gate("127.0.0.1", 8765, "local-token")
+REMOTE = Gate("0.0.0.0", 8765, "remote-token")
+
+
+def ask(gate: Gate, path: str, *, full: bool = False, **headers: str) -> int:
+    """Status of the answer; 101 when the WebSocket would be opened."""
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    response = Site(gate).answer(Request(path, Headers(named)), full=full)
+    return 101 if response is None else response.status_code
+
+
+def cookie(gate: Gate) -> str:
+    return f"{gate.cookie}={gate.token}"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.10", "localhost", "::1"])
+def test_loopback_addresses_are_known(host: str) -> None:
+    assert is_loopback(host)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.4", "::", "evil.example", ""])
+def test_others_are_not_loopback(host: str) -> None:
+    assert not is_loopback(host)
+
+
+@pytest.mark.parametrize("host", ["localhost:8765", "127.0.0.1:8765", "[::1]:8765", "localhost:90"])
+def test_a_local_page_answers_to_local_names_through_any_tunnel(host: str) -> None:
+    assert ask(LOCAL, "/", Host=host) == 200
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example:8765", "192.168.1.4:8765", "127.0.0.1.evil.example", "", "[", "a@b:1"]
+)
+def test_a_name_that_points_here_by_somebody_elses_dns_is_refused(host: str) -> None:
+    assert ask(LOCAL, "/", Host=host) == 403
+    assert ask(LOCAL, "/live", Host=host, Origin=f"http://{host}", Cookie=cookie(LOCAL)) == 403
+
+
+def test_a_remote_page_answers_to_addresses_but_not_to_strange_names() -> None:
+    assert ask(REMOTE, "/?token=remote-token", Host="192.168.1.4:8765") == 200
+    assert ask(REMOTE, "/?token=remote-token", Host="evil.example") == 403
+
+
+@pytest.mark.parametrize("path", ["/", "/page.js", "/page.css", "/icon.svg", "/nothing"])
+def test_a_remote_client_sees_nothing_without_the_token(path: str) -> None:
+    host = "192.168.1.4:8765"
+    assert ask(REMOTE, path, Host=host) == 403
+    assert ask(REMOTE, f"{path}?token=", Host=host) == 403
+    assert ask(REMOTE, f"{path}?token=wrong", Host=host) == 403
+    assert ask(REMOTE, path, Host=host, Cookie=f"{REMOTE.cookie}=wrong") == 403
+    assert ask(REMOTE, path, Host=host, Cookie=';;=,="{') == 403
+    expected = 404 if path == "/nothing" else 200
+    assert ask(REMOTE, path, Host=host, Cookie=cookie(REMOTE)) == expected
+
+
+@pytest.mark.parametrize("gate", [LOCAL, REMOTE], ids=["local", "remote"])
+def test_live_data_ask_for_our_origin_and_the_cookie(gate: Gate) -> None:
+    host = "127.0.0.1:8765"
+    good = {"Host": host, "Origin": f"http://{host}", "Cookie": cookie(gate)}
+    assert ask(gate, "/live", **good) == 101
+    assert ask(gate, "/live", full=True, **good) == 503
+    for origin in ("http://evil.example", "null", f"https://{host}", "http://127.0.0.1:9"):
+        assert ask(gate, "/live", **{**good, "Origin": origin}) == 403
+    for missing in ("Host", "Origin", "Cookie"):
+        assert ask(gate, "/live", **{k: v for k, v in good.items() if k != missing}) == 403
+    assert ask(gate, "/live", **{**good, "Cookie": f"{gate.cookie}={gate.token}x"}) == 403
+    # The token in the address opens the page, not the data.
+    assert ask(gate, f"/live?token={gate.token}", Host=host, Origin=f"http://{host}") == 403
+
+
+def test_a_header_sent_twice_counts_as_not_sent() -> None:
+    headers = Headers([("Host", "127.0.0.1:8765"), ("Host", "evil.example")])
+    response = Site(LOCAL).answer(Request("/", headers), full=False)
+    assert response is not None
+    assert response.status_code == 403
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../server.py",
+        "/static/page.html",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "//etc/passwd",
+        "/page.js/../../gate.py",
+        "/page.html",
+        "/page.js%00",
+        "http://[",
+        "",
+    ],
+)
+def test_only_known_files_are_served(path: str) -> None:
+    assert ask(LOCAL, path, Host="localhost:8765") in (400, 404)
+
+
+def test_the_page_comes_with_its_cookie_and_strict_headers() -> None:
+    request = Request("/", Headers({"Host": "localhost:8765"}))
+    response = Site(LOCAL).answer(request, full=False)
+    assert response is not None
+    assert response.headers["Set-Cookie"] == (
+        "rig_watch_8765=local-token; Path=/; HttpOnly; SameSite=Strict"
+    )
+    policy = response.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "frame-ancestors 'none'" in policy
+    assert "ws://localhost:8765" in policy
+    assert response.headers["X-Content-Type-Options"] == "nosniff"
+    assert response.headers["Cache-Control"] == "no-store"
+    assert b"local-token" not in (response.body or b"")
+
+
+def test_scripts_come_without_the_cookie() -> None:
+    request = Request("/page.js", Headers({"Host": "localhost:8765"}))
+    response = Site(LOCAL).answer(request, full=False)
+    assert response is not None
+    assert "Set-Cookie" not in response.headers
+
+
+def test_tokens_differ_and_do_not_show() -> None:
+    first, second = Gate(), Gate()
+    assert first.token != second.token
+    assert len(first.token) >= 24
+    assert first.token not in repr(first)
