@@ -1,0 +1,96 @@
+"""Synthetic camera frames that know their own number, as pixels and as a camera's JPEG.
+
+A gel of soft shades with dark markers and noise of sigma 2 grey levels: about what a lossless codec
+meets in a tactile camera. Written into the first sixteen bytes of the pixels, or into a comment of
+the JPEG, the number survives every lossless store, so that what a killed writer leaves behind can
+be told from zeros and from wrong frames.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.camera.jpeg import frame_stamp, stamped
+
+Image = NDArray[np.uint8]
+
+HEIGHT, WIDTH = 480, 640
+NOISE = 2.0
+"""Standard deviation of the noise [grey levels]."""
+QUALITY = 90
+"""JPEG quality, 4:2:2 as UVC cameras send it."""
+_DIFFERENT = 8
+# Different noise fields; a frame repeats after so many.
+_NUMBER = 8
+# Bytes of a number; as many again hold its complement.
+
+
+class GelFrames:
+    """The frames, made before anything is measured.
+
+    Args:
+        decoded: Pixels that have been through the camera's JPEG, as a driver that decodes gives
+            them, in place of raw ones.
+        seed: Of the noise.
+    """
+
+    def __init__(self, *, decoded: bool = False, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        base = _gel()
+        noisy = [base + rng.normal(0.0, NOISE, base.shape) for _ in range(_DIFFERENT)]
+        self._pixels = [np.clip(image, 0, 255).round().astype(np.uint8) for image in noisy]
+        if decoded:
+            import simplejpeg
+
+            self._pixels = [simplejpeg.decode_jpeg(jpeg).copy() for jpeg in self._jpegs]
+
+    @cached_property
+    def _jpegs(self) -> list[bytes]:
+        import simplejpeg
+
+        return [
+            simplejpeg.encode_jpeg(image, quality=QUALITY, colorsubsampling="422")
+            for image in self._pixels
+        ]
+
+    def pixels(self, number: int) -> Image:
+        """Frame `number` (480, 640, 3) RGB; the array is used again eight frames later."""
+        image = self._pixels[number % _DIFFERENT]
+        code = number.to_bytes(_NUMBER, "little")
+        head = code + bytes(255 - byte for byte in code)
+        image.reshape(-1)[: 2 * _NUMBER] = np.frombuffer(head, np.uint8)
+        return image
+
+    def jpeg(self, number: int) -> bytes:
+        """Frame `number` as the camera's JPEG."""
+        return stamped(self._jpegs[number % _DIFFERENT], number, 0)
+
+
+def number_in_pixels(image: Image) -> int | None:
+    """The number of a frame, or None when these are not its pixels."""
+    head = image.reshape(-1)[: 2 * _NUMBER].tobytes()
+    code, complement = head[:_NUMBER], head[_NUMBER:]
+    if any(a + b != 255 for a, b in zip(code, complement, strict=True)):
+        return None
+    return int.from_bytes(code, "little")
+
+
+def number_in_jpeg(jpeg: bytes) -> int | None:
+    """The number of a frame, or None when it is not one."""
+    stamp = frame_stamp(jpeg)
+    return None if stamp is None else stamp[0]
+
+
+def _gel() -> NDArray[np.float64]:
+    row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
+    across, down = (column - WIDTH / 2) / WIDTH, (row - HEIGHT / 2) / HEIGHT
+    lit = 1.0 - 0.45 * (across**2 + down**2)
+    tint = np.stack([1 + 0.18 * across, 1 - 0.1 * down, 1 - 0.18 * across], axis=-1)
+    image = lit[..., None] * tint * np.array([150.0, 138.0, 120.0])
+    pitch, radius = 60, 9
+    near = (column % pitch - pitch / 2) ** 2 + (row % pitch - pitch / 2) ** 2 < radius**2
+    image[near] = 30.0
+    return np.asarray(image)

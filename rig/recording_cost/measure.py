@@ -1,0 +1,124 @@
+"""Small measures that every part shares: spreads, sizes, CPU time, and how large a run is."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How long each thing is measured."""
+
+    write: float
+    """Longest writing of one store [s]."""
+    write_bytes: int
+    """Most pixels or JPEG bytes written to one store."""
+    read: float
+    """Reading of one store [s]."""
+    kills: int
+    """Kills per store."""
+    share: float
+    """Recording of one stream by itself [s]."""
+    lateness: float
+    """Waking at one rate [s]."""
+    cameras: float
+    """One trial of a number of cameras [s]."""
+    cameras_most: int
+    """Largest number of cameras tried."""
+    full_load: float
+    """All streams together [s]."""
+    alignment: float
+    """Length of the simulated motion [s]."""
+    targets: int
+    """Targets of the collection on the mock bench; 0 leaves it out."""
+
+
+FULL = Scale(
+    write=3.0,
+    write_bytes=400_000_000,
+    read=1.5,
+    kills=2,
+    share=12.0,
+    lateness=3.0,
+    cameras=6.0,
+    cameras_most=48,
+    full_load=120.0,
+    alignment=30.0,
+    targets=2,
+)
+QUICK = Scale(
+    write=0.3,
+    write_bytes=20_000_000,
+    read=0.2,
+    kills=1,
+    share=0.6,
+    lateness=0.15,
+    cameras=0.6,
+    cameras_most=2,
+    full_load=1.5,
+    alignment=3.0,
+    targets=0,
+)
+"""Shows that everything works; its figures mean little."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How a duration spreads over its occurrences [s]."""
+
+    p50: float
+    p99: float
+    most: float
+
+    @classmethod
+    def of(cls, nanoseconds: Sequence[int]) -> Spread:
+        """The spread of durations (n,) [ns]; NaN of none."""
+        if not len(nanoseconds):
+            return cls(float("nan"), float("nan"), float("nan"))
+        values = np.asarray(nanoseconds, np.float64) * 1e-9
+        p50, p99 = np.percentile(values, [50, 99])
+        return cls(float(p50), float(p99), float(values.max()))
+
+
+def cpu_seconds() -> float:
+    """CPU time of this process and of those it waited for, user and system together [s]."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return float(sum(usage.ru_utime + usage.ru_stime for usage in used))
+
+
+def resident_bytes() -> int:
+    """Memory of this process that lies in RAM."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def tree_bytes(path: Path) -> int:
+    """Size of a file, or of all files below a folder."""
+    if path.is_file():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+
+
+def sync_tree(path: Path) -> None:
+    """Make a file, or all below a folder, survive a power cut."""
+    for entry in (path, *path.rglob("*")) if path.is_dir() else (path,):
+        fd = os.open(entry, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
+
+
+def warm(path: Path) -> None:
+    """Read a file, or all below a folder, so that it lies in the page cache."""
+    for file in path.rglob("*") if path.is_dir() else (path,):
+        if file.is_file():
+            with file.open("rb") as content:
+                while content.read(1 << 22):
+                    pass

@@ -1,0 +1,158 @@
+"""The stores that are held side by side, a file each; a row of `STORES` is a row of the page."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+Opened = tuple[int, Callable[[int, int], Image]]
+"""How many frames a store holds, and what reads n images from a first one: (n, 480, 640, 3)."""
+Numbers = list[int | None]
+"""Numbers of the frames found, in order; None for one that is not what was written."""
+
+
+class Appender(Protocol):
+    """A store being written."""
+
+    def append(self, frame: Image | bytes, t_ns: int) -> None:
+        """Add one frame, pixels (480, 640, 3) or JPEG bytes as the store takes them."""
+
+    def close(self) -> None:
+        """Finish the store."""
+
+
+class Store(Protocol):
+    """One way to keep frames on disk."""
+
+    def create(self, path: Path) -> Appender:
+        """A new store at `path`."""
+
+    def reader(self, path: Path) -> AbstractContextManager[Opened]:
+        """The store, open to be read."""
+
+    def left(self, path: Path) -> Numbers:
+        """What its ordinary reader finds in a store whose writer was killed.
+
+        Raises:
+            Exception: Whatever its reader raises when it cannot be opened.
+        """
+
+    def repaired(self, path: Path) -> Numbers | None:
+        """The same after its own repair; None without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One row of the comparison."""
+
+    key: str
+    """Short name, for the command line of the measuring process."""
+    title: str
+    """What the page calls it."""
+    module: str
+    """Module of this package that has the class."""
+    store: str
+    """The class; called with `options`."""
+    takes: Literal["pixels", "decoded", "jpeg"]
+    """Raw pixels, pixels of a decoded JPEG, or the JPEG itself."""
+    needs: tuple[str, ...] = ()
+    """Libraries of the extra `bench`."""
+    options: tuple[str, ...] = ()
+    """Arguments of the class."""
+    foreign: bool = False
+    """Runs in the interpreter that LEROBOT_PYTHON names."""
+    lossy: bool = False
+    """Loses pixels: frame numbers cannot be read back."""
+
+    def make(self) -> Store:
+        """The store; its library is imported here.
+
+        Raises:
+            ImportError: It is not installed.
+        """
+        module = importlib.import_module(f"{__name__}.{self.module}")
+        store: Store = getattr(module, self.store)(*self.options)
+        return store
+
+
+STORES = (
+    Entry("ours-jpeg", "**ours**, camera's JPEG", "ours", "Ours", "jpeg", options=("jpeg",)),
+    Entry("ours-zstd", "**ours**, lossless (zstd)", "ours", "Ours", "pixels", options=("zstd",)),
+    Entry(
+        "ours-decoded",
+        "**ours**, lossless, of a decoded JPEG",
+        "ours",
+        "Ours",
+        "decoded",
+        options=("zstd",),
+    ),
+    Entry(
+        "h5py-blosc",
+        "h5py, chunk a frame, blosc lz4 bitshuffle",
+        "hdf5",
+        "Hdf5",
+        "pixels",
+        ("h5py", "hdf5plugin"),
+        ("blosc",),
+    ),
+    Entry(
+        "h5py-gzip",
+        "h5py, chunk a frame, gzip 1",
+        "hdf5",
+        "Hdf5",
+        "pixels",
+        ("h5py", "hdf5plugin"),
+        ("gzip",),
+    ),
+    Entry(
+        "h5py-jpeg",
+        "h5py, camera's JPEG (vlen bytes)",
+        "hdf5",
+        "Hdf5",
+        "jpeg",
+        ("h5py", "hdf5plugin"),
+        ("jpeg",),
+    ),
+    Entry("png", "PNG files (OpenCV, level 1)", "png", "PngFiles", "pixels", ("cv2",)),
+    Entry("mcap-zstd", "MCAP, raw images, zstd", "mcap", "Mcap", "pixels", ("mcap",), ("pixels",)),
+    Entry("mcap-jpeg", "MCAP, camera's JPEG", "mcap", "Mcap", "jpeg", ("mcap",), ("jpeg",)),
+    Entry("zarr-append", "zarr, `append` a frame, zstd 1", "zarr_append", "ZarrAppend", "pixels"),
+    Entry(
+        "lerobot-image",
+        "LeRobot, PNG in parquet",
+        "lerobot",
+        "LeRobot",
+        "pixels",
+        ("lerobot",),
+        ("image",),
+        foreign=True,
+    ),
+    Entry(
+        "lerobot-video",
+        "LeRobot, AV1 video (lossy)",
+        "lerobot",
+        "LeRobot",
+        "pixels",
+        ("lerobot",),
+        ("video",),
+        foreign=True,
+        lossy=True,
+    ),
+)
+
+
+def entry(key: str) -> Entry:
+    """The row with that key.
+
+    Raises:
+        KeyError: There is none.
+    """
+    return {one.key: one for one in STORES}[key]
