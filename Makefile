@@ -7,19 +7,38 @@ PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
               2>/dev/null && echo $$p && break; done)
 BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR))
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
+WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help collect resume preview compare mock check-session test test-all check format setup clean
+.PHONY: help collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-collect: $(VENV)/.rig  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file]
+collect: $(VENV)/.rig  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
-	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator $(OPERATOR))
+	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator $(OPERATOR)) $(WATCHARG)
 
-resume: $(VENV)/.rig  ## Continue a stopped session: SESSION=sessions/x.zarr [BENCH=file]
-	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(SOURCES) --resume $(SESSION)
+resume: $(VENV)/.rig  ## Continue a stopped session: SESSION=sessions/x.zarr [BENCH=file] [WATCH=1]
+	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(SOURCES) --resume $(SESSION) $(WATCHARG)
+
+home: $(VENV)/.rig  ## Find the surface by touch, keep it in calibrations/: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file]
+	@$(PY) -m rig home $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
+
+calibrate-latency: $(VENV)/.rig  ## Tap lightly, keep how late the camera is: SENSOR=tacpalm [INDENTER=] [BENCH=file]
+	@$(PY) -m rig calibrate-latency $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER))
+
+force-depth: $(VENV)/.rig  ## Press and release 3 times, table and curve: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file]
+	@$(PY) -m rig force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
+
+campaign: $(VENV)/.rig  ## Record what is left of a day: FILE=campaigns/day.yaml [LIST=1] [YES=1] [KEEP_GOING=1]
+	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(if $(KEEP_GOING),--keep-going)
+
+jog: $(VENV)/.rig  ## Move the arm by a SpaceMouse, take the contact origin: SENSOR=tacpalm [BENCH=file]
+	@$(PY) -m rig jog $(BENCHARG)
+
+grip: $(VENV)/.rig  ## Close the gripper on the indenter: SENSOR=tacpalm [OPEN=1] [BENCH=file]
+	@$(PY) -m rig grip $(BENCHARG) $(if $(OPEN),--open)
 
 preview: $(VENV)/.rig  ## Draw the plan and check its limits: SENSOR=tacpalm [OUT=plan.png]
 	@$(PY) -m rig preview $(BENCHARG) $(if $(OUT),--out $(OUT))
@@ -30,8 +49,20 @@ compare: $(VENV)/.rig  ## Hold a mock session against the World's truth: SESSION
 mock: $(VENV)/.rig  ## Run the emulators of a bench until Ctrl-C: SENSOR=tacpalm
 	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)
 
+replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]
+	@$(PY) -m rig replay --session $(SESSION) $(if $(SPEED),--speed $(SPEED)) $(if $(OUT),--out $(OUT)) $(foreach name,$(WITHOUT),--without $(name))
+
 check-session: $(VENV)/.rig  ## Look for faults in a session: SESSION=sessions/x.zarr
 	@$(PY) -m recorder check $(SESSION)
+
+endurance: $(VENV)/.rig  ## A long mock collection, watched: SENSOR=tacpalm [MINUTES=30] [OUT=docs/endurance.md]
+	@$(PY) -m rig endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
+
+faults: $(VENV)/.rig  ## Break a mock bench in every way, write docs/reliability.md: [QUICK=1] [ONLY=row] [KILLS=100] (half an hour)
+	@$(PY) -m rig faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
+
+bench-recorder: $(VENV)/.bench  ## Measure what recording costs, write docs/recording.md: [QUICK=1] [ONLY=part] [OUT=page.md] (12 minutes)
+	@$(PY) -m rig bench-recorder $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
 
 test: $(VENV)/.dev  ## Run the default tests (about 4 minutes on 2 cores)
 	@$(PY) -m pytest -q
@@ -57,6 +88,9 @@ $(VENV)/bin/python:
 
 $(VENV)/.rig: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig]' && touch $@
+
+$(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[rig,bench]' && touch $@ $(VENV)/.rig
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,dev]' && touch $@ $(VENV)/.rig

@@ -1,4 +1,4 @@
-"""python -m recorder info|check|recover|repack|sheet SESSION."""
+"""python -m recorder info|check|recover|repack|export|import|sheet SESSION."""
 
 import argparse
 import sys
@@ -8,10 +8,15 @@ from pathlib import Path
 
 from recorder import SessionError
 from recorder.check import check
+from recorder.export import FORMATS, Options, export
+from recorder.files import is_url
+from recorder.importing import import_session
+from recorder.importing.options import add_options, order_of
 from recorder.info import describe
 from recorder.recover import recover
 from recorder.repack import PROFILES, repack
 from recorder.sheet import contact_sheet
+from recorder.view import view
 
 _QUIET = 2.0  # shorter work shows no progress [s]
 
@@ -69,16 +74,39 @@ def _repack(options: argparse.Namespace) -> int:
 
 
 def _sheet(options: argparse.Namespace) -> int:
-    target = options.output or options.session.with_suffix(".png")
+    place = options.session
+    near = Path(place.rstrip("/").rpartition("/")[2]) if isinstance(place, str) else place
+    target = options.output or near.with_suffix(".png")
     contact_sheet(options.session, target, count=options.count)
     print(f"{target}: written")
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    choices = Options(decode=options.decode, valid_only=options.valid_only)
+    export(
+        options.session,
+        options.destination,
+        options.to,
+        options=choices,
+        progress=_Progress("rows"),
+    )
+    print(f"{options.destination}: written, {options.to}")
+    return 0
+
+
+def _import(options: argparse.Namespace) -> int:
+    for line in import_session(order_of(options), _Progress("rows")):
+        print(line)
+    print(f"{options.session}: imported")
     return 0
 
 
 class _Progress:
     """One line, rewritten, for work that takes longer than a moment."""
 
-    def __init__(self) -> None:
+    def __init__(self, what: str = "images") -> None:
+        self._what = what
         self._start = self._shown = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
@@ -89,8 +117,31 @@ class _Progress:
             return
         self._shown = now
         left = (now - self._start) * (total - done) / done
-        line = f"\r{done}/{total} images  {int(left // 60)}:{int(left % 60):02d} left "
+        line = f"\r{done}/{total} {self._what}  {int(left // 60)}:{int(left % 60):02d} left "
         print(line, end="\n" if last else "", file=sys.stderr, flush=True)
+
+
+def _place(text: str) -> str | Path:
+    return text if is_url(text) else Path(text)
+
+
+def _view(options: argparse.Namespace) -> int:
+    view(
+        options.session,
+        save=options.save,
+        start=options.start,
+        seconds=options.seconds,
+        progress=_Progress("samples"),
+    )
+    if options.save is not None:
+        print(f"{options.save}: written")
+    return 0
+
+
+def _directory(text: str) -> Path:
+    if is_url(text):
+        raise argparse.ArgumentTypeError(f"{text}: remote stores are only read; copy it here first")
+    return Path(text)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -99,14 +150,23 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
+    def command(
+        name: str, run: object, text: str, *, remote: bool = False
+    ) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=text, description=text)
-        added.add_argument("session", type=Path, help="the session, a directory NAME.zarr")
+        where = "a directory NAME.zarr" + (" or a URL, e.g. s3://bucket/NAME.zarr" * remote)
+        place = _place if remote else _directory
+        added.add_argument("session", type=place, help=f"the session, {where}")
         added.set_defaults(run=run)
         return added
 
-    command("info", _info, "Show what a session holds.")
-    command("check", _check, "Look for everything that can be wrong; exit 1 if anything is.")
+    command("info", _info, "Show what a session holds.", remote=True)
+    command(
+        "check",
+        _check,
+        "Look for everything that can be wrong; exit 1 if anything is.",
+        remote=True,
+    )
     command("recover", _recover, "Close a session whose recording was killed.")
     pack = command("repack", _repack, "Copy a session with its images stored in another way.")
     pack.add_argument("destination", type=Path, help="the copy; must not exist")
@@ -117,7 +177,27 @@ def _parser() -> argparse.ArgumentParser:
         help="portable: lossless pixels for every Zarr reader; camera: the camera's JPEG bytes "
         "(default: %(default)s)",
     )
-    picture = command("sheet", _sheet, "Draw a session on one page.")
+    outward = command("export", _export, "Write a session in another format.", remote=True)
+    outward.add_argument("destination", type=Path, help="file or folder to make; must not exist")
+    known = "; ".join(f"{name}: {what}" for name, what in FORMATS.items())
+    outward.add_argument("--to", choices=FORMATS, required=True, help=known)
+    outward.add_argument(
+        "--decode", action="store_true", help="hdf5: pixels instead of the camera's JPEG bytes"
+    )
+    outward.add_argument(
+        "--valid-only",
+        action="store_true",
+        help="lerobot, genforce: leave out rows without a sample of every stream near enough "
+        "(docs/data-format.md: max_age [s])",
+    )
+    add_options(command("import", _import, "Wrap a recording made elsewhere into a session."))
+    viewer = command("view", _view, "Look at a session in Rerun, the researcher's viewer.")
+    viewer.add_argument("--save", type=Path, help="write this .rrd file, open no viewer")
+    viewer.add_argument(
+        "--start", type=float, default=0.0, help="begin so long after the first sample [s]"
+    )
+    viewer.add_argument("--seconds", type=float, help="show so much [s] (default: to the end)")
+    picture = command("sheet", _sheet, "Draw a session on one page.", remote=True)
     picture.add_argument("--output", type=Path, help="the PNG (default: SESSION with .png)")
     picture.add_argument(
         "--count", type=int, default=12, help="frames to show (default: %(default)s)"

@@ -7,7 +7,7 @@ extrapolated: outside the samples a value is NaN and invalid.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,21 @@ from numpy.typing import NDArray
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Values = np.ndarray[Any, Any]
 
 NS = 1e-9
+
+
+class Values(Protocol):
+    """Samples (m, ...): an array, or what is indexed like one and reads only what is used."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape, samples first."""
+        ...
+
+    def __getitem__(self, key: Any, /) -> Any:
+        """Return what the array would."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +151,7 @@ def mean(
     return Aligned(value, age, gap, valid, interpolated)
 
 
-def pose(times: Times, poses: Floats, query: Times, *, max_age: float = np.inf) -> Aligned:
+def pose(times: Times, poses: Values, query: Times, *, max_age: float = np.inf) -> Aligned:
     """Return poses with positions interpolated linearly and rotations along the shortest arc.
 
     Args:

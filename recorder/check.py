@@ -13,6 +13,7 @@ from recorder.check_storage import (
     check_table,
 )
 from recorder.errors import SessionError
+from recorder.files import Files, locate
 from recorder.findings import Finding
 from recorder.layout import StreamLayout
 from recorder.reader import Session
@@ -26,27 +27,27 @@ def check(path: str | os.PathLike[str]) -> list[Finding]:
     Raises:
         SessionError: Not a session at all.
     """
-    return list(_check(Path(path)))
+    return list(_check(path, *locate(path)))
 
 
-def _check(path: Path) -> Iterator[Finding]:
-    attrs = read_session_attrs(path)
+def _check(place: str | os.PathLike[str], files: Files, path: Path) -> Iterator[Finding]:
+    attrs = read_session_attrs(path, files)
     if attrs.get("status") == "recording":
         message = "status is 'recording': still running, or killed (python -m recorder recover)"
         yield Finding("unfinished", ".", message)
     unreadable: set[str] = set()
-    for finding in check_arrays(path):
+    for finding in check_arrays(files, path):
         yield finding
         if finding.code == "metadata":
             unreadable.add(finding.where)
     if unreadable:
         return
     contents = {}
-    groups = sorted(entry.parent for entry in (path / "streams").glob("*/zarr.json"))
+    groups = files.groups(path / "streams")
     for group in (*groups, path / "segments", path / "reference"):
-        findings = list(check_stream_files(path, group))
+        findings = list(check_stream_files(files, path, group))
         if not any(finding.code in ("metadata", "wrong-dtype") for finding in findings):
-            for layout in StreamLayout.load(group).columns:
+            for layout in StreamLayout.load(group, files).columns:
                 damage, crcs = check_chunks(path, layout)
                 findings += damage
                 if layout.column.is_image:
@@ -56,10 +57,10 @@ def _check(path: Path) -> Iterator[Finding]:
             unreadable.add(group.name)
     damaged_tables = set()
     for name in ("targets", "frames"):
-        for finding in check_table(path, name):
+        for finding in check_table(files, path, name):
             yield finding
             damaged_tables.add(name)
-    session = Session(path)
+    session = Session(place)
     try:
         for name, stream in session.streams.items():
             if name not in unreadable:

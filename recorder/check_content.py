@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from recorder.align import NS
 from recorder.findings import Finding
-from recorder.frames import grid
+from recorder.frames import grid, has_targets, whole_run
 from recorder.reader import Session, Stream
 from recorder.spec import OUTCOMES, PHASES
 
@@ -45,7 +45,8 @@ def check_stream(
         t_ns = stream.t_ns[rows]
         columns = {name: stream.array(name)[rows] for name in stream.small}
         period = _period(t_ns, stream.rate_hz)
-        yield from _check_times(where, first, t_ns, columns, period)
+        compressed = is_compressed(session)
+        yield from _check_times(where, first, t_ns, columns, period, compressed)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         if stream.name in _FREEZING and not still:
             images = None if contents is None else contents[: len(stream)][rows]
@@ -57,6 +58,14 @@ def check_stream(
             bad = np.flatnonzero(~np.isfinite(_flat(values)).all(axis=1))
             if bad.size:
                 yield Finding("nan", f"{where}/{name}", f"{bad.size} rows, first row {bad[0]}")
+
+
+def is_compressed(session: Session) -> bool:
+    """Return whether times are those of a replay at another speed than the recorded one.
+
+    They still say the order; pauses and steps against the device's clock they do not.
+    """
+    return bool(session.attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
 
 
 def check_segments(session: Session) -> Iterator[Finding]:
@@ -91,6 +100,9 @@ def check_frames(session: Session) -> Iterator[Finding]:
         yield Finding("frames-length", "frames", "missing")
         return
     expected = 0
+    if not has_targets(session):
+        for run in range(max(len(session.runs), 1)):
+            expected += len(whole_run(session, run, session.rate_hz))
     for run in np.unique(segments["run"]):
         of_run = np.flatnonzero(segments["run"] == run)
         anchor = int(segments["start_ns"][of_run].min())
@@ -109,7 +121,12 @@ def _period(t_ns: NDArray[np.int64], rate_hz: float) -> float:
 
 
 def _check_times(
-    where: str, first: int, t_ns: NDArray[np.int64], columns: Mapping[str, Array], period: float
+    where: str,
+    first: int,
+    t_ns: NDArray[np.int64],
+    columns: Mapping[str, Array],
+    period: float,
+    compressed: bool,
 ) -> Iterator[Finding]:
     if len(t_ns) < 2:
         return
@@ -126,7 +143,7 @@ def _check_times(
             missing = int(lost[lost > 0].sum())
             place = f"first at row {first + worst[0] + 1}"
             yield Finding("dropped", where, f"{missing} samples in {worst.size} places, {place}")
-    jumped = _clock_steps(t_ns, columns, limit)
+    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(t_ns, columns, limit)
     if jumped.size:
         at = jumped[0]
         message = f"{jumped.size} found, first at row {first + at + 1}, {steps[at]:+.3f} s"
@@ -139,7 +156,7 @@ def _check_times(
         message = f"{backward.size} found, first at row {first + at + 1}, {steps[at]:+.6f} s"
         yield Finding("time-order", where, message)
     gaps = np.flatnonzero((steps > limit) & ~explained)
-    if gaps.size:
+    if gaps.size and not compressed:
         worst_at = gaps[np.argmax(steps[gaps])]
         message = (
             f"{gaps.size} found, longest {steps[worst_at]:.3f} s before row {first + worst_at + 1}"

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import google_crc32c
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
-from recorder.durable import read_json
 from recorder.errors import SessionError
+from recorder.files import Files, read_document
 from recorder.findings import Finding
 from recorder.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout
 from recorder.records import HEADER, MAGIC, checksum
-from recorder.restore import unfinished_files
+from recorder.restore import is_unfinished
 from recorder.shard import MISSING, read_index
 from recorder.spec import (
     REFERENCE,
@@ -28,12 +27,13 @@ from recorder.spec import (
 )
 
 
-def check_arrays(session: Path) -> Iterator[Finding]:
+def check_arrays(files: Files, session: Path) -> Iterator[Finding]:
     """Find arrays without units, in the whole session."""
-    for path in sorted(session.rglob("zarr.json")):
+    documents = (path for path in files.listed(session) if path.name == "zarr.json")
+    for path in sorted(documents):
         where = str(path.parent.relative_to(session))
         try:
-            document = read_json(path)
+            document = read_document(files, path)
         except SessionError as error:
             yield Finding("metadata", where, str(error))
             continue
@@ -42,40 +42,43 @@ def check_arrays(session: Path) -> Iterator[Finding]:
             yield Finding("missing-units", where, f"found units {units!r}")
 
 
-def check_table(session: Path, name: str) -> Iterator[Finding]:
+def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
     """Find missing and damaged chunks, and unequal lengths, in a group written whole."""
     lengths = {}
-    for path in sorted((session / name).glob("*/zarr.json")):
-        where = f"{name}/{path.parent.name}"
-        document = read_json(path)
+    there = set(files.listed(session / name))
+    for group in files.groups(session / name):
+        where = f"{name}/{group.name}"
+        document = read_document(files, group / "zarr.json")
         shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
-        lengths[path.parent.name] = shape[0]
+        lengths[group.name] = shape[0]
         counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
-        keys = [path.parent.joinpath("c", *map(str, place)) for place in product(*counts)]
-        missing = [key for key in keys if not key.exists()]
+        keys = [group.joinpath("c", *map(str, place)) for place in product(*counts)]
+        missing = [key for key in keys if key not in there]
         if missing:
             yield Finding("missing-chunk", where, f"{len(missing)} missing, first {missing[0]}")
             continue
         try:
-            np.asarray(zarr.open_array(path.parent, mode="r"))
+            np.asarray(files.array(group))
         except (RuntimeError, ValueError) as error:
             yield Finding("bad-crc", where, f"a chunk does not decode: {error}")
     if len(set(lengths.values())) > 1:
         yield Finding("unequal-lengths", name, f"found {lengths}")
 
 
-def check_stream_files(session: Path, group: Path) -> Iterator[Finding]:
+def check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Finding]:
     """Find what a stream's metadata and stray files say, without reading its data."""
     where = str(group.relative_to(session))
     try:
-        layout = StreamLayout.load(group)
+        layout = StreamLayout.load(group, files)
     except SessionError as error:
         yield Finding("metadata", where, str(error))
         return
     yield from _unlike_spec(layout, where)
-    for path in unfinished_files(layout):
+    unfinished = [path for path in files.listed(group) if is_unfinished(layout, path)]
+    sizes = files.sizes(group) if unfinished else {}
+    for path in sorted(unfinished):
         code = "torn-tail" if PARTIAL in path.name else "journal-left"
-        size = path.stat().st_size
+        size = sizes.get(path, 0)
         yield Finding(code, where, f"{path.relative_to(session)}, {size} bytes, was left behind")
     lengths = {column.column.name: column.rows() for column in layout.columns}
     if len(set(lengths.values())) > 1:
@@ -105,8 +108,8 @@ def check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[
 def _check_shard(
     layout: Layout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
 ) -> None:
-    index = read_index(layout.shard(shard))
-    data = layout.shard(shard).read_bytes()
+    index = read_index(layout.shard(shard), layout.files)
+    data = layout.files.read(layout.shard(shard))
     for place in range(len(contents)):
         number = shard * CHUNKS_PER_SHARD + place
         row = number * layout.rows_per_chunk

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from recorder.errors import SessionError
+from recorder.files import LOCAL, read_document
 
 TEMPORARY = ".tmp"
 """Suffix of a file that is still being written and means nothing yet."""
@@ -61,15 +62,7 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         SessionError: The file is missing, or not a JSON object.
     """
-    try:
-        document = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise SessionError(f"{path}: missing") from None
-    except (OSError, ValueError) as error:
-        raise SessionError(f"{path}: not readable as JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise SessionError(f"{path}: found {type(document).__name__}, expected a JSON object")
-    return document
+    return read_document(LOCAL, path)
 
 
 def _plain(value: object) -> object:

@@ -31,8 +31,8 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "wrench": (_WRENCH, "mean over the exposure, minus the offset of the point's reference"),
     "pose": ("m, rad", "tool pose at the capture, base frame, rotation vector"),
     "taxels": ("counts", "taxels at the capture"),
-    "target": ("1", "row of targets"),
-    "phase": ("1", "code, see attrs phases"),
+    "target": ("1", "row of targets; -1 in a session without targets"),
+    "phase": ("1", "code, see attrs phases; -1 in a session without targets"),
     "depth": ("m", "indentation, from the pose; negative above the surface, NaN if unknown"),
     "skew": ("s", "largest distance of a value from the capture it is given for"),
     "valid": ("1", "every stream had samples near enough"),
@@ -73,7 +73,8 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     """Return the columns of the view, one row per tick that lies in a segment.
 
     One grid of ticks per run starts with the run's first segment; rows never cross runs. See
-    `UNITS` for the columns; `taxels` is there only if the session has them.
+    `UNITS` for the columns; `taxels` is there only if the session has them. In a session without
+    targets, such as an imported one, the view covers each run from its first sample to its last.
     """
     parts = [
         _run_table(session, run, ticks, segment, rate_hz)
@@ -105,9 +106,27 @@ def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
     return np.asarray(-((poses[:, :3] - contact_frame[:3]) @ normal))
 
 
+def has_targets(session: Session) -> bool:
+    """Return whether anything was planned; imported sessions have no targets and no segments."""
+    # By the declared lengths: a table whose chunks are damaged has targets all the same.
+    arrays = (session.files.array(session.path / "targets" / name) for name in session.targets)
+    return any(array.shape[0] for array in arrays)
+
+
+def whole_run(session: Session, run: int, rate_hz: float) -> Times:
+    """Return the ticks (n,) [ns] from the first sample of a run to its last."""
+    span = session.sources(run).span
+    return np.zeros(0, np.int64) if span is None else grid(span[0], span[0], span[1] + 1, rate_hz)
+
+
 def _run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
     """Yield each run with its ticks and the segment each of them lies in."""
     segments = session.segments
+    if not has_targets(session):
+        for run in range(max(len(session.runs), 1)):
+            whole = whole_run(session, run, rate_hz)
+            yield run, whole, np.full(len(whole), -1, np.int64)
+        return
     for run in np.unique(segments["run"]):
         of_run = np.flatnonzero(segments["run"] == run)
         of_run = of_run[np.argsort(segments["start_ns"][of_run], kind="stable")]
@@ -126,7 +145,7 @@ def _run_table(
 ) -> dict[str, Array]:
     rows = align_window(ticks, session.sources(run))
     count = len(ticks)
-    target = session.segments["target"][segment]
+    target = _of_segment(session, "target", segment)
     table: dict[str, Array] = {
         "t_ns": ticks,
         "run": np.full(count, run, np.int16),
@@ -136,7 +155,7 @@ def _run_table(
         "wrench": _or(rows.wrench, np.full((count, 6), np.nan)),
         "pose": _or(rows.pose, np.full((count, 6), np.nan)),
         "target": target,
-        "phase": session.segments["phase"][segment],
+        "phase": _of_segment(session, "phase", segment),
         "depth": np.full(count, np.nan),
         "skew": rows.skew,
         "valid": rows.valid & (rows.signal_row >= 0),
@@ -148,6 +167,14 @@ def _run_table(
     if rows.taxels is not None:
         table["taxels"] = rows.taxels
     return table
+
+
+def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Array:
+    """Return a column of `segments` for each tick; -1 outside every segment."""
+    values = session.segments[name]
+    if not len(values):
+        return np.full(len(segment), -1, values.dtype)
+    return np.where(segment >= 0, values[segment], -1).astype(values.dtype)
 
 
 def _or(value: Array | None, default: Array) -> Array:
@@ -175,7 +202,7 @@ def _reference_offset(
     """
     offset = np.zeros((len(ticks), 6))
     reference, targets = session.reference, session.targets
-    if "point" not in targets or not len(reference["point"]):
+    if "point" not in targets or not len(targets["point"]) or not len(reference["point"]):
         return offset
     point = targets["point"][target]
     for row in np.argsort(reference["t_ns"], kind="stable"):

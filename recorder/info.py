@@ -1,7 +1,6 @@
 """A session in a page of text."""
 
 import os
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,7 @@ def describe(path: str | os.PathLike[str]) -> str:
         SessionError: Not a session, or a damaged time column.
     """
     session = Session(path)
-    lines = [f"{session.path}  status {session.status}, {len(session.runs)} run(s)"]
+    lines = [f"{session.name}  status {session.status}, {len(session.runs)} run(s)"]
     if session.warning:
         lines.append(f"warning: {session.warning}")
     told = {key: session.attrs.get(key, "") for key in _TOLD}
@@ -34,11 +33,6 @@ def describe(path: str | os.PathLike[str]) -> str:
     return "\n".join(lines)
 
 
-def size_on_disk(path: Path) -> int:
-    """Return the bytes of all files below a directory."""
-    return sum(entry.stat().st_size for entry in path.rglob("*") if entry.is_file())
-
-
 def _stream_line(session: Session, stream: Stream) -> str:
     rates, gap = [], 0.0
     for run in range(max(len(session.runs), 1)):
@@ -47,7 +41,7 @@ def _stream_line(session: Session, stream: Stream) -> str:
             rates.append((len(t_ns) - 1) / max((int(t_ns[-1]) - int(t_ns[0])) * NS, NS))
             gap = max(gap, float(np.diff(t_ns).max()) * NS)
     measured = f"{np.mean(rates):9.2f}" if rates else f"{'-':>9s}"
-    size = size_on_disk(stream.layout.path) / 1e6
+    size = sum(session.files.sizes(stream.layout.path).values()) / 1e6
     return (
         f"{stream.name:12s} {len(stream):9d} {stream.rate_hz:9g} {measured} "
         f"{gap * 1e3:9.1f} {size:9.2f}"
@@ -57,7 +51,8 @@ def _stream_line(session: Session, stream: Stream) -> str:
 def _frame_lines(session: Session) -> list[str]:
     if "target" not in session.frames:
         return ["frames       none yet"]
-    count = np.bincount(session.frames["target"]) if len(session.frames["target"]) else np.zeros(0)
+    target = session.frames["target"]
+    count = np.bincount(target[target >= 0]) if (target >= 0).any() else np.zeros(0)
     count = count[count > 0]
     valid = int(session.frames["valid"].sum())
     line = f"frames       {len(session.frames['t_ns'])} at {session.rate_hz:g} Hz, {valid} valid"

@@ -25,7 +25,7 @@ class Curve:
     """One line of a plot."""
 
     name: str
-    """What the legend says."""
+    """What the legend says; empty: it is left out there."""
     values: Floats
     """Values (n,); NaN leaves a gap."""
     color: Color
@@ -92,7 +92,8 @@ def line_plot(
         picture.paste(curve.color, (0, 0), mask)
     draw.text((left, top - 10), title, fill=INK, font=font(15), anchor="ls")
     at = float(width - right)
-    for curve in reversed(curves) if len(curves) > 1 else ():
+    named = [curve for curve in curves if curve.name]
+    for curve in reversed(named) if len(named) > 1 else ():
         at -= draw.textlength(curve.name, font(14))
         draw.text((at, top - 10), curve.name, fill=INK, font=font(14), anchor="ls")
         draw.rounded_rectangle((at - 24, top - 17, at - 8, top - 13), 2, fill=curve.color)

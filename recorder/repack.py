@@ -11,11 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from recorder import images
+from recorder.column import ColumnReader
 from recorder.columnlog import ColumnLog
 from recorder.durable import sync_directory
 from recorder.errors import SessionError
+from recorder.files import is_url
 from recorder.layout import Layout, merge_attrs
-from recorder.reader import ColumnReader, Session
+from recorder.reader import Session
 
 PROFILES = ("portable", "camera")
 
@@ -46,6 +48,8 @@ def repack(
         SessionError: An unknown profile, an unfinished or damaged source, an existing destination,
             or `camera` asked of images that were stored without their JPEG bytes.
     """
+    if is_url(source):
+        raise SessionError(f"{source}: remote stores are only read; copy it here first")
     if profile not in PROFILES:
         raise SessionError(f"found profile {profile!r}; known: {', '.join(PROFILES)}")
     session, final = Session(source), Path(destination)

@@ -92,13 +92,18 @@ def count_chunks(column: Layout) -> tuple[int, int]:
 
 def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
     """Return the files that only a stream being written has."""
-    found = [*layout.path.glob(f"*{TEMPORARY}")]
-    for column in layout.columns:
-        found += column.path.glob(f"*{TEMPORARY}")
-        found += column.path.glob(f"c/**/*{PARTIAL}*")
-    found += layout.time.path.glob("journal-*")
-    found += layout.time.path.glob(BALLAST)
-    return tuple(sorted(set(found)))
+    return tuple(sorted(p for p in layout.path.rglob("*") if is_unfinished(layout, p)))
+
+
+def is_unfinished(layout: StreamLayout, path: Path) -> bool:
+    """Return whether a path below a stream is one that only a stream being written has."""
+    name, parent = path.name, path.parent
+    if parent == layout.time.path and (name.startswith("journal-") or name == BALLAST):
+        return True
+    columns = [column.path for column in layout.columns]
+    if name.endswith(TEMPORARY) and parent in (layout.path, *columns):
+        return True
+    return PARTIAL in name and any(column / "c" in path.parents for column in columns)
 
 
 @dataclass(frozen=True, slots=True)

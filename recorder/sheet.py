@@ -38,7 +38,7 @@ def contact_sheet(
     session = Session(session_path)
     frames = session.frames
     if "t_ns" not in frames or not len(frames["t_ns"]):
-        raise SessionError(f"{session.path}: has no frames to show")
+        raise SessionError(f"{session.name}: has no frames to show")
     if count < 1:
         raise SessionError(f"found count {count}, expected at least 1")
     candidates = np.flatnonzero(frames["valid"])
@@ -101,7 +101,7 @@ def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
 def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:
     """Return the counts without contact (16, 3): the first reference, else the first frame."""
     reference = session.reference["taxels"]
-    known = np.flatnonzero(np.isfinite(reference.reshape(len(reference), -1)).all(axis=1))
+    known = np.flatnonzero(np.isfinite(reference).all(axis=(1, 2)))
     return np.asarray(reference[known[0]] if known.size else counts[0])
 
 
@@ -126,7 +126,8 @@ def _head(draw: ImageDraw.ImageDraw, session: Session, width: int) -> None:
         said.append("mock")
     frames = session.frames
     said.append(f"{len(frames['t_ns'])} frames at {session.rate_hz:g} Hz")
-    said.append(f"{len(np.unique(frames['target']))} targets")
+    targets = np.unique(frames["target"])
+    said.append(f"{int((targets >= 0).sum())} targets")
     said.append(f"{100 * float(np.mean(frames['valid'])):.1f} % valid")
     draw.text((_SPACE, 52), "   ·   ".join(said), fill=SOFT, font=font(15))
     text = session.status
@@ -143,9 +144,12 @@ def _caption(
     x, y = corner
     draw.rounded_rectangle((x + 6, y + 6, x + 34, y + 26), 10, fill=PAPER)
     draw.text((x + 20, y + 16), str(number), fill=INK, font=font(13), anchor="mm")
-    phase = PHASES[int(frames["phase"][frame])].replace("_", " ")
     below = y + _THUMB[1]
-    draw.text((x, below + 6), f"target {frames['target'][frame]}", fill=INK, font=font(15))
+    target, code = int(frames["target"][frame]), int(frames["phase"][frame])
+    phase = PHASES[code].replace("_", " ") if code >= 0 else ""
+    seconds = (int(frames["t_ns"][frame]) - int(frames["t_ns"][0])) * NS
+    title = f"target {target}" if target >= 0 else f"{seconds:.2f} s"
+    draw.text((x, below + 6), title, fill=INK, font=font(15))
     draw.text((x + _THUMB[0], below + 6), phase, fill=SOFT, font=font(15), anchor="ra")
     depth, force = float(frames["depth"][frame]) * 1e3, float(frames["wrench"][frame][2])
     left = f"{depth:.2f} mm" if np.isfinite(depth) else "depth unknown"

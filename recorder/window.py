@@ -6,13 +6,13 @@ to the moment that sample was captured: a label must fit its image, not the tick
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder import align
-from recorder.align import Aligned, Bools, Floats, Picked, Times
+from recorder.align import Aligned, Bools, Floats, Picked, Times, Values
 from recorder.errors import SessionError
 from recorder.sources import Source, Sources
 
@@ -183,7 +183,7 @@ def _slerp(source: Source, moments: Times, exposure: float) -> Aligned:
     return align.pose(source.times, _values(source), moments, max_age=source.max_age)
 
 
-def _values(source: Source) -> np.ndarray[Any, Any]:
+def _values(source: Source) -> Values:
     if source.values is None:
         raise SessionError("images cannot be interpolated")
     return source.values

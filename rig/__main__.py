@@ -16,13 +16,38 @@ from rig.errors import (
     DeviceLost,
     SafetyStop,
 )
-from rig.verbs import collect, compare, mock, preview
+from rig.verbs import (
+    bench_recorder,
+    calibrate_latency,
+    campaign,
+    collect,
+    compare,
+    endurance,
+    faults,
+    force_depth,
+    grip,
+    home,
+    jog,
+    mock,
+    preview,
+    replay,
+)
 
 _VERBS = (
     collect,
+    home,
+    calibrate_latency,
+    force_depth,
+    campaign,
+    jog,
+    grip,
     preview,
     compare,
     mock,
+    replay,
+    endurance,
+    faults,
+    bench_recorder,
 )
 
 

@@ -10,9 +10,10 @@ from rig.arm.config import ArmConfig
 from rig.camera.config import CameraConfig
 from rig.config import build, read_yaml
 from rig.errors import ConfigError
-from rig.force.config import NetFtConfig
-from rig.force.rdt import ERROR_MASK, SATURATION_MASK
+from rig.force.config import ForceConfig
+from rig.gripper.config import RobotiqConfig
 from rig.guard import GuardLimits
+from rig.hid.config import PedalConfig, SpaceMouseConfig
 from rig.taxels.config import XelaConfig
 from rig.world.analytic import AnalyticSpec
 from trajectories import ForceDepth, Limits, PressShear
@@ -104,7 +105,7 @@ class Bench:
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
     arm: ArmConfig
-    force: NetFtConfig
+    force: ForceConfig
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
     preflight: Preflight = Preflight()
@@ -114,8 +115,17 @@ class Bench:
     """Name of the indenter on the arm."""
     camera: CameraConfig | None = None
     taxels: XelaConfig | None = None
+    gripper: RobotiqConfig | None = None
+    """Holds the indenter; watched while the arm moves."""
+    pedal: PedalConfig | None = None
+    jog: SpaceMouseConfig | None = None
+    """Moves the arm by hand, for `make jog` only."""
+    force_depth: ForceDepth | None = None
+    """The press that `force-depth` records; None where the sensor has none."""
     world: AnalyticSpec | None = None
     """What presses what, on a mock bench; None on a lab bench."""
+    world_frame: tuple[float, ...] | None = field(default=None, metadata={"pose": True})
+    """Where a mock's surface really is, (6,) in the base frame [m, rad]; None: at contact_frame."""
 
     def __post_init__(self) -> None:
         """Refuse a bench without a signal, or whose mock flag and World disagree."""
@@ -144,7 +154,7 @@ class Bench:
                 (limits.box_x[0], limits.box_y[0], -limits.depth_max),
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
-            force_status_mask=ERROR_MASK | SATURATION_MASK,
+            force_status_mask=self.force.UNTRUSTED_MASK,
         )
 
 

@@ -10,7 +10,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from rig.clock import Clock
 from rig.errors import DeviceLost
@@ -48,6 +48,20 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Stop the stream and let go of the device; safe twice."""
+
+
+@runtime_checkable
+class Sorting(Protocol):
+    """A driver that leaves out what no stream may hold twice, out of order, or spoilt."""
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """What came and was left out since `open`, by reason: repeated, late, spoilt."""
+
+
+def refused(driver: Driver) -> dict[str, int]:
+    """What `driver` left out, by reason; empty for one that does not say."""
+    return driver.refused if isinstance(driver, Sorting) else {}
 
 
 class Inbox:

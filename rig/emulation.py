@@ -17,6 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
+from rig.faultport import Apply, FaultPort
 from rig.latest import WORLD_STATE
 from rig.realtime import DEVICE_PRIORITY, be_punctual
 from rig.shared import LatestRecord
@@ -91,10 +92,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", type=Path, metavar="PATH", help="file of the World's states")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (%(default)s)")
     parser.add_argument(
+        "--fault-port", type=int, metavar="PORT", help="take faults to inject there (default: none)"
+    )
+    parser.add_argument(
         "--until-stdin-closes",
         action="store_true",
         help="end when whoever started me does",
     )
+
+
+def fault_port(args: argparse.Namespace, apply: Apply) -> FaultPort | None:
+    """The fault port that --host and --fault-port ask for; None without --fault-port.
+
+    Args:
+        args: What `add_arguments` parsed.
+        apply: What a request does, `rig.disturbance.Disturbance.inject` for most devices.
+    """
+    if args.fault_port is None:
+        return None
+    return FaultPort(args.host, args.fault_port, apply)
 
 
 def serve(
@@ -103,6 +119,7 @@ def serve(
     *,
     until_stdin_closes: bool,
     priority: int = DEVICE_PRIORITY,
+    faults: FaultPort | None = None,
 ) -> int:
     """Run `emulator` until the process is told to end.
 
@@ -111,6 +128,7 @@ def serve(
         emulator: What is served.
         until_stdin_closes: End when whoever started this process is gone.
         priority: Of the real-time scheduling that is asked for.
+        faults: Where faults are put in, see `fault_port`.
 
     Returns:
         Exit code: 0, or 2 when the address cannot be listened on.
@@ -128,11 +146,20 @@ def serve(
         print(f"{name}: cannot listen on {emulator.address}: {error}", file=sys.stderr)
         return 2
     try:
+        if faults is not None:
+            faults.start()
+    except OSError as error:
+        emulator.close()
+        print(f"{name}: cannot listen on its fault port: {error}", file=sys.stderr)
+        return 2
+    try:
         print(f"ready {name} {emulator.address}", flush=True)
         # Short waits: a signal handler runs only between two of them.
         while not ending.wait(0.2):
             pass
     finally:
+        if faults is not None:
+            faults.close()
         emulator.close()
         print(f"{name}: {emulator.missed} ticks missed", file=sys.stderr, flush=True)
     return 0

@@ -13,8 +13,12 @@ from rig.arm.rotation import compose
 from rig.bench import Bench
 from rig.camera.config import CameraConfig
 from rig.errors import ConfigError
-from rig.force.config import NetFtConfig
+from rig.faultport import PORTS
+from rig.force.config import AtiSerialConfig, NetFtConfig, NidaqConfig
+from rig.gripper.config import RobotiqConfig
+from rig.hid.config import PedalConfig, SpaceMouseConfig
 from rig.taxels.config import XelaConfig
+from rig.units import from_si
 from rig.world.analytic import Noise
 
 _START_HEIGHT = 0.03
@@ -74,6 +78,10 @@ class Stage:
         """Options every emulator of a sensor takes."""
         return ["--host", self.host, "--world", str(self.world)]
 
+    def faults(self, device: str) -> list[str]:
+        """The option that opens a device's fault port."""
+        return ["--fault-port", str(PORTS[device])]
+
     @property
     def noise(self) -> Noise | None:
         """Of the instruments."""
@@ -96,20 +104,55 @@ def _netft(config: NetFtConfig, stage: Stage) -> list[str]:
     return [
         "rig.force.netft_emulator",
         *stage.common,
+        *stage.faults("force"),
         *("--http-port", str(config.http_port)),
         *("--udp-port", str(config.udp_port)),
         *(("--noise", str(stage.noise.force)) if stage.noise else ()),
     ]
 
 
+def _nidaq(config: NidaqConfig, stage: Stage) -> list[str]:
+    if config.grpc is None:
+        raise ConfigError(
+            "force.grpc: missing; allowed: loopback:31763, where a mock bench has its NI card"
+        )
+    return [
+        "rig.force.nidaq_emulator",
+        *stage.common,
+        *stage.faults("force"),
+        *("--port", config.grpc.rpartition(":")[2]),
+        *("--device", config.device),
+        *("--calibration", config.calibration),
+        *(("--noise", str(stage.noise.force)) if stage.noise else ()),
+    ]
+
+
+def _ati_serial(config: AtiSerialConfig, stage: Stage) -> list[str]:
+    return [
+        "rig.force.ati_serial_emulator",
+        *stage.common,
+        *stage.faults("force"),
+        *("--link", config.address),
+        *("--counts-per-n", str(config.counts_per_n)),
+        *("--counts-per-n-mm", str(config.counts_per_n_mm)),
+        *("--baud", str(config.baud)),
+        *("--rate-hz", str(config.rate_hz)),
+        *(("--noise", str(stage.noise.force)) if stage.noise else ()),
+    ]
+
+
 def _mjpeg(config: CameraConfig, stage: Stage) -> list[str]:
     shown = ["--view", str(stage.spec)]
+    markers = stage.bench.world.markers if stage.bench.world else None
+    if markers is not None and markers.delay:
+        shown += ["--delay-ms", repr(from_si(markers.delay, "ms"))]
     if stage.sources.camera is not None:
         motion = stage.sources.camera_motion
         shown = ["--source", str(stage.sources.camera), "--motion", motion]
     return [
         "rig.camera.mjpeg_emulator",
         *stage.common,
+        *stage.faults("camera"),
         *("--port", str(urlsplit(config.address).port)),
         *("--fps", str(config.rate_hz)),
         *shown,
@@ -123,17 +166,57 @@ def _xela(config: XelaConfig, stage: Stage) -> list[str]:
     return [
         "rig.taxels.xela_emulator",
         *stage.common,
+        *stage.faults("taxels"),
         *("--port", str(urlsplit(config.address).port)),
         *("--rate-hz", str(config.rate_hz)),
         *felt,
     ]
 
 
+def _robotiq(config: RobotiqConfig, stage: Stage) -> list[str]:
+    return [
+        "rig.gripper.emulator",
+        *stage.common,
+        *stage.faults("gripper"),
+        *("--link", config.port),
+        *("--slave", str(config.slave)),
+        *("--object", str(config.object_mock)),
+        "--holding",
+    ]
+
+
+def _hid(kind: str, device: str, stage: Stage) -> list[str]:
+    if not device.endswith(".hidraw"):
+        raise ConfigError(
+            f"{kind}.device: found {device!r}; allowed on a mock bench: runfolder/{kind}.hidraw"
+        )
+    return [
+        "rig.hid.emulator",
+        *stage.common,
+        *stage.faults(kind),
+        *("--kind", kind),
+        *("--socket", device),
+    ]
+
+
+def _pedal(config: PedalConfig, stage: Stage) -> list[str]:
+    return _hid("pedal", config.device, stage)
+
+
+def _spacemouse(config: SpaceMouseConfig, stage: Stage) -> list[str]:
+    return _hid("spacemouse", config.device, stage)
+
+
 _EMULATORS: dict[type, Callable[[Any, Stage], list[str]]] = {
     ArmConfig: _arm,
     NetFtConfig: _netft,
+    NidaqConfig: _nidaq,
+    AtiSerialConfig: _ati_serial,
     CameraConfig: _mjpeg,
     XelaConfig: _xela,
+    RobotiqConfig: _robotiq,
+    PedalConfig: _pedal,
+    SpaceMouseConfig: _spacemouse,
 }
 
 
@@ -156,6 +239,9 @@ def emulator_commands(stage: Stage) -> dict[str, list[str]]:
         "force": bench.force,
         "camera": bench.camera,
         "taxels": bench.taxels,
+        "gripper": bench.gripper,
+        "pedal": bench.pedal,
+        "spacemouse": bench.jog,
     }
     return {
         name: _EMULATORS[type(config)](config, stage)

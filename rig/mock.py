@@ -78,7 +78,7 @@ class MockBench:
 
     def _start(self) -> None:
         spec = self._folder / "world.json"
-        contact_frame = list(self.bench.contact_frame)
+        contact_frame = list(self.bench.world_frame or self.bench.contact_frame)
         spec.write_text(
             json.dumps({"world": self.content["world"], "contact_frame": contact_frame})
         )

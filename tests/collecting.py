@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from recorder import check
+from rig.reliability import quick as reliability
+from rig.reliability.processes import family, stream_process
 
 ROOT = Path(__file__).parent.parent
 
@@ -24,16 +26,7 @@ def quick_bench(folder: Path, sensor: str, *, limits: str = "{}") -> Path:
         sensor: The bench it extends.
         limits: YAML mapping merged over its limits.
     """
-    path = folder / "bench.yaml"
-    path.write_text(
-        f"""
-extends: {ROOT / "benches" / f"{sensor}.yaml"}
-preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
-arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
-limits: {limits}
-"""
-    )
-    return path
+    return reliability.quick_bench(folder, sensor, ROOT / "benches", limits=limits)
 
 
 def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
@@ -90,23 +83,7 @@ class Collection:
 
     def processes(self) -> dict[int, str]:
         """Command lines of this collection's processes, the main one among them, by pid."""
-        parents: dict[int, int] = {}
-        commands: dict[int, str] = {}
-        for entry in Path("/proc").iterdir():
-            if not entry.name.isdigit():
-                continue
-            try:
-                status = (entry / "stat").read_text()
-                command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-            except OSError:
-                continue
-            pid = int(entry.name)
-            parents[pid] = int(status.rsplit(")", 1)[1].split()[1])
-            commands[pid] = command
-        found = {self.process.pid}
-        while more := {pid for pid, parent in parents.items() if parent in found} - found:
-            found |= more
-        return {pid: commands[pid] for pid in found if pid in commands}
+        return family(self.process.pid)
 
     def emulator(self, module: str) -> int:
         """The pid of the emulator `python -m <module>`."""
@@ -114,18 +91,7 @@ class Collection:
 
     def stream(self, name: str) -> int:
         """The pid of one stream's process: the one that writes `<session>/streams/<name>`."""
-        folder = str(self.session / "streams" / name)
-        for pid, command in self.processes().items():
-            if "multiprocessing.spawn" not in command:
-                continue
-            for link in Path(f"/proc/{pid}/fd").iterdir():
-                try:
-                    target = os.readlink(link)
-                except OSError:
-                    continue
-                if target.startswith(folder + "/"):
-                    return pid
-        raise LookupError(f"no process writes {folder}")
+        return stream_process(self.processes(), self.session, name)
 
     def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
         """Wait for `condition`, with the collection still running."""

@@ -207,11 +207,17 @@ def test_a_server_that_counts_anew_goes_on_without_a_gap(host: str) -> None:
         assert all(a < b for a, b in itertools.pairwise(numbers))
 
 
-@pytest.mark.parametrize(("option", "text"), [({"sensor": "2"}, "has"), ({"taxels": 24}, "3 x 24")])
+@pytest.mark.parametrize(
+    ("option", "log", "text"),
+    [
+        ({"sensor": "2"}, np.zeros((1, 48)), "the server has"),
+        ({}, np.zeros((1, 72)), "72 values; expected 3 x 16 taxels"),
+    ],
+)
 def test_a_sensor_that_is_not_there_is_device_lost_with_what_is(
-    host: str, option: dict[str, Any], text: str
+    host: str, option: dict[str, Any], log: Any, text: str
 ) -> None:
-    with emulated(host), pytest.raises(DeviceLost, match=text), opened(host, **option):
+    with emulated(host, source=log), pytest.raises(DeviceLost, match=text), opened(host, **option):
         pass
 
 
@@ -246,3 +252,134 @@ def test_noise_has_the_asked_spread(host: str) -> None:
     with emulated(host, noise=2.1, seed=1), opened(host) as driver:
         values = np.array([sample["value"] for sample in collect(driver, 60)])
         assert values.std(axis=0).mean() == pytest.approx(2.1, rel=0.2)
+
+
+DATA = ",".join(f"{0x7A00 + 7 * k:X}" for k in range(48))
+COUNTS = [0x7A00 + 7 * k for k in range(48)]
+
+
+def frame(sensor: dict[str, Any] | None = None, **top: Any) -> str:
+    part = {"data": DATA, "sensor": "1", "taxels": 16, "model": "XR1944", "calibrated": None}
+    return json.dumps({"message": 786, "sensors": 1, **top, "1": part | (sensor or {})})
+
+
+@pytest.mark.parametrize(
+    "calibrated", [None, [0] * 48, [0.25] * 48, [0, 0.5] * 24, [], [-1e-3] * 48]
+)
+def test_calibrated_may_be_null_or_ints_or_floats_and_raw_counts_are_read_all_the_same(
+    calibrated: Any,
+) -> None:
+    scan = parse(frame({"calibrated": calibrated}, time=1.5), "1", 16)
+    assert scan is not None
+    assert scan.counts.reshape(-1).tolist() == COUNTS
+    assert scan.facts["calibrated"] == calibrated
+
+
+@pytest.mark.parametrize(
+    ("sensor", "top", "device_t"),
+    [
+        ({}, {"time": 5.0}, 5.0),
+        ({"time": 4.5}, {"time": 5.0}, 4.5),
+        ({"time": 4.5}, {"time": 5.0, "sendtime": 5.1, "type": "routine"}, 4.5),
+        ({"time": None}, {"time": 5.0}, 5.0),
+        ({"time": "late"}, {"time": 5}, 5.0),
+        ({}, {"sendtime": 5.1}, math.nan),
+        ({"time": True}, {}, math.nan),
+    ],
+)
+def test_device_time_is_when_the_sensor_was_scanned_never_when_it_was_sent(
+    sensor: dict[str, Any], top: dict[str, Any], device_t: float
+) -> None:
+    scan = parse(frame(sensor, **top), "1", 16)
+    assert scan is not None
+    assert scan.device_t == pytest.approx(device_t, nan_ok=True)
+
+
+@pytest.mark.parametrize("word", ["7", "07", "007", "0007", "a", "0A", "fa00", "FA00", "0", "FFFF"])
+def test_leading_zeros_may_be_there_or_not(word: str) -> None:
+    scan = parse(f'{{"message": 1, "1": {{"data": "{word},0,{word}"}}}}', "1", 1)
+    assert scan is not None
+    assert scan.counts.tolist() == [[int(word, 16), 0, int(word, 16)]]
+
+
+@pytest.mark.parametrize("word", ["", " 7", "+7", "0x7", "1_0", "1.5", "1FFFF", "٣"])
+def test_what_python_takes_for_a_number_and_the_server_never_sends_is_refused(word: str) -> None:
+    with pytest.raises(ValueError, match="outside"):
+        parse(f'{{"message": 1, "1": {{"data": "{word},0,0"}}}}', "1", 1)
+
+
+def test_of_several_sensors_in_one_message_the_bench_files_is_taken() -> None:
+    other = {"data": ",".join(["1"] * 72), "sensor": "2", "taxels": 24, "model": "uSPa46"}
+    text = json.dumps(json.loads(frame(time=5.0)) | {"sensors": 2, "2": other})
+    one, two = parse(text, "1", 16), parse(text, "2", 24)
+    assert one is not None
+    assert two is not None
+    assert one.counts.reshape(-1).tolist() == COUNTS
+    assert two.counts.shape == (24, 3)
+    assert (one.device_t, two.device_t) == (5.0, 5.0)
+
+
+def test_a_4_by_6_patch_on_a_4_by_4_bench_is_refused_by_its_model() -> None:
+    text = frame({"data": ",".join(["7A00"] * 72), "taxels": 24, "model": "XR1946"})
+    with pytest.raises(ValueError, match="72 values; expected 3 x 16 taxels; it is a XR1946"):
+        parse(text, "1", 16)
+
+
+def test_a_bench_with_a_4_by_6_patch_is_refused_before_anything_starts() -> None:
+    with pytest.raises(ValueError, match=r"taxels: 24.*4 x 4"):
+        XelaConfig(taxels=24)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '42["sensor_1",{"data":"..."}]',
+        '0{"sid":"abc","upgrades":["websocket"]}',
+        '{"time": 1, "sensor_1": [[1, 2, 3]]}',
+        '{"xyz": "0,0,0"}',
+    ],
+)
+def test_the_old_suites_messages_are_refused_with_words(text: str) -> None:
+    with pytest.raises(ValueError, match="update the XELA suite"):
+        parse(text, "1", 16)
+
+
+def test_temperatures_updates_and_times_of_1_8_are_facts_of_the_sensor(host: str) -> None:
+    with emulated(host, layout="1.8"), opened(host) as driver:
+        facts = driver.describe()
+        assert (facts["model"], facts["rate_hz"], facts["layout"]) == ("uSPa44", 200.0, "1.8")
+        assert facts["vendor_calibration"] is False
+        sample = collect(driver, 1)[0]
+        assert math.isfinite(sample["device_t"])
+
+
+def test_values_that_all_jump_are_refused_and_ten_in_a_row_are_device_lost(host: str) -> None:
+    def rescaled(number: int, text: str) -> Iterable[str]:
+        message = json.loads(text)
+        message["1"]["data"] = ",".join(w[:-1] for w in message["1"]["data"].split(","))
+        return (json.dumps(message) if number % 20 == 5 else text,)
+
+    with emulated(host, rescaled) as emulator, opened(host) as driver:
+        assert all(sample["value"].min() >= 48000 for sample in collect(driver, 60))
+        assert driver.refused["spoilt"] >= 2
+        emulator.fault = lambda number, text: rescaled(5, text)
+        with pytest.raises(DeviceLost, match="change its scale"):
+            collect(driver, 10_000)
+
+
+def test_late_scans_are_left_out_even_without_any_time(host: str) -> None:
+    held: list[str] = []
+
+    def timeless(number: int, text: str) -> Iterable[str]:
+        message = json.loads(text)
+        del message["time"], message["1"]["time"]
+        text = json.dumps(message)
+        if number % 5 == 0:
+            held.append(text)
+            return ()
+        return (text, held.pop()) if held else (text,)
+
+    with emulated(host, timeless), opened(host) as driver:
+        numbers = [sample["seq"] for sample in collect(driver, 40)]
+        assert all(a < b for a, b in itertools.pairwise(numbers))
+        assert driver.refused["late"] >= 5

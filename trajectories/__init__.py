@@ -9,6 +9,8 @@ from trajectories.moves import PHASES, Move, Plan, Point, Target
 from trajectories.press_shear import PressShear
 from trajectories.profile import move_duration
 from trajectories.stored import plan_from_json, plan_to_json
+from trajectories.taps import Taps
+from trajectories.touch import Touch
 
 __all__ = [
     "PHASES",
@@ -19,7 +21,9 @@ __all__ = [
     "Point",
     "PressShear",
     "Rehearsal",
+    "Taps",
     "Target",
+    "Touch",
     "move_duration",
     "plan_from_json",
     "plan_to_json",

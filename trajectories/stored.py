@@ -8,8 +8,10 @@ from typing import Any
 from trajectories.force_depth import ForceDepth
 from trajectories.moves import Plan
 from trajectories.press_shear import PressShear
+from trajectories.taps import Taps
+from trajectories.touch import Touch
 
-KINDS: dict[str, type[Any]] = {PressShear.KIND: PressShear, ForceDepth.KIND: ForceDepth}
+KINDS: dict[str, type[Any]] = {spec.KIND: spec for spec in (PressShear, ForceDepth, Touch, Taps)}
 """Every spec there is, by the word that names it."""
 
 

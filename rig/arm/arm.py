@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from rig.arm.config import ArmConfig
 from rig.arm.messages import Close, Halt, Move, Reply, Retract, Setup
-from rig.arm.supervisor import Child
+from rig.arm.supervisor import Child, HasFileno
 from rig.clock import Clock, SystemClock
 from rig.errors import DeviceLost, SafetyStop
 from rig.guard import GuardLimits, Mode
@@ -98,6 +98,7 @@ class Arm:
         acceleration: float | None = None,
         mode: Mode = "guarded",
         on_wait: Callable[[], None] | None = None,
+        wake: HasFileno | None = None,
     ) -> MoveResult:
         """Go straight to TCP pose (6,) in the base frame [m, rad] and wait until it has ended.
 
@@ -108,6 +109,7 @@ class Arm:
             mode: See `rig.guard.Guard`.
             on_wait: Called about 20 times a second. What it raises (or Ctrl-C) leaves the arm
                 moving: call `halt`.
+            wake: When it can be read from, `on_wait` is called at once; that has to empty it.
 
         Raises:
             SafetyStop: A hard limit, the box, or a safety stop of the controller.
@@ -118,7 +120,7 @@ class Arm:
         speed = speed or (config.speed if slow else config.travel_speed)
         acceleration = acceleration or (config.acceleration if slow else config.travel_acceleration)
         reply = self._child.ask(
-            lambda number: Move(number, target, speed, acceleration, mode), _ANSWER, on_wait
+            lambda number: Move(number, target, speed, acceleration, mode), _ANSWER, on_wait, wake
         )
         if reply.outcome == "device_lost" or reply.outcome == "safety_stop":
             _raise_for(reply)

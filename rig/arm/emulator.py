@@ -10,12 +10,13 @@ for an answer, so this must not run in the process of a client that uses ur_rtde
 from __future__ import annotations
 
 import argparse
+import logging
 import re
 import selectors
 import socket
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,12 @@ from rig.arm.kinematics import POSTURE, flange_pose
 from rig.arm.robot import CYCLE
 from rig.arm.rotation import compose
 from rig.clock import SECOND_NS, Clock, SystemClock
+from rig.disturbance import Disturbance, spoilt_bytes
 from rig.emulation import SharedWorld, add_arguments, serve
 from rig.latest import ARM_TRUTH
 from rig.shared import LatestRecord
+
+logger = logging.getLogger(__name__)
 
 SCRIPT_PORTS = (30001, 30002, 30003)
 _CYCLE_NS = round(CYCLE * SECOND_NS)
@@ -66,12 +70,15 @@ class ArmEmulator:
         self._world = world
         self._world_count = 0
         self._clients: list[RtdeClient] = []
+        self._peers: set[socket.socket] = set()
         self._owners: dict[str, RtdeClient] = {}
         # select(2) waits to the microsecond; epoll, in Python, rounds up to the millisecond.
         self._selector = selectors.SelectSelector()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._frozen_until_ns = 0
+        # Of the plug, and of clients to come; each client's packages have a line of their own.
+        self._line = Disturbance[bytes](clock, spoil=spoilt_bytes, on_change=self._on_plug)
         self.missed = 0
         """Cycles of host time in which the emulated controller's clock stood still."""
 
@@ -124,22 +131,29 @@ class ArmEmulator:
             peer, _ = server.accept()
         except OSError:
             return
+        if self._line.unplugged and make != self._new_faults:
+            peer.close()
+            return
         peer.setblocking(False)
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client = make(peer)
+        if make != self._new_faults:
+            self._peers.add(peer)
         self._selector.register(peer, selectors.EVENT_READ, lambda: self._serve(peer, client))
 
     def _serve(self, peer: socket.socket, client: Client) -> None:
         if client.receive():
             return
         self._selector.unregister(peer)
+        self._peers.discard(peer)
         peer.close()
         if isinstance(client, RtdeClient):
             self._clients.remove(client)
             self._owners = {k: owner for k, owner in self._owners.items() if owner is not client}
 
     def _new_rtde(self, peer: socket.socket) -> Client:
-        client = RtdeClient(peer, self._controller, self._owners)
+        line = Disturbance[bytes](self._clock, spoil=spoilt_bytes)
+        client = RtdeClient(peer, self._controller, self._owners, line)
         self._clients.append(client)
         return client
 
@@ -154,8 +168,18 @@ class ArmEmulator:
 
     def drop(self) -> None:
         """Close every RTDE connection."""
+        _shut(client.peer for client in self._clients)
+
+    def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Put a fault into the line of every RTDE client; see `rig.disturbance`."""
+        reply = self._line.inject(fault, **values)
         for client in self._clients:
-            client.peer.shutdown(socket.SHUT_RDWR)
+            client.line.inject(fault, **values)
+        return reply | {"touched": sum(client.line.touched for client in self._clients)}
+
+    def _on_plug(self) -> None:
+        if self._line.unplugged:
+            _shut(self._peers)
 
     def freeze(self, seconds: float) -> None:
         """Neither send nor read RTDE for so long [s]; connections stay, the arm goes on."""
@@ -196,6 +220,14 @@ class ArmEmulator:
         if now_ns >= self._frozen_until_ns:
             for client in self._clients:
                 client.publish()
+
+
+def _shut(peers: Iterable[socket.socket]) -> None:
+    for peer in peers:
+        try:
+            peer.shutdown(socket.SHUT_RDWR)
+        except OSError as error:
+            logger.debug("client already gone: %s", error)
 
 
 def _plain(word: str) -> str:

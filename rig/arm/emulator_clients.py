@@ -13,11 +13,15 @@ from typing import Protocol
 
 from rig.arm import rtde
 from rig.arm.controller import VERSION, Controller
+from rig.disturbance import Disturbance
 
 logger = logging.getLogger(__name__)
 
 _UNSENT_LIMIT = 1 << 20
 """A client that lets this much pile up is dropped, as the controller does [bytes]."""
+
+_POSES = ("actual_TCP_pose", "target_TCP_pose")
+"""Sent in mm and thousandths of a radian by a controller with the wrong units."""
 
 _PROGRAM_END = re.compile(r"^end\s*\n", re.MULTILINE)
 
@@ -103,14 +107,21 @@ class RtdeClient:
         peer: The connection.
         controller: Where values come from and go to.
         owners: Which client may write an input; shared by all clients of a controller.
+        line: What is wrong with the line that its data packages take.
     """
 
     def __init__(
-        self, peer: socket.socket, controller: Controller, owners: dict[str, RtdeClient]
+        self,
+        peer: socket.socket,
+        controller: Controller,
+        owners: dict[str, RtdeClient],
+        line: Disturbance[bytes],
     ) -> None:
         self.peer = peer
         self._controller = controller
         self._owners = owners
+        self.line = line
+        self._poses: list[int] = []
         self._buffer = bytearray()
         self._unsent = b""
         self._started = False
@@ -157,6 +168,7 @@ class RtdeClient:
         known = [name for name in names if name in rtde.OUTPUTS]
         self._every = max(1, round(rtde.CONTROLLER_RATE_HZ / rate_hz))
         self._output_types = tuple(rtde.OUTPUTS[name] for name in known)
+        self._poses = [place for place, name in enumerate(known) if name in _POSES]
         self._sources = [self._controller.source(name) for name in known]
         return rtde.pack_recipe(1, types)
 
@@ -184,7 +196,15 @@ class RtdeClient:
         """Send this cycle's data package if the client's rate says so."""
         if self._started and self._controller.tick % self._every == 0:
             values = [source() for source in self._sources]
-            self._send(rtde.Kind.DATA, b"\x01" + rtde.pack_values(self._output_types, values))
+            if not self.line.on:
+                self._send(rtde.Kind.DATA, b"\x01" + rtde.pack_values(self._output_types, values))
+                return
+            if self.line.wrong_units:
+                for place in self._poses:
+                    values[place] = tuple(1e3 * part for part in values[place])  # type: ignore[union-attr]
+            payload = b"\x01" + rtde.pack_values(self._output_types, values)
+            for sent in self.line.passed(payload):
+                self._send(rtde.Kind.DATA, sent)
 
     def _send(self, kind: int, payload: bytes) -> None:
         self._unsent += rtde.pack_message(kind, payload)

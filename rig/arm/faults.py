@@ -1,6 +1,7 @@
 """Faults to inject into a running arm emulator: `make faults`, and the tests.
 
-The fault port takes one JSON object a line and answers each with one: {"fault": NAME, ...}.
+The fault port (rig.faultport) knows those of the controller, and those of its line, which are in
+rig.disturbance (freeze is the controller's own: it does not read either).
 
     protective_stop, emergency_stop, stop_program
     reset_safety         what a person does at the pendant afterwards
@@ -13,14 +14,16 @@ The fault port takes one JSON object a line and answers each with one: {"fault":
 
 from __future__ import annotations
 
-import json
-import socket
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from rig import faultport
 from rig.arm.controller import Controller
+from rig.disturbance import FAULTS
 
-PORT = 31000
+PORT = faultport.PORTS["arm"]
+
+_OF_THE_LINE = (*(fault for fault in FAULTS if fault != "freeze"), "replug", "clear")
 
 
 class Network(Protocol):
@@ -31,6 +34,9 @@ class Network(Protocol):
 
     def freeze(self, seconds: float) -> None:
         """Neither send nor read RTDE for so long [s]."""
+
+    def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
+        """See `rig.disturbance.Disturbance.inject`."""
 
 
 def apply(controller: Controller, network: Network, fault: str, **values: Any) -> dict[str, Any]:
@@ -56,11 +62,15 @@ def apply(controller: Controller, network: Network, fault: str, **values: Any) -
         "freeze": lambda: network.freeze(float(values["seconds"])),
         "slider": set_slider,
         "remote_control": set_remote,
-        "state": lambda: None,
     }
-    if fault not in actions:
-        raise ValueError(f"fault: found {fault!r}; known: {', '.join(actions)}")
-    actions[fault]()
+    line: dict[str, Any] = {}
+    if fault in _OF_THE_LINE or fault == "state":
+        line = network.disturb(fault, **values)
+    elif fault in actions:
+        actions[fault]()
+    else:
+        known = ", ".join((*actions, *_OF_THE_LINE, "state"))
+        raise ValueError(f"fault: found {fault!r}; known: {known}")
     robot = controller.robot
     return {
         "tick": controller.tick,
@@ -72,16 +82,13 @@ def apply(controller: Controller, network: Network, fault: str, **values: Any) -
         "safety_status": controller.safety_status,
         "reason": controller.reason,
         "uploads": controller.uploads,
+        **line,
     }
 
 
 def answer(controller: Controller, network: Network, line: str) -> str:
     """The fault port's answer to one line."""
-    try:
-        request = json.loads(line)
-        return json.dumps({"ok": True, **apply(controller, network, **request)})
-    except (ValueError, KeyError, TypeError) as error:
-        return json.dumps({"ok": False, "error": f"{type(error).__name__}: {error}"})
+    return faultport.answer(lambda **request: apply(controller, network, **request), line)
 
 
 def inject(host: str, fault: str, **values: Any) -> dict[str, Any]:
@@ -91,13 +98,4 @@ def inject(host: str, fault: str, **values: Any) -> dict[str, Any]:
         OSError: No emulator there.
         ValueError: The emulator does not know the fault, or misses a value.
     """
-    with (
-        socket.create_connection((host, PORT), 5.0) as connection,
-        connection.makefile("rw", encoding="utf-8", newline="\n") as lines,
-    ):
-        lines.write(json.dumps({"fault": fault, **values}) + "\n")
-        lines.flush()
-        reply: dict[str, Any] = json.loads(lines.readline())
-    if not reply.pop("ok"):
-        raise ValueError(f"fault {fault!r} {values}: {reply['error']}")
-    return reply
+    return faultport.inject(host, PORT, fault, **values)

@@ -8,8 +8,10 @@ halts, retracts and this process ends. After a protective or emergency stop noth
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import signal
+import threading
 from multiprocessing.connection import Connection
 from typing import NoReturn
 
@@ -40,6 +42,8 @@ logger = logging.getLogger(__name__)
 _LINK_HZ = 250.0
 _CONNECT = 2.0
 """For each connection, and for the first pose, at start [s]."""
+_LEAVING = 20
+"""Without a parent: halted, retracted and ended by then, or ended by an alarm [s]."""
 
 
 class _ParentGoneError(Exception):
@@ -48,6 +52,7 @@ class _ParentGoneError(Exception):
 
 def run(setup: Setup, pipe: Connection) -> NoReturn:
     """Entry of the child process: serve `pipe` until told to close, then leave without clean-up."""
+    threading.Thread(target=_outlive_briefly, name="parent", daemon=True).start()
     # Ctrl-C in the terminal reaches the whole group; only the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # ur_rtde prints to stdout, which belongs to the parent's results.
@@ -62,6 +67,18 @@ def run(setup: Setup, pipe: Connection) -> NoReturn:
     finally:
         # Not sys.exit: destructors of a control interface whose robot is gone can hang or crash.
         os._exit(code)
+
+
+def _outlive_briefly() -> None:
+    """See to it that this process does not outlive the one that started it for long.
+
+    A command sent to a controller that has gone as well hangs inside ur_rtde for up to 300 s, where
+    no Python code of ours gets a turn; the alarm's default action needs none.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        signal.alarm(_LEAVING)
 
 
 def _serve(setup: Setup, pipe: Connection) -> int:

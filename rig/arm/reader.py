@@ -7,6 +7,7 @@ counts the missing ones by the controller's own clock and says when the stream i
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 from collections.abc import Callable
@@ -42,6 +43,13 @@ COLUMNS = (
 SILENCE = 1.0
 """Without a package for this long the controller counts as lost [s]."""
 
+_LATE = 0.5
+"""A package older than the newest by less than this is late; by more: a restart [s]."""
+_REACH = 3.0
+"""No UR arm reaches so far: a pose beyond is not in metres [m]."""
+_TURN = 4 * math.pi
+"""No rotation vector is longer: a pose beyond is not in radians [rad]."""
+
 _CHECK = "is the controller on, its network cable in, and no firewall between?"
 
 
@@ -69,8 +77,13 @@ class RtdeLink:
         self._recipe = 0
         self._device_t: float | None = None
         self._heard_ns = 0
+        self._failure: DeviceLost | None = None
         self.dropped = 0
         """Packages missing between two that came, by the controller's clock."""
+        self.duplicates = 0
+        """Packages that came twice; only the first counts."""
+        self.late = 0
+        """Packages that came after a later one; they are among `dropped`."""
         self.version: tuple[int, ...] = ()
         """Controller software: major, minor, bugfix, build."""
 
@@ -113,7 +126,7 @@ class RtdeLink:
         except DeviceLost:
             self.close()
             raise
-        self._device_t = None
+        self._device_t = self._failure = None
         self._heard_ns = self._clock.now_ns()
 
     def _ask(self, kind: rtde.Kind, payload: bytes, deadline_ns: int) -> bytes:
@@ -149,37 +162,50 @@ class RtdeLink:
         """Every sample that has arrived, waiting up to `timeout` [s] for one.
 
         Raises:
-            DeviceLost: Closed, silent for SILENCE, garbage, or a controller that restarted.
+            DeviceLost: Closed, silent for SILENCE, garbage, or a controller that restarted; the
+                samples before it come out first.
         """
+        if self._failure is not None:
+            raise self._failure
         if not self._fill(timeout):
             silent = (self._clock.now_ns() - self._heard_ns) / SECOND_NS
             if silent > SILENCE:
                 raise DeviceLost(f"{self._where}: no package for {silent:.1f} s; {_CHECK}")
             return []
         t_ns = self._clock.now_ns()
+        samples: list[dict[str, Any]] = []
         try:
-            samples = [
-                self._sample(t_ns, payload)
-                for kind, payload in rtde.split_messages(self._buffer)
-                if kind == rtde.Kind.DATA
-            ]
+            for kind, payload in rtde.split_messages(self._buffer):
+                sample = self._sample(t_ns, payload) if kind == rtde.Kind.DATA else None
+                if sample is not None:
+                    samples.append(sample)
         except ValueError as error:
-            raise DeviceLost(f"{self._where}: {error}; is this a UR controller?") from error
+            self._failure = DeviceLost(f"{self._where}: {error}; is this a UR controller?")
+            if not samples:
+                raise self._failure from error
         if samples:
             self._heard_ns = t_ns
         return samples
 
-    def _sample(self, t_ns: int, payload: bytes) -> dict[str, Any]:
+    def _sample(self, t_ns: int, payload: bytes) -> dict[str, Any] | None:
+        """The sample of a package; None for one that came before or comes late."""
         if not payload or payload[0] != self._recipe:
             raise ValueError(f"RTDE package of a recipe that is not ours ({payload[:1].hex()})")
         sample = dict(zip(COLUMNS, rtde.unpack_values(self._types, payload[1:]), strict=True))
         device_t = float(sample["device_t"])  # type: ignore[arg-type]
+        _require_plausible(sample["value"])  # type: ignore[arg-type]
         if self._device_t is not None:
-            steps = round((device_t - self._device_t) / self._period)
-            if steps < 1:
+            if not self._device_t - _LATE < device_t:
                 raise ValueError(
                     f"controller clock went from {self._device_t:.3f} to {device_t:.3f} s"
                 )
+            steps = round((device_t - self._device_t) / self._period)
+            if steps < 1:
+                if steps == 0:
+                    self.duplicates += 1
+                else:
+                    self.late += 1
+                return None
             self.dropped += steps - 1
         self._device_t = device_t
         return {"t_ns": t_ns, **sample}
@@ -190,6 +216,16 @@ class RtdeLink:
             self._socket.close()
             self._socket = None
         self._buffer.clear()
+
+
+def _require_plausible(pose: tuple[float, ...]) -> None:
+    # Negated, so that what is not a number fails too.
+    far, turned = math.hypot(*pose[:3]), math.hypot(*pose[3:])
+    if not (far <= _REACH and turned <= _TURN):
+        raise ValueError(
+            f"a TCP {far:.6g} m away, turned by {turned:.6g} rad; allowed: {_REACH:g} m, "
+            f"{_TURN:.3g} rad; are its units m and rad?"
+        )
 
 
 class RtdePoseDriver:
@@ -214,6 +250,11 @@ class RtdePoseDriver:
     def dropped(self) -> int:
         """Packages missing by the controller's clock, and those nobody took in time."""
         return self._link.dropped + (self._inbox.overflowed if self._inbox else 0)
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Packages that came and were left out, by reason."""
+        return {"repeated": self._link.duplicates, "late": self._link.late}
 
     def open(self, timeout: float) -> None:
         """Connect and start the stream within `timeout` [s].

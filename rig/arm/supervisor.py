@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from typing import Protocol
 
 from rig.arm import motion
 from rig.arm.messages import START, Alarm, Command, Reply, Report, Setup, Started
@@ -24,6 +25,13 @@ _SLICE = 0.05
 """How long `ask` waits between two calls of `on_wait` [s]."""
 _EXIT = 3.0
 """A child that has said its last has this long to end before it is killed [s]."""
+
+
+class HasFileno(Protocol):
+    """What can be waited for: a socket, a connection."""
+
+    def fileno(self) -> int:
+        """Of the open file."""
 
 
 class Child:
@@ -85,6 +93,7 @@ class Child:
         make: Callable[[int], Command],
         timeout: float,
         on_wait: Callable[[], None] | None = None,
+        wake: HasFileno | None = None,
     ) -> Reply:
         """Send the command that `make` makes of a number, and return the reply to it.
 
@@ -92,6 +101,7 @@ class Child:
             make: Called once.
             timeout: For the reply, or for the word that it has begun and how long it can take [s].
             on_wait: Called about 20 times a second; what it raises leaves the command running.
+            wake: When it can be read from, `on_wait` is called at once; that has to empty it.
 
         Raises:
             DeviceLost: No child, it died, or it did not answer in time and was killed.
@@ -103,7 +113,7 @@ class Child:
             # A child that has just ended may have left the reason in the pipe: read on.
             with contextlib.suppress(OSError), _interrupts_held():
                 pipe.send(command)
-        return self._answer(number, timeout, on_wait)
+        return self._answer(number, timeout, on_wait, wake)
 
     def poll(self) -> None:
         """File what has arrived.
@@ -118,7 +128,13 @@ class Child:
             raise DeviceLost(self._lost)
         return self._pipe
 
-    def _answer(self, number: int, timeout: float, on_wait: Callable[[], None] | None) -> Reply:
+    def _answer(
+        self,
+        number: int,
+        timeout: float,
+        on_wait: Callable[[], None] | None,
+        wake: HasFileno | None = None,
+    ) -> Reply:
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while True:
             with self._lock:
@@ -138,17 +154,17 @@ class Child:
                     "the controller's watchdog stops the arm. Is the network cable in?"
                 )
                 self._require_pipe()
-            self._pump(_SLICE)
+            self._pump(_SLICE, wake)
             if on_wait is not None:
                 on_wait()
 
-    def _pump(self, timeout: float) -> None:
+    def _pump(self, timeout: float, wake: HasFileno | None = None) -> None:
         """Wait up to `timeout` [s] for a report and file it, or find the child dead."""
         with self._lock:
             pipe, process = self._require_pipe(), self._process
             if process is None:
                 return
-            wait([pipe, process.sentinel], timeout)
+            wait([pipe, process.sentinel, *(() if wake is None else (wake,))], timeout)
             try:
                 if pipe.poll(0):
                     with _interrupts_held():

@@ -28,3 +28,6 @@ class CameraConfig:
     """In the camera's own unit; None leaves it."""
     silence: float = field(default=1.0, metadata={"unit": "ms"})
     """Without a frame for so long the camera counts as lost [s]."""
+    repeats: bool = False
+    """Whether equal bytes in a row from a network camera are frames of their own, as in a replay of
+    a still scene; else they are one frame sent twice: no two pictures of a sensor are equal."""

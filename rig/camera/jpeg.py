@@ -15,6 +15,8 @@ SOI = b"\xff\xd8"
 EOI = b"\xff\xd9"
 _DHT, _SOS, _COM = 0xC4, 0xDA, 0xFE
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_BASELINE = frozenset({0xC0, 0xC1})
+_UNCODED = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 
 # ITU-T T.81, Annex K.3: the tables a stream without DHT means.
@@ -88,15 +90,24 @@ def jpeg_size(jpeg: bytes) -> tuple[int, int]:
 def is_whole(jpeg: bytes) -> bool:
     """Whether it begins with SOI, has a readable header and ends with EOI.
 
-    Zeros after EOI are let pass: cameras pad their buffers.
+    Zeros after EOI are let pass: cameras pad their buffers. In a baseline file nothing but stuffed
+    zeros, restart markers and fill may follow an FF of the coded picture (ITU-T T.81, B.1.1.5), so
+    a torn one is told without decoding it.
     """
-    if not jpeg.endswith(EOI) and not jpeg.rstrip(b"\0").endswith(EOI):
-        return False
+    if not jpeg.endswith(EOI):
+        jpeg = jpeg.rstrip(b"\0")
+        if not jpeg.endswith(EOI):
+            return False
     try:
+        found = list(segments(jpeg))
         jpeg_size(jpeg)
     except ValueError:
         return False
-    return True
+    if not any(marker in _BASELINE for marker, _, _ in found):
+        return True
+    _, at, content = found[-1]
+    coded = jpeg[at + 4 + len(content) : -len(EOI)]
+    return _UNCODED.search(coded) is None
 
 
 def with_huffman_tables(jpeg: bytes) -> bytes:

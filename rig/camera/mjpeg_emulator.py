@@ -6,12 +6,15 @@
 Each JPEG carries a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number,
 and the time of the World's state it shows (of the tick, when it shows no World). A slow client
 gets the newest frame when it is ready for one; the numbers in between are skipped, never queued.
+Faults come in through rig.disturbance; `wrong_units` films at half the size.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
+import queue
+import random
 import socket
 import socketserver
 import sys
@@ -22,10 +25,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from rig.camera.jpeg import stamped
-from rig.camera.sources import FrameSource, LoopSource, WorldSource
-from rig.clock import Clock, Pacer, SystemClock
-from rig.emulation import SharedWorld, World, add_arguments, serve
+from rig.camera.jpeg import frame_stamp, stamped
+from rig.camera.sources import FrameSource, LoopSource, WorldSource, halved
+from rig.clock import SECOND_NS, Clock, Pacer, SystemClock
+from rig.disturbance import Disturbance
+from rig.emulation import SharedWorld, World, add_arguments, fault_port, serve
 from rig.realtime import CAMERA_PRIORITY
 
 logger = logging.getLogger(__name__)
@@ -44,6 +48,8 @@ class MjpegEmulatorConfig:
     host: str = "127.0.0.1"
     port: int = 8090
     rate_hz: float = 30.0
+    delay: float = 0.0
+    """Between the moment a frame shows and its delivery [s]; 0: as soon as it is drawn."""
 
 
 class MjpegEmulator:
@@ -69,6 +75,10 @@ class MjpegEmulator:
         self._parts: tuple[bytes, ...] = ()
         self._number = 0
         self._missed = 0
+        self.disturbance = Disturbance[bytes](
+            clock, spoil=_torn, mistake=_halved, on_change=self._on_plug
+        )
+        self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
         self._server: _Server | None = None
         self._threads: list[threading.Thread] = []
 
@@ -91,6 +101,7 @@ class MjpegEmulator:
         self._server = _Server((self._config.host, self._config.port), self)
         self._threads = [
             threading.Thread(target=self._film, name="mjpeg-emulator"),
+            threading.Thread(target=self._deliver, name="mjpeg-emulator-delay"),
             threading.Thread(
                 target=self._server.serve_forever, args=(0.05,), name="mjpeg-emulator-accept"
             ),
@@ -113,9 +124,12 @@ class MjpegEmulator:
         self._threads = []
 
     def parts(self, jpeg: bytes) -> Iterable[bytes]:
-        """The parts sent for one frame: where tests lose, repeat and spoil frames."""
-        head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-        return (head.encode() + jpeg + b"\r\n",)
+        """The parts sent for one frame: where faults and tests spoil frames."""
+        return tuple(_part(frame) for frame in self.disturbance.passed(jpeg))
+
+    def _on_plug(self) -> None:
+        if self.disturbance.unplugged and self._server is not None:
+            self._server.disconnect_all()
 
     def next_parts(self, sent: int) -> tuple[int, tuple[bytes, ...]] | None:
         """Number and parts of the newest frame once it is newer than `sent`; None at the end."""
@@ -130,6 +144,8 @@ class MjpegEmulator:
 
     def _film(self) -> None:
         pacer = Pacer(self._clock, self._config.rate_hz)
+        delay_ns = round(self._config.delay * SECOND_NS)
+        filmed = 0
         while not self._ending.is_set():
             t_ns = pacer.wait()
             self._missed = pacer.missed
@@ -137,12 +153,42 @@ class MjpegEmulator:
             if self._world is not None:
                 _, state = self._world.state()
                 t_ns = int(state["t_ns"])
-            jpeg = stamped(self._source.jpeg(state), self._number + 1, t_ns)
-            parts = tuple(self.parts(jpeg))
-            with self._changed:
-                self._number += 1
-                self._parts = parts
-                self._changed.notify_all()
+            filmed += 1
+            parts = tuple(self.parts(stamped(self._source.jpeg(state), filmed, t_ns)))
+            if delay_ns:
+                self._late.put((t_ns + delay_ns, parts))
+            else:
+                self._publish(parts)
+        self._late.put(None)
+
+    def _deliver(self) -> None:
+        while (late := self._late.get()) is not None:
+            self._clock.sleep_until(late[0])
+            self._publish(late[1])
+
+    def _publish(self, parts: tuple[bytes, ...]) -> None:
+        with self._changed:
+            self._number += 1
+            self._parts = parts
+            self._changed.notify_all()
+
+
+def _part(jpeg: bytes) -> bytes:
+    head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"
+
+
+def _torn(jpeg: bytes, rng: random.Random) -> bytes:
+    """A frame whose middle third is noise: it begins and ends as it should."""
+    third = len(jpeg) // 3
+    return jpeg[:third] + rng.randbytes(third) + jpeg[2 * third :]
+
+
+def _halved(jpeg: bytes) -> bytes:
+    """The frame at half the size, with its stamp."""
+    stamp = frame_stamp(jpeg)
+    small = halved(jpeg)
+    return small if stamp is None else stamped(small, *stamp)
 
 
 class _Server(ThreadingHTTPServer):
@@ -158,6 +204,10 @@ class _Server(ThreadingHTTPServer):
         """Bind without the look-up of a host name, which may take seconds."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Nobody gets through to a camera that is unplugged."""
+        return not self.emulator.disturbance.unplugged
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a client, with a send buffer that holds few frames."""
@@ -220,6 +270,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--motion", choices=("still", "moving"), default="moving",
         help="one source frame per tick, or each for 2 s (%(default)s)",
     )  # fmt: skip
+    parser.add_argument(
+        "--delay-ms", type=float, default=0.0,
+        help="deliver each frame so long after the moment it shows [ms] (%(default)s)",
+    )  # fmt: skip
     args = parser.parse_args(argv)
     world = SharedWorld(args.world)
     source: FrameSource
@@ -233,7 +287,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             source = LoopSource(args.source, hold=hold)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    config = MjpegEmulatorConfig(args.host, args.port, args.fps)
+    config = MjpegEmulatorConfig(args.host, args.port, args.fps, 1e-3 * args.delay_ms)
     emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
     try:
         return serve(
@@ -241,6 +295,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             emulator,
             until_stdin_closes=args.until_stdin_closes,
             priority=CAMERA_PRIORITY,
+            faults=fault_port(args, emulator.disturbance.inject),
         )
     finally:
         world.close()

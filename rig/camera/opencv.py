@@ -52,13 +52,21 @@ class OpenCvDriver:
         self._facts: dict[str, Any] | None = None
         self._corrupt_in_a_row = 0
         self._idle = 0
+        self._newest: bytes | None = None
         self.corrupt = 0
-        """Frames that were no whole JPEG file."""
+        """Frames that were no whole JPEG file, or of another size."""
+        self.duplicates = 0
+        """Frames that came twice; only the first counts."""
 
     @property
     def dropped(self) -> int:
         """Frames not taken in time: OpenCV shows no sequence numbers that would tell of others."""
         return self._inbox.overflowed
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Frames that came and were left out, by reason."""
+        return {"repeated": self.duplicates, "spoilt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Open the camera, set it up, and check the first frame.
@@ -71,6 +79,7 @@ class OpenCvDriver:
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         self._inbox = Inbox(self._clock, _CAPACITY)
         self._corrupt_in_a_row = self._idle = 0
+        self._facts = self._newest = None
         if self._network:
             self._refuse_settings()
             self._probe(timeout)
@@ -217,7 +226,13 @@ class OpenCvDriver:
         if self._jpeg:
             value = frame.tobytes()
             if not is_whole(value):
-                self._spoilt()
+                self._spoilt("torn frames")
+                return
+            size = jpeg_size(value)
+            if self._facts is not None and size != (self._config.width, self._config.height):
+                self._spoilt(f"frames of {size[0]}x{size[1]} px")
+                return
+            if self._came_before(value):
                 return
             value = with_huffman_tables(value)
         else:
@@ -248,12 +263,21 @@ class OpenCvDriver:
             )
         return frame
 
-    def _spoilt(self) -> None:
+    def _came_before(self, jpeg: bytes) -> bool:
+        """Whether a network camera sent the frame before once more; V4L2 does not."""
+        if not self._network or self._config.repeats:
+            return False
+        same = jpeg == self._newest
+        self._newest = jpeg
+        self.duplicates += same
+        return same
+
+    def _spoilt(self, what: str) -> None:
         self.corrupt += 1
         self._corrupt_in_a_row += 1
         if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
             raise DeviceLost(
-                f"{self._config.address}: {_CORRUPT_IN_A_ROW} torn frames in a row; "
+                f"{self._config.address}: {_CORRUPT_IN_A_ROW} {what} in a row; "
                 "check the cable, and that no other camera shares its USB bus"
             )
 

@@ -97,6 +97,18 @@ def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return canvas
 
 
+def halved(jpeg: bytes) -> bytes:
+    """The picture at half its width and height.
+
+    Raises:
+        ValueError: It cannot be decoded.
+    """
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ValueError("no picture")
+    return _encoded(cv2.resize(image, None, fx=0.5, fy=0.5), QUALITY_RENDERED)
+
+
 def _encoded(image: npt.NDArray[Any], quality: int) -> bytes:
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:

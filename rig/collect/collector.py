@@ -11,17 +11,19 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from recorder import Session, SessionError, SessionWriter
+from recorder.clocks import clock_lines, fit_clocks
 from recorder.sheet import contact_sheet
 from rig.arm.arm import Arm
 from rig.arm.rotation import compose, transform
 from rig.bench import Bench
 from rig.clock import ClockAnchor, SystemClock
 from rig.collect import report
+from rig.collect.control import Control
 from rig.collect.interrupt import Interrupted, InterruptFlag
 from rig.collect.live import LiveLine
 from rig.collect.order import Order
@@ -34,6 +36,7 @@ from rig.collect.preflight import (
     tip_position,
 )
 from rig.collect.progress import first_open_target
+from rig.collect.sentinels import Sentinels
 from rig.collect.streams import Streams
 from rig.collect.walk import Walk, require_arrival
 from rig.errors import (
@@ -46,6 +49,9 @@ from rig.errors import (
 )
 from rig.streams.kinds import stream_names, stream_spec
 from trajectories import Plan, plan_to_json
+
+if TYPE_CHECKING:
+    from rig.watch.page import Page
 
 logger = logging.getLogger(__name__)
 
@@ -69,6 +75,7 @@ class Collector:
         content: Its file as read, for the session.
         folder: Run folder for shared records.
         watch: Raises when what is behind the devices is gone, as a mock bench's World.
+        page: Shown how far it is; None when nobody asked for a page.
     """
 
     def __init__(
@@ -77,8 +84,11 @@ class Collector:
         content: dict[str, Any],
         folder: Path,
         watch: Callable[[], None] | None = None,
+        page: Page | None = None,
     ) -> None:
         self._watch = watch
+        self._page = page
+        self._control = Control()
         self._bench = bench
         self._content = content
         self._folder = folder
@@ -102,15 +112,19 @@ class Collector:
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
             found = check_devices(self._bench, streams)
+            sentinels = stack.enter_context(Sentinels(self._bench, self._control, self._clock))
+            found.facts.update(sentinels.open())
             interrupt.check()
             check_clear(self._bench, streams)
             arm = self._start_arm()
             stack.callback(arm.close)
-            self._rise(arm, streams)
+            self._rise(arm, streams, sentinels)
             tare = take_tare(self._bench, streams)
             interrupt.check()
             writer, first, run = self._open_session(order, plan, total, found, tare)
             live = LiveLine(streams, total, self._clock)
+            if self._page is not None:
+                self._page.begin(self._control, live.progress, order.path, first)
             walk = Walk(
                 self._bench,
                 arm,
@@ -118,6 +132,8 @@ class Collector:
                 writer,
                 live,
                 interrupt,
+                self._control,
+                sentinels,
                 self._clock,
                 run=run,
                 zero=tare.mean - self._bias,
@@ -131,8 +147,11 @@ class Collector:
             except BaseException as error:
                 # Whatever it is: the arm leaves and the session is closed before anything else.
                 stop = error
+                logger.error("stopping: %s", str(error) or type(error).__name__)
             interrupt.ignore()
             live.end()
+            if self._page is not None:
+                self._page.say("ending")
             retracted = self._retract(arm)
             status, reason = self._outcome(stop, retracted)
             try:
@@ -145,18 +164,20 @@ class Collector:
         seconds = (self._clock.now_ns() - started_ns) / 1e9
         session = Session(order.path)
         print(report.cadence(self._bench, session, summaries))
+        self._fit_clocks(order.path)
         self._picture(order.path)
-        print(
-            report.last_line(
-                status,
-                reason,
-                order.path,
-                done=first + walk.done,
-                limited=walk.limited,
-                total=total,
-                seconds=seconds,
-            )
+        last_line = report.last_line(
+            status,
+            reason,
+            order.path,
+            done=first + walk.done,
+            limited=walk.limited,
+            total=total,
+            seconds=seconds,
         )
+        print(last_line)
+        if self._page is not None:
+            self._page.say(status, last_line)
         return self._exit_code(stop)
 
     def _start_arm(self) -> Arm:
@@ -170,8 +191,13 @@ class Collector:
         arm.start(self._bench.preflight.timeout)
         return arm
 
-    def _rise(self, arm: Arm, streams: Streams) -> None:
+    def _rise(self, arm: Arm, streams: Streams, sentinels: Sentinels) -> None:
         """To the safe height where it stands, tool upright: tare and travel happen up there."""
+
+        def look() -> None:
+            sentinels.check()
+            streams.check()
+
         x, y, z = tip_position(self._bench, streams)
         height = max(self._bench.arm.retract, z)
         pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
@@ -180,7 +206,8 @@ class Collector:
             speed=self._bench.arm.travel_speed,
             acceleration=self._bench.arm.travel_acceleration,
             mode="travel",
-            on_wait=streams.check,
+            on_wait=look,
+            wake=sentinels.wake,
         )
         require_arrival(result, pressing=False)
 
@@ -251,7 +278,7 @@ class Collector:
             "clock": "CLOCK_MONOTONIC",
             "t0_ns": anchor["t0_ns"],
             "software": software(),
-            "calibration": {},
+            "calibration": order.calibration.facts(),
         }
 
     def _retract(self, arm: Arm) -> bool:
@@ -286,6 +313,14 @@ class Collector:
             ) from error
         return summaries
 
+    def _fit_clocks(self, path: Path) -> None:
+        try:
+            fit_clocks(path)
+            for line in clock_lines(Session(path)):
+                print(line)
+        except (SessionError, OSError) as error:
+            logger.warning("no clock fit: %s", error)
+
     def _picture(self, path: Path) -> None:
         picture = path.with_suffix(".png")
         try:
@@ -305,9 +340,10 @@ def _stream_attrs(name: str, order: Order, tare: Tare) -> dict[str, Any]:
     """What a stream's attributes hold beyond the facts of its device."""
     if name == "force":
         return {"bias": tare.mean.tolist()}
+    attrs = order.calibration.stream_attrs(name)
     if name == "camera" and order.mock_facts and "camera" in order.mock_facts:
-        return {"source_motion": order.mock_facts["camera"]["motion"]}
-    return {}
+        attrs["source_motion"] = order.mock_facts["camera"]["motion"]
+    return attrs
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:

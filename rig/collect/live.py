@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from typing import TextIO
+from typing import Any, TextIO
 
 from rig.clock import SECOND_NS, Clock
 from rig.collect.streams import Streams
@@ -46,12 +46,41 @@ class LiveLine:
         self._first: int | None = None
         self._target: Target | None = None
         self._move: Move | None = None
+        self._ended: dict[int, str] = {}
+        self._waiting = ""
 
     def at(self, target: Target, move: Move | None) -> None:
         """Say which target and move is under way."""
         if self._first is None:
             self._first, self._start_ns = target.index, self._clock.now_ns()
         self._target, self._move = target, move
+
+    def waiting(self, why: str) -> None:
+        """Say in place of the phase that nothing moves, and why; a new reason is shown at once."""
+        if why != self._waiting:
+            self._waiting, self._due_ns = why, 0
+
+    def waited(self, duration_ns: int) -> None:
+        """Go on; a pause of `duration_ns` does not count for the time left."""
+        self._waiting, self._due_ns = "", 0
+        self._start_ns += duration_ns
+
+    def ended(self, target: Target, outcome: str) -> None:
+        """Say how a target ended: done or limited."""
+        self._ended[target.index] = outcome
+
+    def progress(self) -> dict[str, Any]:
+        """What a page to watch on shows: `Snapshot` fields, `ended`, `waiting`; from any thread."""
+        target, move = self._target, self._move
+        if target is None:
+            return {}
+        return {
+            "target": target.index,
+            "phase": self._phase(move),
+            "left": self._seconds_left(target, self._clock.now_ns()),
+            "ended": dict(self._ended),
+            "waiting": bool(self._waiting),
+        }
 
     def tick(self) -> None:
         """Write the line when it is time to."""
@@ -77,10 +106,9 @@ class LiveLine:
         force = self._streams["force"].latest()
         dropped = sum(int(count["dropped"]) for count in counters.values())
         rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
-        phase = PHASES[self._move.phase] if self._move is not None else "to point"
         parts = [
             f"target {target.index + 1}/{self._total}",
-            f"{phase:<10}",
+            f"{self._phase(self._move):<10}",
             f"{1e3 * target.depth:.2f} mm",
             f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?",
             rates,
@@ -89,9 +117,16 @@ class LiveLine:
         ]
         return "  ".join(parts)
 
+    def _phase(self, move: Move | None) -> str:
+        return self._waiting or (PHASES[move.phase] if move is not None else "to point")
+
     def _left(self, target: Target, now_ns: int) -> str:
+        seconds = self._seconds_left(target, now_ns)
+        return "?:??" if seconds is None else minutes(seconds)
+
+    def _seconds_left(self, target: Target, now_ns: int) -> float | None:
         done = target.index - (self._first or 0)
         if done == 0:
-            return "?:??"
+            return None
         per_target = (now_ns - self._start_ns) / SECOND_NS / done
-        return minutes(per_target * (self._total - target.index))
+        return per_target * (self._total - target.index)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from recorder import Session
 from rig.bench import Bench
+from rig.calibration import Calibration
 from rig.errors import ConfigError
 from trajectories import Plan, plan_from_json, rehearse
 
@@ -26,16 +27,23 @@ class Order:
     """Who; the login name when empty."""
     mock_facts: dict[str, Any] | None = None
     """What stands behind a mock bench's emulators, for the session's attributes."""
+    calibration: Calibration = field(default_factory=Calibration)
+    """What was measured of the bench before, and holds for this session."""
 
 
-def plan_of(order: Order, bench: Bench) -> tuple[Plan, int]:
+def plan_of(order: Order, bench: Bench, plan: Plan | None = None) -> tuple[Plan, int]:
     """The plan and how many of its targets are wanted: the bench's, or the resumed session's.
+
+    Args:
+        order: What the operator asked for.
+        bench: Whose limits hold.
+        plan: Taken in place of the bench's trajectory.
 
     Raises:
         ConfigError: Another sensor's session, too many targets, or a plan that breaks a limit.
         SessionError: The session to resume cannot be read.
     """
-    plan: Plan = bench.trajectory
+    plan = bench.trajectory if plan is None else plan
     total = len(plan) if order.targets is None else order.targets
     if order.resume:
         attrs = Session(order.path).attrs

@@ -26,6 +26,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
         dropped = str(summary["dropped"]) if summary else "?"
         lines.append(
             f"{name:<8}{expected_rate(bench, name):>7.0f} Hz{rate:>7.1f} Hz{gap:>13}{dropped:>9}"
+            + left_out(summary.get("refused", {}))
         )
     frames = session.frames
     valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
@@ -38,6 +39,12 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
         )
         lines.append(frames_per_target(session))
     return "\n".join(lines)
+
+
+def left_out(refused: Mapping[str, int]) -> str:
+    """What came and was not stored, in words; empty when there was none."""
+    found = [f"{count} {reason}" for reason, count in refused.items() if count]
+    return f"  left out: {', '.join(found)}" if found else ""
 
 
 def frames_per_target(session: Session) -> str:

@@ -12,11 +12,14 @@ from rig.bench import Bench
 from rig.clock import SECOND_NS, Clock
 from rig.errors import DeviceLost
 from rig.streams.handle import StreamHandle
-from rig.streams.kinds import stream_names
+from rig.streams.kinds import expected_rate, stream_names
 
-_SILENT = 2.0
+SILENT = 2.0
 # A signal (camera, taxels) that shows no new sample for so long is lost; force and pose have their
 # own, shorter limits in the guard [s].
+SLOW_FRACTION, SLOW = 0.5, 3.0
+# A stream that comes at less than this part of its rate (what the preflight refuses too) for so
+# long [s] is no recording of what happens.
 
 
 class Streams:
@@ -37,6 +40,8 @@ class Streams:
         self._handles = {name: StreamHandle(name, bench, folder) for name in stream_names(bench)}
         self._summaries: dict[str, Any] = {}
         self._closed = False
+        self._expected = {name: expected_rate(bench, name) for name in self._handles}
+        self._slow_since_ns: dict[str, int] = {}
 
     def __enter__(self) -> Streams:
         return self
@@ -79,13 +84,27 @@ class Streams:
         for handle in self:
             handle.check()
             latest = handle.latest()
-            if latest is not None and now_ns - int(latest["t_ns"]) > _SILENT * SECOND_NS:
+            if latest is not None and now_ns - int(latest["t_ns"]) > SILENT * SECOND_NS:
                 raise DeviceLost(
                     f"{handle.name}: no sample for {(now_ns - int(latest['t_ns'])) / SECOND_NS:.1f}"
-                    f" s; allowed: {_SILENT:.1f} s; is the device powered and connected?"
+                    f" s; allowed: {SILENT:.1f} s; is the device powered and connected?"
                 )
+            self._check_rate(handle, now_ns)
         if self._watch is not None:
             self._watch()
+
+    def _check_rate(self, handle: StreamHandle, now_ns: int) -> None:
+        counters = handle.counters()
+        expected = self._expected[handle.name]
+        if counters is None or counters["rate_hz"] >= SLOW_FRACTION * expected:
+            self._slow_since_ns.pop(handle.name, None)
+            return
+        since_ns = self._slow_since_ns.setdefault(handle.name, now_ns)
+        if now_ns - since_ns > SLOW * SECOND_NS:
+            raise DeviceLost(
+                f"{handle.name}: {counters['rate_hz']:.0f} Hz for {SLOW:.0f} s; expected "
+                f"{expected:.0f} Hz; is its line overloaded, or its lighting too dim?"
+            )
 
     def counters(self) -> dict[str, np.void]:
         """COUNTERS of every stream that has shown some."""

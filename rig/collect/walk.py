@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from functools import partial
 
 import numpy as np
 
@@ -11,16 +12,21 @@ from recorder import OUTCOMES, SessionError, SessionWriter
 from rig.arm.arm import Arm, MoveResult
 from rig.arm.rotation import compose
 from rig.bench import Bench
-from rig.clock import Clock
+from rig.clock import SECOND_NS, Clock
+from rig.collect.control import Control
 from rig.collect.interrupt import InterruptFlag
 from rig.collect.live import LiveLine
 from rig.collect.preflight import check_untouched, tip_position
+from rig.collect.sentinels import Released, Sentinels
 from rig.collect.streams import Streams
 from rig.errors import DeviceLost, SafetyStop
 from rig.guard import Mode
 from trajectories import Move, Plan, Point, Target
 
 logger = logging.getLogger(__name__)
+
+_LOOK_NS = SECOND_NS // 20
+# Between two looks at whether a pause is over.
 
 
 def require_arrival(result: MoveResult, *, pressing: bool) -> None:
@@ -46,6 +52,8 @@ class Walk:
         writer: The session.
         live: The progress line.
         interrupt: Looked at after every row.
+        control: Likewise, and for pauses before every target.
+        sentinels: Watching; asked while the arm moves.
         clock: Clock.
         run: Number of this run.
         zero: What the untouched F/T sensor shows after the tare was taken (6,) [N, N m].
@@ -59,6 +67,8 @@ class Walk:
         writer: SessionWriter,
         live: LiveLine,
         interrupt: InterruptFlag,
+        control: Control,
+        sentinels: Sentinels,
         clock: Clock,
         *,
         run: int,
@@ -70,9 +80,13 @@ class Walk:
         self._writer = writer
         self._live = live
         self._interrupt = interrupt
+        self._control = control
+        self._sentinels = sentinels
         self._clock = clock
         self._run = run
         self._zero = zero
+        self._point: int | None = None
+        # The contact point whose p0 the tip was brought to; None: none, or it has left.
         self.done = 0
         """Targets that were pressed to their end."""
         self.limited = 0
@@ -85,16 +99,66 @@ class Walk:
             SafetyStop, DeviceLost, SessionError: What stopped it; the arm stands still.
             Interrupted: The operator asked to.
         """
-        point = None
         for target in plan.targets():
             if not first <= target.index < total:
                 continue
             self._live.at(target, None)
-            if target.point != point:
-                self._go_to_point(target)
-                point = target.point
-            self._press_target(plan, target)
+            limited = self.limited
+            while not self._attempt(plan, target):
+                pass
             self.done += 1
+            self._live.ended(target, "limited" if self.limited > limited else "done")
+
+    def _attempt(self, plan: Plan, target: Target) -> bool:
+        """Press a target from its start; False when the dead-man pedal was let go of meanwhile."""
+        self._hold()
+        try:
+            if target.point != self._point:
+                self._go_to_point(target)
+                self._point = target.point
+            self._press_target(plan, target)
+        except Released as released:
+            self._live.end()
+            logger.warning("target %d: halted: %s", target.index + 1, released)
+            self._point = None
+            self._live.at(target, None)
+            self._rise(target)
+            self._sentinels.disarm()
+            return False
+        return True
+
+    def _hold(self) -> None:
+        """Wait while anybody wants a pause, or the dead-man pedal is not held."""
+        self._asked()
+        began_ns = now_ns = self._clock.now_ns()
+        while (why := self._reason_to_wait()) is not None:
+            self._wait()
+            # What the guard finds while nothing moves, a protective stop for one, must come out.
+            self._arm.check()
+            self._live.waiting(why)
+            self._clock.sleep_until(now_ns + _LOOK_NS)
+            now_ns = self._clock.now_ns()
+            self._asked()
+        if now_ns > began_ns:
+            self._live.waited(now_ns - began_ns)
+            logger.info("going on after a pause of %.1f s", (now_ns - began_ns) / SECOND_NS)
+
+    def _reason_to_wait(self) -> str | None:
+        paused_by = self._control.paused_by
+        if paused_by:
+            return f"paused by the {' and the '.join(paused_by)}"
+        return None if self._sentinels.armed() else f"waiting: {self._sentinels.wish}"
+
+    def _asked(self) -> None:
+        """Raise Interrupted when the operator asked to end, in whatever way."""
+        self._interrupt.check()
+        self._control.check()
+
+    def _rise(self, target: Target) -> None:
+        """From wherever a press was broken off straight up, clear of the surface and higher."""
+        x, y, z = tip_position(self._bench, self._streams)
+        self._move((x, y, max(z, target.origin[2])), mode="retreat")
+        self._move((x, y, max(z, self._bench.arm.retract)), mode="travel")
 
     def _go_to_point(self, target: Target) -> None:
         """Straight up, over to the point at a safe height, down to p0, and its reference."""
@@ -108,7 +172,7 @@ class Walk:
         self._move((x, y, approach), mode="travel")
         self._move((x, y, clearance), mode="guarded")
         self._take_reference(target.point)
-        self._interrupt.check()
+        self._asked()
 
     def _take_reference(self, point: int) -> None:
         window = self._bench.preflight.point_window
@@ -148,18 +212,19 @@ class Walk:
                 logger.warning("target %d: %s", target.index + 1, result.reason)
                 self._leave(target)
                 return
-            self._interrupt.check()
+            self._asked()
 
     def _leave(self, target: Target) -> None:
         """Straight up from a press that reached the soft limit, then on to p0 for the next one."""
         x, y, z = tip_position(self._bench, self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         self._move(target.origin, mode="guarded")
-        self._interrupt.check()
+        self._asked()
 
     def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
         bench, arm = self._bench, self._bench.arm
-        travelling = mode == "travel"
+        travelling, pressing = mode == "travel", mode == "guarded"
+        self._sentinels.check(pressing=pressing)
         asked_ns = self._clock.now_ns()
         pose = compose(bench.contact_frame, (*place, *bench.tool_rotation))
         try:
@@ -168,14 +233,17 @@ class Walk:
                 speed=arm.travel_speed if travelling else arm.speed,
                 acceleration=arm.travel_acceleration if travelling else arm.acceleration,
                 mode=mode,
-                on_wait=self._wait,
+                on_wait=partial(self._wait, pressing=pressing),
+                wake=self._sentinels.wake,
             )
-        except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt):
+        except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt, Released) as error:
             ended_ns = self._clock.now_ns()
-            with contextlib.suppress(SafetyStop, DeviceLost):
+            released = isinstance(error, Released)
+            # A halt that fails says more than a pedal does; any other error came first.
+            with contextlib.suppress(*(() if released else (SafetyStop, DeviceLost))):
                 self._arm.halt()
             if record is not None:
-                self._note(record, "stopped", asked_ns, ended_ns)
+                self._note(record, "interrupted" if released else "stopped", asked_ns, ended_ns)
             raise
         if record is not None:
             outcome = "complete" if result.outcome == "done" else result.outcome
@@ -183,7 +251,9 @@ class Walk:
         require_arrival(result, pressing=record is not None)
         return result
 
-    def _wait(self) -> None:
+    def _wait(self, *, pressing: bool = False) -> None:
+        # The sentinels first: what they found has to stop the arm soonest.
+        self._sentinels.check(pressing=pressing)
         self._streams.check()
         self._live.tick()
 

@@ -19,6 +19,7 @@ from rig.driver import Inbox, Receiver
 from rig.errors import ConfigError, DeviceLost
 from rig.force.arrival import StampedSocket
 from rig.force.config import NetFtConfig
+from rig.force.page_watch import PageWatch
 from rig.force.rdt import (
     COMMAND_REALTIME,
     COMMAND_STOP,
@@ -39,6 +40,10 @@ _POLL = 0.1
 _CAPACITY = 60_000
 _RESTART = 1000
 # A packet this many places late is no reordering: the box has begun a new stream.
+_AHEAD = 10.0
+# A packet this far ahead is none of this stream: silence ends it long before [s].
+_STRANGE_IN_A_ROW = 10
+_PAGE_TIMEOUT = 1.0
 
 
 class NetFtDriver:
@@ -55,6 +60,7 @@ class NetFtDriver:
         self._receiver: Receiver | None = None
         self._inbox = Inbox(clock, _CAPACITY)
         self._page: Page | None = None
+        self._page_watch: PageWatch | None = None
         self._scale = np.ones(6)
         self._sequence = -1
         self._idle = 0
@@ -64,12 +70,18 @@ class NetFtDriver:
         self.duplicates = 0
         """Packets that came twice; only the first counts."""
         self.corrupt = 0
-        """Packets of the wrong length."""
+        """Packets of the wrong length, or with a number that is none of this stream."""
+        self._strange_in_a_row = 0
 
     @property
     def dropped(self) -> int:
         """Records that never reached `read`: lost on the way, late, or not taken in time."""
         return self._gaps + self._inbox.overflowed
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Packets that came and were left out, by reason."""
+        return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Read the settings, set the rate, start the stream and wait for its first record.
@@ -80,8 +92,9 @@ class NetFtDriver:
         """
         self.close()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
-        self._inbox = Inbox(self._clock, _CAPACITY)
+        inbox = self._inbox = Inbox(self._clock, _CAPACITY)
         self._sequence = -1
+        self._strange_in_a_row = 0
         self._page = self._settled_page(deadline_ns)
         self._scale = np.repeat(self._page.scale(), 3)
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -102,6 +115,12 @@ class NetFtDriver:
         self._socket, self._stamped = udp, stamped
         self._idle = 0
         self._receiver = Receiver(f"netft-{self._config.host}", self._receive, self._inbox)
+        self._page_watch = PageWatch(
+            self._page,
+            lambda: self._read_page(self._clock.now_ns() + round(_PAGE_TIMEOUT * SECOND_NS)),
+            lambda what: inbox.fail(f"{self._address()}: {what}"),
+            self._clock,
+        )
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
         """Records since the last call; see `rig.driver.Driver.read`.
@@ -132,6 +151,9 @@ class NetFtDriver:
 
     def close(self) -> None:
         """Stop the stream and let go of the socket; safe twice."""
+        if self._page_watch is not None:
+            self._page_watch.close()
+            self._page_watch = None
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
@@ -216,19 +238,22 @@ class NetFtDriver:
 
     def _sort(self, packet: bytes, t_ns: int) -> None:
         if len(packet) != RECORD.size:
-            self.corrupt += 1
+            self._strange(f"packets of {len(packet)} bytes; a record has {RECORD.size}")
             return
         rdt_sequence, _, status, *counts = RECORD.unpack(packet)
         if self._sequence < 0:
             self._sequence = rdt_sequence - 1
         step = (rdt_sequence - self._sequence) & 0xFFFFFFFF
         step -= (step & 0x80000000) << 1
+        if not -_RESTART <= step <= _AHEAD * max(self._config.rate_hz, _RESTART):
+            went = "went back" if step < 0 else "jumped"
+            self._strange(
+                f"the sequence {went} from {self._sequence} to {rdt_sequence}; the box was "
+                "restarted, another client started a stream, or the packets are garbage"
+            )
+            return
+        self._strange_in_a_row = 0
         if step <= 0:
-            if step < -_RESTART:
-                raise DeviceLost(
-                    f"{self._address()}: the sequence went back from {self._sequence} to "
-                    f"{rdt_sequence}; the box was restarted, or another client started a stream"
-                )
             if step == 0:
                 self.duplicates += 1
             else:
@@ -238,3 +263,10 @@ class NetFtDriver:
         self._sequence += step
         value = np.array(counts, np.float64) * self._scale
         self._inbox.put({"value": value, "seq": self._sequence, "status": status}, t_ns)
+
+    def _strange(self, why: str) -> None:
+        """Leave out a packet that is none of this stream; too many in a row end it."""
+        self.corrupt += 1
+        self._strange_in_a_row += 1
+        if self._strange_in_a_row >= _STRANGE_IN_A_ROW:
+            raise DeviceLost(f"{self._address()}: {why} ({self._strange_in_a_row} in a row)")

@@ -3,7 +3,8 @@
     python -m rig.force.netft_emulator --host 127.0.0.5 --http-port 8080 --world PATH
 
 As the box does, it streams to one client only, the one that asked last. Its bias (command 0x42)
-lasts until the process ends.
+lasts until the process ends. Faults come in through rig.disturbance; `wrong_units` is somebody who
+sets the box to pound-force on its web page.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.clock import Clock, Pacer, SystemClock
-from rig.emulation import SharedWorld, World, add_arguments, serve
+from rig.disturbance import Disturbance, spoilt_bytes
+from rig.emulation import SharedWorld, World, add_arguments, fault_port, serve
 from rig.errors import ConfigError
 from rig.force.rdt import (
     COMMAND_BIAS,
@@ -43,6 +45,7 @@ _NOISE_ROWS = 8192
 _TORQUE_NOISE = 0.005
 # N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
 _INTERNAL_HZ = 7000
+_WRONG_UNITS = ("lbf", "lbf-in")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,9 @@ class NetFtEmulator:
         self.page = config.page
         self._config = config
         self._scale = np.repeat(config.page.scale(), 3)
+        self.disturbance = Disturbance[bytes](
+            clock, spoil=spoilt_bytes, on_change=self._on_disturbance, seed=config.seed
+        )
         self._world = world
         self._clock = clock
         self._rng = np.random.default_rng(config.seed)
@@ -129,8 +135,14 @@ class NetFtEmulator:
             self._udp = None
 
     def packets(self, packet: bytes) -> Iterable[bytes]:
-        """What leaves the box for one record: where tests lose, repeat and spoil packets."""
-        return (packet,)
+        """What leaves the box for one record: where faults and tests spoil packets."""
+        return self.disturbance.passed(packet)
+
+    def _on_disturbance(self) -> None:
+        wrong, own = self.disturbance.wrong_units, self._config.page
+        units = _WRONG_UNITS if wrong else (own.force_unit, own.torque_unit)
+        self.page = replace(self.page, force_unit=units[0], torque_unit=units[1])
+        self._scale = np.repeat(self.page.scale(), 3)
 
     def set_rate(self, rate_hz: int) -> None:
         """What comm.cgi?comrdtrate= does: rates the box does not know leave it as it was."""
@@ -141,7 +153,7 @@ class NetFtEmulator:
         noise = self._rng.normal(0.0, self._config.noise, (_NOISE_ROWS, 6))
         noise[:, 3:] *= _TORQUE_NOISE
         noise /= self._scale
-        number, counts = -1, np.zeros(6)
+        number, counts, scale = -1, np.zeros(6), self._scale
         while not self._ending.is_set():
             if self._peer is None:
                 select.select([udp], [], [], 0.05)
@@ -156,8 +168,8 @@ class NetFtEmulator:
             pacer.wait()
             self._missed = missed + pacer.missed
             newest, state = self._world.state()
-            if newest != number:
-                number, counts = newest, self._counts(state)
+            if newest != number or self._scale is not scale:
+                number, scale, counts = newest, self._scale, self._counts(state)
             self._take_commands(udp, counts)
             if self._peer is None:
                 continue
@@ -189,7 +201,7 @@ class NetFtEmulator:
             except OSError:
                 return
             request = parse_request(packet)
-            if request is None:
+            if request is None or self.disturbance.unplugged:
                 continue
             command, samples = request
             if command == COMMAND_REALTIME:
@@ -213,6 +225,10 @@ class _HttpServer(ThreadingHTTPServer):
         """Bind without the look-up of a host name, which may take seconds."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Nobody gets through to a box that is unplugged."""
+        return not self.emulator.disturbance.unplugged
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that goes before it is answered is no error."""
@@ -271,7 +287,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         parser.error(str(error))
     try:
-        return serve("netft", emulator, until_stdin_closes=args.until_stdin_closes)
+        return serve(
+            "netft",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
     finally:
         world.close()
 

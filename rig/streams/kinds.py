@@ -13,6 +13,7 @@ from rig.bench import Bench
 from rig.clock import Clock
 from rig.driver import Driver
 from rig.errors import ConfigError
+from rig.force.config import AtiSerialConfig, ForceConfig, NidaqConfig
 from rig.latest import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 
 
@@ -99,9 +100,7 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
     """
     try:
         if name == "force":
-            from rig.force.netft import NetFtDriver
-
-            return NetFtDriver(bench.force, clock)
+            return _force_driver(bench.force, clock)
         if name == "pose":
             from rig.arm.reader import RtdePoseDriver
 
@@ -119,6 +118,20 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
             f"{name}: {error.name} is not installed; install the extra: pip install -e '.[rig]'"
         ) from None
     raise ConfigError(f"stream: found {name!r}; known: {', '.join(KINDS)}")
+
+
+def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
+    if isinstance(config, NidaqConfig):
+        from rig.force.nidaq import NidaqDriver
+
+        return NidaqDriver(config, clock)
+    if isinstance(config, AtiSerialConfig):
+        from rig.force.ati_serial import AtiSerialDriver
+
+        return AtiSerialDriver(config, clock)
+    from rig.force.netft import NetFtDriver
+
+    return NetFtDriver(config, clock)
 
 
 def stream_spec(

@@ -20,7 +20,7 @@ import numpy as np
 from recorder import SessionError, StreamWriter
 from rig.bench import Bench
 from rig.clock import SECOND_NS, Clock, SystemClock
-from rig.driver import Driver
+from rig.driver import Driver, refused
 from rig.errors import ConfigError, DeviceLost
 from rig.realtime import be_punctual
 from rig.shared import LatestRecord
@@ -111,6 +111,7 @@ class _StreamLoop:
         self._recent: deque[int] = deque()
         self._samples = self._rows = 0
         self._dropped_before = 0
+        self._refused_before: dict[str, int] = {}
         self._last_ns = self._shown_ns = 0
         self._longest_gap = 0.0
 
@@ -143,6 +144,7 @@ class _StreamLoop:
         self._writer = StreamWriter.open(path)
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
         self._dropped_before = self._driver.dropped
+        self._refused_before = refused(self._driver)
         self._pipe.send(("recording", self._writer.rows))
 
     def _take(self, sample: dict[str, Any]) -> None:
@@ -178,6 +180,10 @@ class _StreamLoop:
         summary = {
             "rows": self._rows,
             "dropped": self._driver.dropped - self._dropped_before,
+            "refused": {
+                reason: count - self._refused_before.get(reason, 0)
+                for reason, count in refused(self._driver).items()
+            },
             "longest_gap": self._longest_gap,
         }
         if self._writer is not None:

@@ -3,7 +3,8 @@
     python -m rig.taxels.xela_emulator --host 127.0.0.6 --port 5000 --world PATH
     python -m rig.taxels.xela_emulator --source trial.npy --rate-hz 100 --layout 1.7
 
-A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row a scan.
+A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row a scan. Faults
+come in through rig.disturbance; `wrong_units` loses the last hexadecimal digit of each value.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import contextlib
 import itertools
 import json
+import socket
 import sys
 import threading
 from collections import deque
@@ -27,7 +29,8 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
-from rig.emulation import SharedWorld, World, add_arguments, serve
+from rig.disturbance import Disturbance, spoilt_text
+from rig.emulation import SharedWorld, World, add_arguments, fault_port, serve
 
 Log = npt.NDArray[np.float64]
 
@@ -96,6 +99,14 @@ class XelaEmulator:
         self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
         self._number = 0
         self._missed = 0
+        self.disturbance = Disturbance[str](
+            clock,
+            spoil=spoilt_text,
+            mistake=_shortened,
+            on_change=self._on_plug,
+            seed=config.seed,
+        )
+        self._clients: set[ServerConnection] = set()
         self._server: Server | None = None
         self._threads: list[threading.Thread] = []
 
@@ -143,8 +154,16 @@ class XelaEmulator:
         self._threads = []
 
     def messages(self, message: str) -> Iterable[str]:
-        """What is sent for one scan: where tests lose, repeat and spoil messages."""
-        return (message,)
+        """What is sent for one scan: where faults and tests spoil messages."""
+        return self.disturbance.passed(message)
+
+    def _on_plug(self) -> None:
+        if not self.disturbance.unplugged:
+            return
+        with self._changed:
+            clients = tuple(self._clients)
+        for client in clients:
+            _cut(client)
 
     def _make_scans(self) -> None:
         pacer = Pacer(self._clock, self._config.rate_hz)
@@ -179,6 +198,18 @@ class XelaEmulator:
         return whole
 
     def _serve_client(self, connection: ServerConnection) -> None:
+        if self.disturbance.unplugged:
+            _cut(connection)
+            return
+        with self._changed:
+            self._clients.add(connection)
+        try:
+            self._send_scans(connection)
+        finally:
+            with self._changed:
+                self._clients.discard(connection)
+
+    def _send_scans(self, connection: ServerConnection) -> None:
         with contextlib.suppress(ConnectionClosed):
             connection.send(json.dumps({"message": "Welcome"}))
             sent = self._number
@@ -195,6 +226,21 @@ class XelaEmulator:
             behind = min(self._number - sent, len(self._scans))
             newer = itertools.islice(self._scans, len(self._scans) - behind, None)
             return self._number, tuple(itertools.chain.from_iterable(newer))
+
+
+def _shortened(message: str) -> str:
+    """The message with the last digit of every value missing."""
+    content = json.loads(message)
+    for part in content.values():
+        if isinstance(part, dict):
+            part["data"] = ",".join(word[:-1] or "0" for word in part["data"].split(","))
+    return json.dumps(content)
+
+
+def _cut(connection: ServerConnection) -> None:
+    """As when the cable is pulled: no word of farewell."""
+    with contextlib.suppress(OSError):
+        connection.socket.shutdown(socket.SHUT_RDWR)
 
 
 def load_log(path: Path) -> Log:
@@ -236,7 +282,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     world = SharedWorld(args.world)
     emulator = XelaEmulator(config, world if log is None else log, SystemClock())
     try:
-        return serve("xela", emulator, until_stdin_closes=args.until_stdin_closes)
+        return serve(
+            "xela",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
     finally:
         world.close()
 

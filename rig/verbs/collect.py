@@ -12,6 +12,7 @@ from rig.bench import bench_from, load_bench
 from rig.clock import file_stamp
 from rig.errors import ConfigError
 from rig.mock import MockBench
+from rig.verbs.calibrated import calibration_of, calibration_options
 from rig.verbs.options import (
     banner,
     bench_options,
@@ -20,6 +21,7 @@ from rig.verbs.options import (
     source_options,
     sources_of,
 )
+from rig.verbs.watching import open_page, watch_options
 
 if TYPE_CHECKING:
     from rig.verbs.options import Verbs
@@ -40,6 +42,8 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument("--indenter", help="name of the indenter on the arm")
     parser.add_argument("--operator", default="", help="who records (default: the login name)")
     parser.add_argument("--truth", type=Path, help="mock bench: log the World's truth here")
+    watch_options(parser)
+    calibration_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -66,14 +70,16 @@ def run(options: argparse.Namespace) -> int:
     if session is None:
         indenter = content.get("indenter", bench.indenter)
         session = Path("sessions") / f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
+    calibration = calibration_of(options, bench, content.get("indenter", bench.indenter))
     order = Order(
         path=session,
         resume=options.resume is not None,
         targets=options.targets,
         operator=options.operator,
         mock_facts=sources.facts() if bench.mock else None,
+        calibration=calibration,
     )
-    plan, total = plan_of(order, bench)
+    plan, total = plan_of(order, calibration.applied(bench))
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
@@ -84,5 +90,7 @@ def run(options: argparse.Namespace) -> int:
                 MockBench(content, str(path), folder, sources=sources, truth=options.truth)
             )
             content, watch = mock.content, mock.check
-        collector = Collector(bench_from(content, str(path)), content, folder, watch)
+        bench = calibration.applied(bench_from(content, str(path)))
+        page = open_page(options, stack, bench, folder, order, plan, total)
+        collector = Collector(bench, content, folder, watch, page)
         return collector.run(order, plan, total)

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         MockBench(content, str(path), Path(folder), sources=sources_of(options)) as mock,
     ):
         print(banner(True, path))
-        print(f"arm {mock.bench.arm.host}  force {mock.bench.force.host}")
+        print(f"arm {mock.bench.arm.host}  force {mock.bench.force.address}")
         for config in (mock.bench.camera, mock.bench.taxels):
             if config is not None:
                 print(config.address)

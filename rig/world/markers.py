@@ -38,6 +38,8 @@ class MarkerView:
     """Colour of the gel, RGB."""
     ink: tuple[int, int, int] = (28, 26, 30)
     """Colour of the markers, RGB."""
+    delay: float = field(default=0.0, metadata={"unit": "ms"})
+    """How late the emulated camera delivers what it saw [s]."""
 
     def points(self) -> np.ndarray:
         """Untouched markers (n, 2) in the contact frame [m]."""

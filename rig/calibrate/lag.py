@@ -1,0 +1,190 @@
+"""How much later than the force something else shows the same tap: an image, the indentation.
+
+Coarse: the correlation of force and motion over lags, with its highest and second highest peak; a
+regular rhythm has many, irregular taps have one. Fine: force at the times of the motion less the
+lag, and its square, explain the motion best at one lag; least squares, and a parabola through the
+residuals about it. Interval: bootstrap over taps. Pure functions.
+
+A viscoelastic gel's force runs ahead of its indentation, by some milliseconds for taps of this
+length. Whoever wants the image against the indentation takes the difference of two lags.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+STEP = 1e-3
+"""Force is brought to this raster [s]."""
+_SMOOTH = 17
+# Force is averaged over so many steps: a frame's exposure, and its noise is left behind.
+_FIT = 8
+# The parabola goes through so many steps to both sides of the least residual.
+_NEIGHBOURHOOD = 0.05
+# A second peak is one outside this distance from the first [s].
+_REACH = 0.03
+# The fine search looks so far to both sides of the coarse one [s].
+_ROUNDS = 400
+_T_95 = (12.71, 12.71, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18)
+# Student's t for 95 % from 0 to 13 taps; beyond, 2.1. A bootstrap of few taps is too narrow by it.
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """How late a motion is."""
+
+    value: float
+    """Motion after force [s]."""
+    interval: tuple[float, float]
+    """95 % interval, from bootstrap over taps [s]."""
+    correlation: float
+    """Of force and motion at the coarse lag, -1 to 1."""
+    ratio: float
+    """Highest over second highest peak of the correlation; large is unambiguous."""
+    taps: int
+    """Taps it was found from."""
+
+    @property
+    def width(self) -> float:
+        """Width of the interval [s]."""
+        return self.interval[1] - self.interval[0]
+
+
+def find_lag(
+    force_t_ns: Times,
+    force: Floats,
+    motion_t_ns: Times,
+    motion: Floats,
+    *,
+    search: tuple[float, float] = (-0.05, 0.3),
+    seed: int = 0,
+) -> Lag:
+    """Find by how much `motion` lags behind `force`.
+
+    Args:
+        force_t_ns: Times of the force (n,) [ns], ascending.
+        force: Size of the force (n,) [N]; about zero without contact.
+        motion_t_ns: Times of the motion (m,) [ns], ascending.
+        motion: How far each is from the untouched state (m,), any unit.
+        search: Smallest and largest lag looked for [s].
+        seed: Of the bootstrap.
+
+    Raises:
+        ValueError: Too few samples, no taps, or nothing that moves.
+    """
+    grid, raster = _rastered(force_t_ns, force)
+    seconds = (motion_t_ns - force_t_ns[0]) * 1e-9
+    # Samples whose force is known at every lag that is tried.
+    margin = _REACH + 2 * STEP
+    kept = (seconds > grid[0] + search[1] + margin) & (seconds < grid[-1] + search[0] - margin)
+    seconds, motion = seconds[kept], np.asarray(motion, np.float64)[kept]
+    if len(seconds) < 30:
+        raise ValueError(
+            f"motion: found {len(seconds)} samples with force around them; at least 30"
+        )
+    if not (np.isfinite(raster).all() and np.isfinite(motion).all()):
+        raise ValueError("force, motion: values that are not finite")
+    if not motion.std() > 0:
+        raise ValueError("motion: none differs from the others; does the camera see the gel?")
+    taps = _taps(grid, raster)
+    if len(taps) < 4:
+        raise ValueError(f"force: found {len(taps)} taps; at least 4")
+    lags = np.arange(search[0], search[1] + STEP / 2, STEP)
+    curve = np.array([_correlation(np.interp(seconds - lag, grid, raster), motion) for lag in lags])
+    coarse = float(lags[curve.argmax()])
+    fine = coarse + np.arange(-_REACH, _REACH + STEP / 2, STEP)
+    blocks = np.searchsorted((taps[1:] + taps[:-1]) / 2, seconds - coarse)
+    squares = _squares(grid, raster, seconds, motion, fine, blocks, len(taps))
+    value = _best(fine, squares.sum(axis=1)[None])[0]
+    rng = np.random.default_rng(seed)
+    drawn = rng.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), _ROUNDS)
+    found = _best(fine, np.einsum("rb,lbij->rlij", drawn.astype(float), squares))
+    widened = (_T_95[len(taps)] if len(taps) < len(_T_95) else 2.1) / 1.96
+    low, high = value + widened * (np.percentile(found, [2.5, 97.5]) - value)
+    return Lag(
+        float(value),
+        (float(low), float(high)),
+        float(curve.max()),
+        _peak_ratio(lags, curve),
+        len(taps),
+    )
+
+
+def _rastered(t_ns: Times, force: Floats) -> tuple[Floats, Floats]:
+    """Force on a raster of `STEP` from its first sample on: times [s] and values."""
+    if len(t_ns) < 1000:
+        raise ValueError(f"force: found {len(t_ns)} samples; at least 1000")
+    seconds = (t_ns - t_ns[0]) * 1e-9
+    grid = np.arange(0.0, float(seconds[-1]), STEP)
+    values = np.interp(grid, seconds, np.asarray(force, np.float64))
+    padded = np.pad(values, _SMOOTH // 2, mode="edge")
+    return grid, np.convolve(padded, np.full(_SMOOTH, 1 / _SMOOTH), mode="valid")
+
+
+def _taps(grid: Floats, force: Floats) -> Floats:
+    """Middles of the stretches above a third of the tapping force (n,) [s]."""
+    level = float(np.percentile(force, 98)) / 3
+    above = np.concatenate([[False], force > max(level, 1e-12), [False]])
+    edges = np.flatnonzero(np.diff(above.astype(np.int8))).reshape(-1, 2)
+    longer = edges[edges[:, 1] - edges[:, 0] > 0.02 / STEP]
+    return np.asarray(grid[(longer[:, 0] + longer[:, 1] - 1) // 2])
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0 else 0.0
+
+
+def _peak_ratio(lags: Floats, curve: Floats) -> float:
+    """Highest value of the correlation over its highest local maximum elsewhere."""
+    best = int(curve.argmax())
+    inner = np.arange(1, len(curve) - 1)
+    peaks = inner[(curve[inner] >= curve[inner - 1]) & (curve[inner] >= curve[inner + 1])]
+    others = curve[peaks[np.abs(lags[peaks] - lags[best]) > _NEIGHBOURHOOD]]
+    second = float(others.max()) if others.size else 0.0
+    return float(curve[best] / max(second, 0.01))
+
+
+def _squares(
+    grid: Floats,
+    force: Floats,
+    seconds: Floats,
+    motion: Floats,
+    lags: Floats,
+    blocks: NDArray[np.intp],
+    count: int,
+) -> Floats:
+    """Products of [1, force, its square, motion] (lags, blocks, 4, 4)."""
+    scale = float(np.abs(force).max()) or 1.0
+    level = force / scale
+    columns = (level, level**2)
+    out = np.empty((len(lags), count, len(columns) + 2, len(columns) + 2))
+    picture = motion / (motion.std() or 1.0)
+    for number, lag in enumerate(lags):
+        shifted = [np.interp(seconds - lag, grid, column) for column in columns]
+        rows = np.column_stack([np.ones_like(seconds), *shifted, picture])
+        for block in range(count):
+            part = rows[blocks == block]
+            out[number, block] = part.T @ part
+    return out
+
+
+def _best(lags: Floats, squares: Floats) -> Floats:
+    """Lag of the least residual (r,) for products (r, lags, k, k), between the raster's points."""
+    inside = squares[..., :-1, :-1]
+    ridge = 1e-9 * np.trace(inside, axis1=-2, axis2=-1)[..., None, None] * np.eye(inside.shape[-1])
+    cross = squares[..., :-1, -1]
+    solved = np.linalg.solve(inside + ridge, cross[..., None])[..., 0]
+    cost = squares[..., -1, -1] - np.einsum("...i,...i->...", cross, solved)
+    best = np.clip(cost.argmin(axis=-1), _FIT, len(lags) - 1 - _FIT)
+    around = np.arange(-_FIT, _FIT + 1)
+    near = cost[np.arange(len(cost))[:, None], best[:, None] + around]
+    bend, slant, _ = np.polyfit(around, near.T, 2)
+    shift = np.divide(-slant, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
+    return np.asarray(lags[best] + np.clip(shift, -_FIT, _FIT) * STEP)

@@ -1,0 +1,226 @@
+"""Where contact begins: a model fitted to the onset of force, not a threshold crossed.
+
+Above the surface the force is constant, below it grows as k d^p (1 + c d): p is 1 for a flat punch,
+1.5 for a sphere (Hertz), 2 for a cone (Johnson 1985, 4 and 5), and the correction c takes what a
+thin layer adds and relaxation takes away. A threshold would find a deeper place on a softer gel.
+Pure functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_POWERS = np.arange(1.0, 2.01, 0.1)
+_POINTS = 400
+# Samples are averaged to about so many points along the way: the fit is the same, and fast.
+_COARSE, _FINE = 100, 81
+# Places tried along the whole way, then around the best one.
+_TIMING = 3e-6
+# Forces and poses are brought together to a few milliseconds, at 1 mm/s [m].
+_CHI2_95 = 3.841
+# A 95 % interval holds the places whose likelihood ratio stays below this (Wilks, one parameter).
+_T_95 = (np.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
+# Student's t for 95 % at 0 to 9 degrees of freedom; beyond, 2.
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """Where one approach met the surface."""
+
+    z: float
+    """Height of first contact in the frame of the input [m]."""
+    interval: tuple[float, float]
+    """95 % profile-likelihood interval of it [m]."""
+    power: float
+    """Exponent of the force's growth."""
+    force: float
+    """Largest force of the approach beyond its zero [N]."""
+    noise: float
+    """Standard deviation of a force sample about the model [N]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """What several approaches at one place say together."""
+
+    z: float
+    """Height of the surface [m]."""
+    interval: tuple[float, float]
+    """95 % interval of it [m]."""
+    spread: float
+    """Standard deviation between approaches [m]; NaN for a single one."""
+
+    @property
+    def width(self) -> float:
+        """Width of the interval [m]."""
+        return self.interval[1] - self.interval[0]
+
+
+def find_onset(z: Floats, force: Floats) -> Onset | None:
+    """Fit zero force, then a power of the depth; None when the force never rises out of its noise.
+
+    Args:
+        z: Height of the tip (n,) along one approach [m], from above downward.
+        force: Compression (n,) at those heights [N], positive.
+
+    Raises:
+        ValueError: Too few samples, or values that are not finite.
+    """
+    z, force = np.asarray(z, np.float64), np.asarray(force, np.float64)
+    if z.shape != force.shape or len(z) < 50:
+        raise ValueError(f"approach: found {z.shape} heights and {force.shape} forces; at least 50")
+    if not (np.isfinite(z).all() and np.isfinite(force).all()):
+        raise ValueError("approach: values that are not finite; is a sensor disconnected?")
+    z, force = _averaged(z, force)
+    top, bottom = float(z.max()), float(z.min())
+    grid = np.linspace(bottom, top, _COARSE + 2)[1:-1]
+    for width in ((top - bottom) / _COARSE, (top - bottom) / _COARSE / 10):
+        cost, power = _profile(z, force, grid)
+        best = int(cost.argmin())
+        centre = float(grid[best])
+        grid = np.linspace(centre - 4 * width, centre + 4 * width, _FINE)
+    cost, power = _profile(z, force, grid)
+    best = int(cost.argmin())
+    place, exponent = float(grid[best]), float(power[best])
+    residual, rise = _residual(z, force, place, exponent)
+    freedom = len(z) - 5
+    variance = float(residual @ residual) / freedom
+    flat = float(np.var(force)) * len(z)
+    # A flat line is as good when there was no contact: a rise must explain far more than noise.
+    gained = flat - float(cost[best])
+    if not (gained > 50 * variance and rise > 3 * np.sqrt(variance)):
+        return None
+    limit = float(cost[best]) + _CHI2_95 * variance * _inflation(residual)
+    interval = _interval(z, force, place, limit, top - bottom)
+    noise = float(np.sqrt(variance))
+    return Onset(place, interval, exponent, rise, noise)
+
+
+def combine(onsets: Sequence[Onset]) -> Surface:
+    """The surface from repeated approaches: their mean, with what they say and how they scatter.
+
+    The half-width is the larger of Student's t times the standard error between approaches, and
+    the mean half-width of the single intervals over the root of their number.
+
+    Raises:
+        ValueError: No onset at all.
+    """
+    if not onsets:
+        raise ValueError("onsets: found none; allowed: at least one")
+    places = np.array([onset.z for onset in onsets])
+    halves = np.array([(onset.interval[1] - onset.interval[0]) / 2 for onset in onsets])
+    count = len(onsets)
+    mean = float(places.mean())
+    within = float(np.sqrt(np.mean(halves**2) / count))
+    if count == 1:
+        return Surface(mean, onsets[0].interval, float("nan"))
+    spread = float(places.std(ddof=1))
+    between = (_T_95[count - 1] if count <= len(_T_95) else 2.0) * spread / np.sqrt(count)
+    half = float(np.hypot(max(within, float(between)), _TIMING))
+    return Surface(mean, (mean - half, mean + half), spread)
+
+
+def tilt(places: Floats, heights: Floats) -> tuple[float, float, float]:
+    """Plane through surface heights: slopes along x and y [rad], and the height at the origin [m].
+
+    Args:
+        places: x and y of the places (n, 2) [m], three or more, not on one line.
+        heights: Surface there (n,) [m].
+
+    Raises:
+        ValueError: Places that do not span a plane.
+    """
+    matrix = np.column_stack([places, np.ones(len(places))])
+    if len(places) < 3 or np.linalg.matrix_rank(matrix, tol=1e-9) < 3:
+        raise ValueError(f"places: found {len(places)} that span no plane; allowed: 3 or more")
+    slope_x, slope_y, height = np.linalg.lstsq(matrix, heights, rcond=None)[0].tolist()
+    return slope_x, slope_y, height
+
+
+def _averaged(z: Floats, force: Floats) -> tuple[Floats, Floats]:
+    step = max(len(z) // _POINTS, 1)
+    whole = len(z) - len(z) % step
+    # The end of the approach counts most: what does not fill a group is left out at its start.
+    z, force = z[len(z) - whole :], force[len(force) - whole :]
+    return z.reshape(-1, step).mean(axis=1), force.reshape(-1, step).mean(axis=1)
+
+
+def _profile(z: Floats, force: Floats, grid: Floats) -> tuple[Floats, Floats]:
+    """Least sum of squares at each place (m,) over the exponents, and the exponent of each."""
+    depth = np.maximum(grid[:, None] - z[None, :], 0.0)
+    depth /= max(float(depth.max()), 1e-12)
+    centred = force - force.mean()
+    total = float(centred @ centred)
+    cost = np.full(len(grid), total)
+    power = np.full(len(grid), _POWERS[0])
+    for exponent in _POWERS:
+        first = depth**exponent
+        second = first * depth
+        first -= first.mean(axis=1, keepdims=True)
+        second -= second.mean(axis=1, keepdims=True)
+        aa = np.einsum("ij,ij->i", first, first)
+        ab = np.einsum("ij,ij->i", first, second)
+        bb = np.einsum("ij,ij->i", second, second)
+        ay, by = first @ centred, second @ centred
+        # Least squares for two shapes, by Cramer's rule.
+        space = aa * bb - ab**2
+        solvable = space > 1e-9 * aa * bb
+        space = np.where(solvable, space, 1.0)
+        k, c = (bb * ay - ab * by) / space, (aa * by - ab * ay) / space
+        # Beyond a factor of 2 at full depth it would no longer be a correction; a force that
+        # falls on contact is no contact.
+        fine = solvable & (k > 0) & (c > -0.5 * k) & (c < k)
+        alone = np.divide(ay, aa, out=np.zeros_like(aa), where=aa > 0)
+        found = np.where(fine, total - k * ay - c * by, total - np.maximum(alone, 0.0) * ay)
+        better = found < cost
+        cost[better], power[better] = found[better], exponent
+    return cost, power
+
+
+def _residual(z: Floats, force: Floats, place: float, power: float) -> tuple[Floats, float]:
+    depth = np.maximum(place - z, 0.0)
+    depth /= float(depth.max()) or 1.0
+    matrix = np.column_stack([np.ones_like(z), depth**power, depth ** (power + 1)])
+    found = np.linalg.lstsq(matrix, force, rcond=None)[0]
+    rise = float(found[1] + found[2])
+    return np.asarray(force - matrix @ found), rise
+
+
+def _inflation(residual: Floats) -> float:
+    """How many times fewer independent samples there are than samples, from autocorrelation."""
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    if power <= 0:
+        return 1.0
+    total = 1.0
+    for lag in range(1, len(centred) // 4):
+        rho = float(centred[:-lag] @ centred[lag:]) / power
+        # Sums of noise would only add noise: stop where it begins (Geyer 1992).
+        if rho < 2 / np.sqrt(len(centred)):
+            break
+        total += 2 * rho
+    return total
+
+
+def _interval(
+    z: Floats, force: Floats, place: float, limit: float, span: float
+) -> tuple[float, float]:
+    """Outermost places on either side whose cost stays below `limit` [m]."""
+    reach = span / 500
+    while True:
+        grid = np.linspace(place - reach, place + reach, 2 * _FINE + 1)
+        cost, _ = _profile(z, force, grid)
+        inside = np.flatnonzero(cost <= limit)
+        if reach >= span or (inside.size and inside[0] > 0 and inside[-1] < len(grid) - 1):
+            break
+        reach *= 2
+    if not inside.size:
+        return (place, place)
+    step = float(grid[1] - grid[0])
+    return float(grid[inside[0]]) - step, float(grid[inside[-1]]) + step

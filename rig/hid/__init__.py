@@ -1,0 +1,1 @@
+"""Devices of USB class HID: the foot pedal and the SpaceMouse, with their emulator."""

@@ -1,0 +1,151 @@
+"""What a running collection shows of itself, written down by somebody else.
+
+The newest sample of a stream is shown in shared memory after it was appended: once recording has
+begun, every sample seen here was accepted, and must be readable afterwards. Where the arm is, its
+emulator says through its fault port, whatever the rig believes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.arm import faults
+from rig.arm.rotation import compose, invert
+from rig.clock import SECOND_NS, SystemClock
+from rig.shared import LatestRecord
+from rig.streams.kinds import KINDS
+from rig.streams.process import COUNTERS
+
+_PERIOD = 0.02
+_ARM_EVERY = 3
+_STILL = 1e-3
+"""Below it the arm stands [m/s]."""
+_CLEAR = 0.01
+"""Above it the tip is clear of the surface, by half of a retract [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmState:
+    """What the arm's emulator said of itself, once."""
+
+    t_ns: int
+    height: float
+    """Of the tip above the surface [m]."""
+    speed: float
+    """Of the tip [m/s]."""
+
+    @property
+    def still(self) -> bool:
+        """Whether it stands."""
+        return self.speed < _STILL
+
+    @property
+    def clear(self) -> bool:
+        """Whether the tip is well above the surface."""
+        return self.height > _CLEAR
+
+
+@dataclass(slots=True)
+class Seen:
+    """What was seen of one run."""
+
+    shown: dict[str, set[int]] = field(default_factory=dict)
+    """t_ns of samples shown by each stream while it was recording [ns]."""
+    rows: dict[str, int] = field(default_factory=dict)
+    """Most rows each stream said it had stored in this run."""
+    arm: list[ArmState] = field(default_factory=list)
+    """In order of time."""
+
+
+class Observer:
+    """Looks at a collection about 50 times a second, in a thread of its own, until closed.
+
+    Args:
+        folder: The run folder, where records are shared.
+        host: Address of the mock bench.
+    """
+
+    def __init__(self, folder: Path, host: str) -> None:
+        self.seen = Seen()
+        self._folder = folder
+        self._host = host
+        self._frame = _contact_frame(folder)
+        self._clock = SystemClock()
+        self._records: dict[str, tuple[LatestRecord, LatestRecord]] = {}
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
+        self._thread.start()
+
+    def rows(self, name: str) -> int:
+        """Rows that the stream says it has stored in this run."""
+        return self.seen.rows.get(name, 0)
+
+    def close(self) -> Seen:
+        """Look once more, stop, and give what was seen; safe twice."""
+        if not self._stopping.is_set():
+            self._stopping.set()
+            self._thread.join()
+            self._look()
+            for records in self._records.values():
+                for record in records:
+                    record.close()
+            self._records.clear()
+        return self.seen
+
+    def _run(self) -> None:
+        tick = 0
+        while not self._stopping.wait(_PERIOD):
+            self._look()
+            tick += 1
+            if tick % _ARM_EVERY == 0:
+                self._ask_arm()
+
+    def _look(self) -> None:
+        for name, (latest, counters) in self._open_records():
+            count, newest = counters.read(), latest.read()
+            if count is not None:
+                self.seen.rows[name] = max(self.seen.rows.get(name, 0), int(count["rows"]))
+            if newest is not None and self.seen.rows.get(name, 0) > 0:
+                self.seen.shown.setdefault(name, set()).add(int(newest["t_ns"]))
+
+    def _open_records(self) -> Iterator[tuple[str, tuple[LatestRecord, LatestRecord]]]:
+        for name, kind in KINDS.items():
+            if name not in self._records:
+                # A file that is not there yet, or only half made, is looked at again next time.
+                with contextlib.suppress(OSError, ValueError):
+                    latest = LatestRecord.attach(self._folder / f"{name}.latest", kind.latest)
+                    path = self._folder / f"{name}.counters"
+                    self._records[name] = latest, LatestRecord.attach(path, COUNTERS)
+            if name in self._records:
+                yield name, self._records[name]
+
+    def _ask_arm(self) -> None:
+        try:
+            state = faults.inject(self._host, "state")
+        except (OSError, ValueError):
+            # The controller is gone: what was last heard of it stands, with its time.
+            return
+        self.seen.arm.append(_arm_state(state, self._frame, self._clock.now_ns()))
+
+
+def _arm_state(state: dict[str, Any], frame: np.ndarray, t_ns: int) -> ArmState:
+    height = float(compose(invert(frame), state["pose"])[2])
+    return ArmState(t_ns, height, float(np.linalg.norm(state["speed"][:3])))
+
+
+def _contact_frame(folder: Path) -> np.ndarray:
+    frame: np.ndarray = np.array(json.loads((folder / "world.json").read_text())["contact_frame"])
+    return frame
+
+
+def age(state: ArmState, now_ns: int) -> float:
+    """How long ago it was [s]."""
+    return (now_ns - state.t_ns) / SECOND_NS

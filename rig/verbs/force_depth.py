@@ -1,0 +1,83 @@
+"""`python -m rig force-depth`: press straight down and up again, a few times; table and curve."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder import Session, SessionError
+from rig.bench import load_bench
+from rig.clock import file_stamp
+from rig.errors import ConfigError
+from rig.verbs.calibrated import calibration_of, calibration_options
+from rig.verbs.options import banner, bench_options, bench_path, log_to
+
+if TYPE_CHECKING:
+    from rig.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "force-depth",
+        parents=[bench_options()],
+        help="record loading and unloading along the bench's force_depth, draw the curve",
+    )
+    parser.add_argument(
+        "--indenter", default="prism", help="name of the indenter on the arm (%(default)s)"
+    )
+    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
+    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    calibration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Press, print, draw; the exit code.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+    """
+    from rig.collect.order import Order, plan_of
+    from rig.collect.recording import record
+
+    path = bench_path(options)
+    bench, content = load_bench(path)
+    print(banner(bench.mock, path), flush=True)
+    if bench.force_depth is None:
+        raise ConfigError(
+            f"{path}.force_depth: missing; allowed: depth_max_mm, repeats (see docs/bench-guide.md)"
+        )
+    plan = bench.force_depth
+    content = {**content, "indenter": options.indenter}
+    calibration = calibration_of(options, bench, options.indenter)
+    name = f"{bench.sensor}-{options.indenter}-force-depth-{file_stamp()}.zarr"
+    session = options.out or Path("sessions") / name
+    order = Order(path=session, operator=options.operator, calibration=calibration)
+    plan_of(order, calibration.applied(bench), plan)
+    session.parent.mkdir(parents=True, exist_ok=True)
+    log_to(session.with_suffix(".log"))
+    code = record(path, content, order, plan, prepared=calibration.applied)
+    show(session)
+    return code
+
+
+def show(path: Path) -> None:
+    """Print the table of a session of presses and write its curve beside it."""
+    from recorder.presscurve import press_curves, save_curves
+
+    try:
+        session = Session(path)
+        curves = press_curves(session)
+    except SessionError as error:
+        print(f"no curve: {error}")
+        return
+    print("\n".join(curves.lines()))
+    picture = path.with_suffix(".curve.png")
+    try:
+        save_curves(curves, picture, f"{session.attrs['sensor']}, {session.attrs['indenter']}")
+    except OSError as error:
+        print(f"no curve: {picture}: {error}")
+    else:
+        print(f"force-depth curve: {picture}")

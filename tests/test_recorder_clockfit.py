@@ -1,0 +1,164 @@
+"""Offset and drift of device clocks, found again under delays that only ever add."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recorder import Session, SessionWriter, StreamWriter, force_spec, pose_spec
+from recorder.clockfit import ClockFit, fit_clock
+from recorder.clocks import clock_lines, fit_clocks
+
+OFFSET, DRIFT, LEAST_DELAY = 0.055, 80e-6, 0.004
+START = 86_400.0
+# The host has been up for a day: times are large, as they are in a lab [s].
+
+
+def _arrivals(
+    seed: int, *, rate_hz: float = 60.0, span: float = 600.0, shape: float = 2.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """True times [s], the device's [s] and arrivals [ns] of a clock that is late, fast and warm.
+
+    Delays: 4 ms at least, gamma of mean 1.5 ms on top, 1 % spikes; thermal wander of 0.5 ms.
+    """
+    rng = np.random.default_rng(seed)
+    true = START + np.arange(round(rate_hz * span)) / rate_hz
+    wander = 0.5e-3 * np.sin(2 * np.pi * true / 600.0 + rng.uniform(0, 2 * np.pi))
+    device = (true - START) * (1 + DRIFT) + wander - OFFSET
+    delay = LEAST_DELAY + rng.gamma(shape, 1.5e-3 / shape, len(true))
+    spikes = rng.random(len(true)) < 0.01
+    delay[spikes] += rng.exponential(0.03, int(spikes.sum()))
+    # A stream keeps its order: what waits behind a late packet is late too.
+    arrived = np.maximum.accumulate(true + delay)
+    return true, device, np.round(arrived * 1e9).astype(np.int64)
+
+
+@pytest.mark.parametrize("causal", [False, True], ids=["two-sided", "causal"])
+@pytest.mark.parametrize("shape", [1.0, 2.0])
+def test_55_ms_and_80_ppm_come_back_within_1_ms_and_a_tenth_rms(causal: bool, shape: float) -> None:
+    for seed in range(20):
+        true, device, t_ns = _arrivals(seed, shape=shape)
+        fit = fit_clock(device, t_ns, causal=causal, least_delay=LEAST_DELAY)
+        assert fit is not None
+        assert len(fit.pieces) == 1
+        piece = fit.pieces[0]
+        error = fit.to_host(device) - true
+        assert np.sqrt(np.mean(error**2)) < 0.1e-3
+        assert abs(piece.offset - START - OFFSET) < 1e-3
+        # The wander itself turns by up to 0.5 ms in 75 s; over the whole it averages out.
+        assert piece.drift_ppm == pytest.approx(80, abs=3)
+        raw = t_ns * 1e-9 - LEAST_DELAY - true
+        assert np.sqrt(np.mean(raw**2)) > 10 * np.sqrt(np.mean(error**2))
+
+
+def test_a_plain_line_through_the_arrivals_would_not_do() -> None:
+    true, device, t_ns = _arrivals(3)
+    host = t_ns * 1e-9
+    line = np.polyval(np.polyfit(device, host - device, 1), device) + device
+    assert np.sqrt(np.mean((line - LEAST_DELAY - true) ** 2)) > 1e-3
+
+
+def test_a_short_recording_is_one_line() -> None:
+    true, device, t_ns = _arrivals(1, span=8.0, rate_hz=500.0)
+    fit = fit_clock(device, t_ns, least_delay=LEAST_DELAY)
+    assert fit is not None
+    assert np.abs(fit.to_host(device) - true).max() < 1e-3
+
+
+@pytest.mark.parametrize("bits_tick", [(32, 1e-6), (24, 1e-6), (16, 1e-3)])
+def test_counters_that_wrap_are_unwrapped(bits_tick: tuple[int, float]) -> None:
+    period = 2.0 ** bits_tick[0] * bits_tick[1]
+    _, device, t_ns = _arrivals(2, span=100.0)
+    wrapped = (device + period - 50.0) % period
+    fit = fit_clock(wrapped, t_ns)
+    assert fit is not None
+    assert fit.wrap == pytest.approx(period)
+    assert fit.resets == 0
+    assert fit.pieces[0].drift_ppm == pytest.approx(80, abs=10)
+
+
+def test_a_reset_of_the_device_begins_a_new_piece() -> None:
+    true, device, t_ns = _arrivals(4, span=120.0)
+    row = 3000
+    restarted = np.where(np.arange(len(device)) < row, device, device - device[row])
+    fit = fit_clock(restarted, t_ns, least_delay=LEAST_DELAY)
+    assert fit is not None
+    assert fit.resets == 1
+    assert abs(fit.pieces[1].first_row - row) <= 2
+    again = slice(fit.pieces[1].first_row + 2, None)
+    assert np.abs(fit.to_host(restarted[again], piece=1) - true[again]).max() < 1e-3
+
+
+def test_a_clock_that_is_set_forward_by_half_a_second_is_a_reset_too() -> None:
+    _, device, t_ns = _arrivals(5, span=60.0)
+    device[2000:] += 0.5
+    fit = fit_clock(device, t_ns)
+    assert fit is not None
+    assert fit.resets == 1
+    assert abs(fit.pieces[1].first_row - 2000) <= 2
+
+
+def test_a_stall_of_a_second_is_no_reset() -> None:
+    _, device, t_ns = _arrivals(6, span=60.0, rate_hz=500.0)
+    held = slice(10_000, 10_500)
+    t_ns[held] = np.maximum(t_ns[held], t_ns[10_500])
+    fit = fit_clock(device, t_ns)
+    assert fit is not None
+    assert fit.resets == 0
+
+
+def test_missing_device_times_are_left_out_and_too_few_give_no_fit() -> None:
+    _, device, t_ns = _arrivals(7, span=30.0)
+    device[::3] = np.nan
+    fit = fit_clock(device, t_ns)
+    assert fit is not None
+    assert fit.pieces[0].rows == int(np.isfinite(device).sum())
+    assert fit_clock(device[:20], t_ns[:20]) is None
+    assert fit_clock(np.full(100, np.nan), t_ns[:100]) is None
+
+
+def test_a_fit_survives_json_to_the_last_bit() -> None:
+    _, device, t_ns = _arrivals(8, span=60.0)
+    fit = fit_clock(device, t_ns)
+    assert fit is not None
+    again = ClockFit.from_json(fit.to_json())
+    assert np.array_equal(again.to_host(device), fit.to_host(device))
+    assert again.window == fit.window
+
+
+def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    _, device, t_ns = _arrivals(9, span=20.0, rate_hz=200.0)
+    specs = [pose_spec(200.0), force_spec(200.0, device={"rate_hz": 200.0})]
+    targets = {
+        "point": np.zeros(1, np.int16),
+        "depth": np.zeros(1),
+        "direction": np.zeros(1, np.int16),
+        "planned": np.zeros((1, 3)),
+    }
+    with SessionWriter.create(path, attrs={}, streams=specs, targets=targets) as writer:
+        writer.begin_run({"t0_ns": 0})
+        with StreamWriter.open(writer.stream_path("pose")) as pose:
+            for at, t in zip(device, t_ns, strict=True):
+                pose.append(value=np.zeros(6), device_t=at, speed_scaling=1.0, t_ns=t)
+        with StreamWriter.open(writer.stream_path("force")) as force:
+            for seq, t in enumerate(t_ns):
+                force.append(value=np.zeros(6), seq=seq, status=0, t_ns=t)
+        writer.finish("complete", rate_hz=60.0)
+    before = Session(path).streams["pose"].t_ns.copy()
+    found = fit_clocks(path)
+    session = Session(path)
+    assert set(found) == {"pose", "force"}
+    fit = ClockFit.from_json(session.streams["pose"].attrs["clock_fit"][0])
+    expected = fit_clock(device, t_ns)
+    assert expected is not None
+    assert fit.pieces[0].offset == expected.pieces[0].offset
+    # The force's clock ticks 200 times a second of the host's: no drift was put in.
+    drift = session.streams["force"].attrs["clock_fit"][0]["pieces"][0]["drift_ppm"]
+    assert abs(drift) < 40
+    assert np.array_equal(session.streams["pose"].t_ns, before)
+    lines = list(clock_lines(session))
+    assert len(lines) == 2
+    assert all("ppm" in line and "not applied" in line for line in lines)

@@ -1,0 +1,171 @@
+"""What the reports of pedals and SpaceMice mean."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.config import build
+from rig.errors import ConfigError
+from rig.hid.config import PedalConfig, SpaceMouseConfig
+from rig.hid.dead_man import DeadMan
+from rig.hid.reports import CapReport, emit_cap, emit_keys, parse_cap, parse_keys
+from rig.hid.watch import PedalState
+
+parts = st.integers(-350, 350).map(lambda count: count / 350)
+axes = st.tuples(parts, parts, parts)
+
+
+@given(st.sets(st.integers(4, 0xDF), max_size=6), st.sets(st.integers(0xE0, 0xE7)))
+def test_keys_are_read_back_as_they_were_pressed(keys: set[int], modifiers: set[int]) -> None:
+    assert parse_keys(emit_keys([*keys, *modifiers])) == keys | modifiers
+
+
+def test_the_letter_b_of_a_pedal_as_delivered_is_a_key_and_its_release_none() -> None:
+    assert parse_keys(bytes.fromhex("0000050000000000")) == {5}
+    assert parse_keys(bytes(8)) == frozenset()
+
+
+def test_a_report_with_its_number_before_it_is_understood() -> None:
+    assert parse_keys(bytes.fromhex("010000050000000000")) == {5}
+
+
+@pytest.mark.parametrize("report", ["", "0000", "00" * 12, "0000010101010101", "0007050000000000"])
+def test_what_is_no_keyboard_report_or_an_error_is_refused(report: str) -> None:
+    with pytest.raises(ValueError, match=r"keyboard"):
+        parse_keys(bytes.fromhex(report))
+
+
+def test_more_keys_than_a_report_holds_are_refused() -> None:
+    with pytest.raises(ValueError, match="up to 6"):
+        emit_keys(list(range(4, 11)))
+
+
+@given(axes, axes)
+def test_a_cap_is_read_back_as_it_was_pushed(shift, turn) -> None:
+    for report in (CapReport(shift=shift), CapReport(turn=turn), CapReport(shift, turn)):
+        found = parse_cap(emit_cap(report))
+        assert (found.shift, found.turn) == (
+            report.shift and pytest.approx(report.shift),
+            report.turn and pytest.approx(report.turn),
+        )
+
+
+def test_the_cap_pushed_right_away_and_up_is_positive_in_all_axes() -> None:
+    # On the wire y points towards the user and z down.
+    report = bytes([1]) + (175).to_bytes(2, "little") + b"\x51\xff" + b"\xa2\xfe"
+    assert parse_cap(report).shift == (0.5, 0.5, 1.0)
+
+
+def test_wireless_models_send_all_six_in_one_report() -> None:
+    found = parse_cap(bytes([1]) + bytes(6) + (350).to_bytes(2, "little") + bytes(4))
+    assert found.shift == (0.0, 0.0, 0.0)
+    assert found.turn == (1.0, 0.0, 0.0)
+
+
+def test_beyond_full_scale_is_full_scale() -> None:
+    assert parse_cap(bytes([2]) + (500).to_bytes(2, "little") + bytes(4)).turn == (1.0, 0.0, 0.0)
+
+
+@given(st.frozensets(st.integers(0, 15)))
+def test_buttons_are_read_back_as_they_were_pressed(buttons: frozenset[int]) -> None:
+    assert parse_cap(emit_cap(CapReport(buttons=buttons))).buttons == buttons
+
+
+@pytest.mark.parametrize("report", ["", "01", "020000", "17000000000000", "03"])
+def test_what_is_no_report_of_a_spacemouse_is_refused(report: str) -> None:
+    with pytest.raises(ValueError, match="unknown"):
+        parse_cap(bytes.fromhex(report))
+
+
+def test_a_report_that_says_nothing_or_too_much_cannot_be_sent() -> None:
+    for report in (CapReport(), CapReport(shift=(0, 0, 0), buttons=frozenset())):
+        with pytest.raises(ValueError, match="allowed"):
+            emit_cap(report)
+
+
+# The dead-man pedal.
+
+UP = PedalState()
+DOWN = UP.reported(True)
+
+
+def test_a_press_arms_and_a_release_disarms() -> None:
+    dead_man = DeadMan()
+    assert not dead_man.armed(UP)
+    assert dead_man.armed(DOWN)
+    assert dead_man.held(DOWN)
+    assert not dead_man.held(DOWN.reported(False))
+
+
+def test_a_release_and_press_too_quick_to_be_seen_disarms_too() -> None:
+    dead_man = DeadMan()
+    dead_man.armed(DOWN)
+    assert not dead_man.held(DOWN.reported(False).reported(True))
+
+
+def test_pressed_again_between_two_targets_it_is_armed_again() -> None:
+    dead_man = DeadMan()
+    dead_man.armed(DOWN)
+    up = DOWN.reported(False)
+    assert not dead_man.armed(up)
+    assert not dead_man.armed(up)
+    assert dead_man.armed(up.reported(True))
+
+
+def test_a_pedal_kept_down_while_the_arm_left_needs_a_release_first() -> None:
+    dead_man = DeadMan()
+    dead_man.armed(DOWN)
+    again = DOWN.reported(False).reported(True)
+    dead_man.disarm(again)
+    assert not dead_man.armed(again)
+    assert not dead_man.armed(again.reported(False))
+    assert dead_man.armed(again.reported(False).reported(True))
+
+
+def test_an_unplugged_pedal_is_a_released_one_and_back_in_it_is_up() -> None:
+    dead_man = DeadMan()
+    dead_man.armed(DOWN)
+    out = DOWN.unplugged(5)
+    assert not dead_man.held(out)
+    assert out.out_since_ns == 5
+    back = out.plugged()
+    assert not back.down
+    assert back.out_since_ns is None
+    assert not dead_man.armed(back)
+    assert dead_man.armed(back.reported(True))
+
+
+@given(st.lists(st.sampled_from(["down", "up", "out", "in"]), max_size=30))
+def test_whatever_happens_it_is_never_held_while_it_is_up(events: list[str]) -> None:
+    dead_man, state = DeadMan(), UP
+    for event in events:
+        state = {
+            "down": state.reported(True),
+            "up": state.reported(False),
+            "out": state.unplugged(1),
+            "in": state.plugged(),
+        }[event]
+        before = dead_man.held(state)
+        if event in ("up", "out"):
+            assert not before
+        assert dead_man.armed(state) <= state.down
+
+
+@pytest.mark.parametrize(
+    ("spec", "key", "value"),
+    [
+        (PedalConfig, "device", "hidraw3"),
+        (PedalConfig, "device", "3553:B001"),
+        (PedalConfig, "mode", "deadman"),
+        (PedalConfig, "unplugged_limit_s", 0.0),
+        (PedalConfig, "key", 256),
+        (SpaceMouseConfig, "speed_max_mm_s", 50.0),
+        (SpaceMouseConfig, "silence_ms", 5000.0),
+        (SpaceMouseConfig, "dead_zone", 1.0),
+    ],
+)
+def test_a_bench_file_that_makes_no_sense_is_refused(spec: type, key: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=key.removesuffix("_s").removesuffix("_m").split("_")[0]):
+        build(spec, {"device": "/dev/hidraw0", key: value}, "bench.x")

@@ -1,0 +1,78 @@
+"""Slow approaches until the surface is felt: what finding its height is measured from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from trajectories.moves import PHASES, Move, Target, check_positive
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """Straight down at each point, `repeats` times, meant to be ended by the guard's soft limit.
+
+    Raises:
+        ValueError: A length that is not positive, no repeat, or a point that is not on the pattern.
+    """
+
+    KIND: ClassVar[str] = "touch"
+
+    travel: float = field(metadata={"unit": "mm"})
+    """How far below the supposed surface it goes when it feels nothing [m]."""
+    clearance: float = field(default=1e-3, metadata={"unit": "mm"})
+    """Height above the supposed surface where each approach begins [m]."""
+    repeats: int = 3
+    """Approaches at each point."""
+    points: tuple[int, ...] = (1,)
+    """1 is the centre, 2 to 5 are the corners, counter-clockwise."""
+    step_x: float = field(default=2e-3, metadata={"unit": "mm"})
+    """Distance of the corners from the centre along x [m]."""
+    step_y: float = field(default=2e-3, metadata={"unit": "mm"})
+    """The same along y [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be walked."""
+        check_positive(self, ("travel", "clearance", "step_x", "step_y"))
+        if self.repeats < 1:
+            raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
+        if not self.points or any(point not in range(1, 6) for point in self.points):
+            raise ValueError(f"points: {self.points!r}; allowed: numbers from 1 to 5")
+
+    @property
+    def kind(self) -> str:
+        """`touch`."""
+        return self.KIND
+
+    def __len__(self) -> int:
+        """Number of approaches."""
+        return len(self.points) * self.repeats
+
+    def position(self, point: int) -> tuple[float, float]:
+        """Where point `point` (1 to 5) lies [m]."""
+        sign_x, sign_y = ((0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1))[point - 1]
+        return (sign_x * self.step_x, sign_y * self.step_y)
+
+    def targets(self) -> Iterator[Target]:
+        """Point by point, each `repeats` times."""
+        for index in range(len(self)):
+            point = self.points[index // self.repeats]
+            x, y = self.position(point)
+            bottom = (x, y, -self.travel)
+            yield Target(
+                index=index,
+                point=point,
+                depth=self.travel,
+                direction=-1,
+                origin=(x, y, self.clearance),
+                bottom=bottom,
+                sheared=bottom,
+            )
+
+    def moves(self, target: Target) -> tuple[Move, ...]:
+        """Down, and up again when nothing was felt."""
+        return (
+            Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
+            Move(target.index, PHASES.index("normal_dec"), target.bottom, target.origin),
+        )
