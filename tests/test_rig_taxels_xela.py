@@ -20,7 +20,8 @@ from rig.clock import SystemClock
 from rig.errors import ConfigError, DeviceLost
 from rig.latest import WORLD_STATE
 from rig.taxels.config import XelaConfig
-from rig.taxels.xela import XelaDriver, parse
+from rig.taxels.scan import parse
+from rig.taxels.xela import XelaDriver
 from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
 
 CLOCK = SystemClock()

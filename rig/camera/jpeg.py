@@ -7,6 +7,7 @@ tables (DHT), as Motion JPEG may; decoders of still images then fail.
 
 from __future__ import annotations
 
+import random
 import re
 import struct
 from collections.abc import Iterator
@@ -144,3 +145,9 @@ def without_stamp(jpeg: bytes) -> bytes:
     if frame_stamp(jpeg) is None:
         return jpeg
     return SOI + jpeg[4 + int.from_bytes(jpeg[4:6], "big") :]
+
+
+def torn(jpeg: bytes, rng: random.Random) -> bytes:
+    """A frame whose middle third is noise: it begins and ends as it should."""
+    third = len(jpeg) // 3
+    return jpeg[:third] + rng.randbytes(third) + jpeg[2 * third :]

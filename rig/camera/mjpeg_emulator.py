@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import logging
 import queue
-import random
 import socket
 import socketserver
 import sys
@@ -25,7 +24,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from rig.camera.jpeg import frame_stamp, stamped
+from rig.camera.jpeg import frame_stamp, stamped, torn
 from rig.camera.sources import FrameSource, LoopSource, WorldSource, halved
 from rig.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.disturbance import Disturbance
@@ -76,7 +75,7 @@ class MjpegEmulator:
         self._number = 0
         self._missed = 0
         self.disturbance = Disturbance[bytes](
-            clock, spoil=_torn, mistake=_halved, on_change=self._on_plug
+            clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
         self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
         self._server: _Server | None = None
@@ -176,12 +175,6 @@ class MjpegEmulator:
 def _part(jpeg: bytes) -> bytes:
     head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
     return head.encode() + jpeg + b"\r\n"
-
-
-def _torn(jpeg: bytes, rng: random.Random) -> bytes:
-    """A frame whose middle third is noise: it begins and ends as it should."""
-    third = len(jpeg) // 3
-    return jpeg[:third] + rng.randbytes(third) + jpeg[2 * third :]
 
 
 def _halved(jpeg: bytes) -> bytes:

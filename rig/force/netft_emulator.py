@@ -2,9 +2,8 @@
 
     python -m rig.force.netft_emulator --host 127.0.0.5 --http-port 8080 --world PATH
 
-As the box does, it streams to one client only, the one that asked last. Its bias (command 0x42)
-lasts until the process ends. Faults come in through rig.disturbance; `wrong_units` is somebody who
-sets the box to pound-force on its web page.
+As the box does, it streams only to the client that asked last. Its bias (0x42) lasts until the
+process ends. `wrong_units` of rig.disturbance: somebody sets pound-force on its web page.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ def _cells(row: Row, judged: Judgement) -> tuple[str, ...]:
     left = judged.left
     return (
         row.fault,
-        _plain(_reason(judged.what)),
+        _plain(_reason(row, judged.what)),
         "-" if judged.noticed is None else f"{judged.noticed:.2f} s",
         "none" if judged.code is None else str(judged.code),
         "-" if left is None else ", ".join(f"{n} {name}" for name, n in left.rows.items()),
@@ -123,10 +123,10 @@ def _cells(row: Row, judged: Judgement) -> tuple[str, ...]:
     )
 
 
-def _reason(line: str) -> str:
+def _reason(row: Row, line: str) -> str:
     """The reason in the last line that was printed, without the advice after it."""
     if line.startswith("complete"):
-        return "went on, counted it"
+        return row.did or ("went on, counted it" if row.counts else "went on")
     found = re.match(r"stopped \((.*)\): \d+ of \d+ targets", line)
     if found is None:
         return line
@@ -139,6 +139,7 @@ def _plain(text: str) -> str:
     """`text` for a table: no address and no time of this one run."""
     text = re.sub(r"127(\.\d+){3}", "bench", text)
     text = re.sub(r"'?/\S*/s\.zarr/?([^\s']*)'?", r"\1", text)
+    text = re.sub(r"/\S*/tactile-rig-\w+/", "", text)
     text = re.sub(r"t_ns = \d+", "t_ns = ...", text)
     return text.replace("|", "\\|").replace("\n", " ")
 

@@ -58,6 +58,8 @@ class Row:
     targets: int = 2
     counts: tuple[str, str] | None = None
     """Stream, and reason for which it must have left out all that was injected."""
+    did: str = ""
+    """What the rig does where it goes on, in words, when it is more than counting."""
     disorder: str = ""
     """Why rows may be stored in disorder; empty: they must not."""
     needs_recover: bool = False
@@ -203,6 +205,7 @@ ROWS: tuple[Row, ...] = (
         more=PEDAL,
         before=_hold,
         pedal=True,
+        did="halted, retracted, waited for the pedal, pressed that target again from its start",
     ),
     Row("arm", "protective stop", (EXIT_SAFETY_STOP,), _arm("protective_stop")),
     Row("arm", "emergency stop", (EXIT_SAFETY_STOP,), _arm("emergency_stop")),

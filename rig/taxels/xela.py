@@ -1,30 +1,15 @@
-"""XELA uSkin driver: the JSON messages of `xela_server`, by WebSocket.
+"""XELA uSkin driver: scans of `xela_server`, by WebSocket (its messages: rig/taxels/scan.py).
 
-The first message is `{"message": "Welcome"}`; then, for every scan,
-
-    1.7  {"message": 786, "time": 1619157045.62, "sensors": 1,
-          "1": {"data": "FA00,FB00,...", "sensor": "1", "taxels": 16, "model": "XR1944",
-                "calibrated": null}}
-    1.8  the same with "sendtime" and "type" on top and "time", "ups", "temp" in each sensor
-
-`message` counts scans. `data` holds X, Y, Z of each taxel, row by row from the top left, as
-hexadecimal uint16, perhaps without leading zeros. `calibrated` is null, or as many numbers in N,
-whole ones without a point; it is not read. The rate is nowhere settable, and varies.
-
-device_t is the sensor's own `time` (when it was scanned) where the layout has one, else the
-message's `time`, NaN where neither is a number. `sendtime` (when the server sent) is never taken.
+Scans that come twice, late, or with values no touch could make are counted and left out.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
-import re
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from websockets.exceptions import ConnectionClosed, InvalidURI, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
@@ -32,100 +17,19 @@ from rig.clock import SECOND_NS, Clock
 from rig.driver import Inbox, Receiver
 from rig.errors import ConfigError, DeviceLost
 from rig.taxels.config import XelaConfig
+from rig.taxels.scan import Scan, parse
 
 logger = logging.getLogger(__name__)
 
 _POLL = 0.1
 _CORRUPT_IN_A_ROW = 10
 _CAPACITY = 10_000
-_HEX = re.compile(r"0{0,4}[0-9A-Fa-f]{1,4}")
-_OLD_SUITE = (
-    "a suite before 1.7 (0.2 and others) sends another layout, which the rig does not read; "
-    "update the XELA suite"
-)
-_SOCKET_IO = f"that is Socket.IO, not plain WebSocket; {_OLD_SUITE}"
 _LATE = 50
 _LATE_IN_A_ROW = 10
 # A scan this little behind the newest is late; more, or so often in a row: the server counts anew.
 _JUMP, _JUMPED = 8192, 0.5
 # Counts, and the part of all values: no touch moves so many by an eighth of the range in one scan
 # (the largest step of any value in three public recordings of grasps, 779 scans, is 527 counts).
-
-
-class Scan(NamedTuple):
-    """One message about one sensor."""
-
-    message: int
-    """The server's count of scans."""
-    device_t: float
-    """The server's time of the scan, seconds since 1970; NaN when it gives none."""
-    counts: npt.NDArray[np.int32]
-    """Raw counts, (taxels, 3)."""
-    facts: dict[str, Any]
-    """What else the sensor's part says, without the data."""
-
-
-def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
-    """The scan a message tells of; None for the welcome.
-
-    Args:
-        text: The message.
-        sensor: The sensor's key in it.
-        taxels: How many it must have.
-
-    Raises:
-        ValueError: It is no message of a server with such a sensor.
-    """
-    if text[:1] in ("4", "0", b"4", b"0"):
-        raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")
-    message = json.loads(text)
-    if not isinstance(message, dict):
-        raise ValueError(f"no JSON object: {text[:40]!r}")
-    number = message.get("message")
-    if isinstance(number, str) and number.startswith("Welcome"):
-        return None
-    if not isinstance(number, int) or isinstance(number, bool):
-        old = f"; {_OLD_SUITE}" if number is None and _is_old(message) else ""
-        raise ValueError(f"message: {number!r}; expected a count{old}")
-    part = message.get(sensor)
-    if not isinstance(part, dict):
-        found = [key for key, value in message.items() if isinstance(value, dict)]
-        raise ValueError(f"no sensor {sensor!r}; the server has {found}")
-    return Scan(
-        message=number,
-        device_t=_time(part, message),
-        counts=np.array(_values(part, taxels), np.int32).reshape(taxels, 3),
-        facts={key: value for key, value in part.items() if key != "data"},
-    )
-
-
-def _is_old(message: dict[str, Any]) -> bool:
-    return any(isinstance(value, list) for value in message.values()) or "xyz" in message
-
-
-def _values(part: dict[str, Any], taxels: int) -> list[int]:
-    data = part.get("data")
-    if not isinstance(data, str):
-        raise ValueError(f"data: {type(data).__name__}; expected 3 x {taxels} values as text")
-    words = data.split(",")
-    if len(words) != 3 * taxels:
-        model = part.get("model")
-        raise ValueError(
-            f"data: {len(words)} values; expected 3 x {taxels} taxels"
-            + (f"; it is a {model}: is it the sensor of the bench file?" if model else "")
-        )
-    # Not int(word, 16) alone, which takes a sign, an underscore, 0x and blanks.
-    bad = [word for word in words if not _HEX.fullmatch(word)]
-    if bad:
-        raise ValueError(f"data: {bad[0][:16]!r}; expected hexadecimal, nothing outside 0..FFFF")
-    return [int(word, 16) for word in words]
-
-
-def _time(part: dict[str, Any], message: dict[str, Any]) -> float:
-    for found in (part.get("time"), message.get("time")):
-        if isinstance(found, int | float) and not isinstance(found, bool):
-            return float(found)
-    return float("nan")
 
 
 class XelaDriver:

@@ -54,7 +54,7 @@ class XelaEmulatorConfig:
 
 
 def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups: float) -> str:
-    """The message about scan `number`; the inverse of `rig.taxels.xela.parse`.
+    """The message about scan `number`; the inverse of `rig.taxels.scan.parse`.
 
     Args:
         number: The server's count of scans.

@@ -1,0 +1,108 @@
+"""What `xela_server` says: the JSON messages about a uSkin sensor, by WebSocket.
+
+The first message is `{"message": "Welcome"}`; then, for every scan,
+
+    1.7  {"message": 786, "time": 1619157045.62, "sensors": 1,
+          "1": {"data": "FA00,FB00,...", "sensor": "1", "taxels": 16, "model": "XR1944",
+                "calibrated": null}}
+    1.8  the same with "sendtime" and "type" on top and "time", "ups", "temp" in each sensor
+
+`message` counts scans. `data` holds X, Y, Z of each taxel, row by row from the top left, as
+hexadecimal uint16, perhaps without leading zeros. `calibrated` is null, or as many numbers in N,
+whole ones without a point; it is not read. The rate is nowhere settable, and varies.
+
+device_t is the sensor's own `time` (when it was scanned) where the layout has one, else the
+message's `time`, NaN where neither is a number. `sendtime` (when the server sent) is never taken.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+_HEX = re.compile(r"0{0,4}[0-9A-Fa-f]{1,4}")
+_OLD_SUITE = (
+    "a suite before 1.7 (0.2 and others) sends another layout, which the rig does not read; "
+    "update the XELA suite"
+)
+_SOCKET_IO = f"that is Socket.IO, not plain WebSocket; {_OLD_SUITE}"
+
+
+class Scan(NamedTuple):
+    """One message about one sensor."""
+
+    message: int
+    """The server's count of scans."""
+    device_t: float
+    """The server's time of the scan, seconds since 1970; NaN when it gives none."""
+    counts: npt.NDArray[np.int32]
+    """Raw counts, (taxels, 3)."""
+    facts: dict[str, Any]
+    """What else the sensor's part says, without the data."""
+
+
+def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
+    """The scan a message tells of; None for the welcome.
+
+    Args:
+        text: The message.
+        sensor: The sensor's key in it.
+        taxels: How many it must have.
+
+    Raises:
+        ValueError: It is no message of a server with such a sensor.
+    """
+    if text[:1] in ("4", "0", b"4", b"0"):
+        raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")
+    message = json.loads(text)
+    if not isinstance(message, dict):
+        raise ValueError(f"no JSON object: {text[:40]!r}")
+    number = message.get("message")
+    if isinstance(number, str) and number.startswith("Welcome"):
+        return None
+    if not isinstance(number, int) or isinstance(number, bool):
+        old = f"; {_OLD_SUITE}" if number is None and _is_old(message) else ""
+        raise ValueError(f"message: {number!r}; expected a count{old}")
+    part = message.get(sensor)
+    if not isinstance(part, dict):
+        found = [key for key, value in message.items() if isinstance(value, dict)]
+        raise ValueError(f"no sensor {sensor!r}; the server has {found}")
+    return Scan(
+        message=number,
+        device_t=_time(part, message),
+        counts=np.array(_values(part, taxels), np.int32).reshape(taxels, 3),
+        facts={key: value for key, value in part.items() if key != "data"},
+    )
+
+
+def _is_old(message: dict[str, Any]) -> bool:
+    return any(isinstance(value, list) for value in message.values()) or "xyz" in message
+
+
+def _values(part: dict[str, Any], taxels: int) -> list[int]:
+    data = part.get("data")
+    if not isinstance(data, str):
+        raise ValueError(f"data: {type(data).__name__}; expected 3 x {taxels} values as text")
+    words = data.split(",")
+    if len(words) != 3 * taxels:
+        model = part.get("model")
+        raise ValueError(
+            f"data: {len(words)} values; expected 3 x {taxels} taxels"
+            + (f"; it is a {model}: is it the sensor of the bench file?" if model else "")
+        )
+    # Not int(word, 16) alone, which takes a sign, an underscore, 0x and blanks.
+    bad = [word for word in words if not _HEX.fullmatch(word)]
+    if bad:
+        raise ValueError(f"data: {bad[0][:16]!r}; expected hexadecimal, nothing outside 0..FFFF")
+    return [int(word, 16) for word in words]
+
+
+def _time(part: dict[str, Any], message: dict[str, Any]) -> float:
+    for found in (part.get("time"), message.get("time")):
+        if isinstance(found, int | float) and not isinstance(found, bool):
+            return float(found)
+    return float("nan")
