@@ -27,7 +27,7 @@ def add_to(verbs: Verbs) -> None:
         help="find the surface by touch (1 mm/s) and keep where it is",
     )
     parser.add_argument("--indenter", help="name of the indenter on the arm")
-    parser.add_argument("--repeats", type=int, default=3, help="approaches a point (%(default)s)")
+    parser.add_argument("--repeats", type=int, default=4, help="approaches a point (%(default)s)")
     parser.add_argument(
         "--force-n", type=float, default=0.3, help="back off at this force [N] (%(default)s)"
     )
