@@ -58,7 +58,7 @@ check-session: $(VENV)/.rig  ## Look for faults in a session: SESSION=sessions/x
 endurance: $(VENV)/.rig  ## A long mock collection, watched: SENSOR=tacpalm [MINUTES=30] [OUT=docs/endurance.md]
 	@$(PY) -m rig endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
 
-faults: $(VENV)/.rig  ## Break a mock bench in every way, write docs/reliability.md: [QUICK=1] [ONLY=row] [KILLS=100] (half an hour)
+faults: $(VENV)/.nidaq  ## Break a mock bench in every way, write docs/reliability.md: [QUICK=1] [ONLY=row] [KILLS=100] (half an hour)
 	@$(PY) -m rig faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
 
 bench-recorder: $(VENV)/.bench  ## Measure what recording costs, write docs/recording.md: [QUICK=1] [ONLY=part] [OUT=page.md] (12 minutes)
@@ -88,6 +88,9 @@ $(VENV)/bin/python:
 
 $(VENV)/.rig: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig]' && touch $@
+
+$(VENV)/.nidaq: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[rig,nidaq]' && touch $@ $(VENV)/.rig
 
 $(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,bench]' && touch $@ $(VENV)/.rig
