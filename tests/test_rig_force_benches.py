@@ -162,6 +162,7 @@ def check_against_truth(session: Session, truth: Truth) -> None:
 
 
 @pytest.mark.timeout(120)
+@pytest.mark.slow
 def test_two_targets_through_the_serial_line(tmp_path: Path) -> None:
     session, truth = collected(tmp_path, "ati_serial")
     check_against_truth(session, truth)

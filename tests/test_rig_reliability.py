@@ -19,12 +19,12 @@ from rig.clock import FakeClock
 from rig.guard import Guard
 from rig.latest import FORCE_LATEST, POSE_LATEST
 from rig.reliability import disk
-from rig.reliability.campaign import Results, names
 from rig.reliability.judge import Judgement, arm_in_words, complaints, left_in, losses
 from rig.reliability.kills import VICTIMS, Kills
 from rig.reliability.observer import ArmState, Seen
 from rig.reliability.page import page
 from rig.reliability.rows import ROWS
+from rig.reliability.run import Results, names
 
 BENCHES = Path(__file__).parent.parent / "benches"
 MS = 1_000_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi
@@ -52,23 +53,25 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
     plan = bench.trajectory
     if not bench.mock or not isinstance(plan, PressShear):
         raise ConfigError(f"{bench_file}: allowed: a mock bench with a press_shear trajectory")
-    for directions in range(1, _MOST_DIRECTIONS + 1):
+
+    def length(directions: int) -> float:
         longer = replace(plan, angle_step=2 * pi / directions)
-        walked = rehearse(
+        return rehearse(
             longer, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
-        )
-        if walked.duration >= seconds:
-            break
-    else:
-        raise ConfigError(f"--minutes: {seconds / 60:g}; allowed: up to {walked.duration / 60:.0f}")
+        ).duration
+
+    most = length(_MOST_DIRECTIONS)
+    if most < seconds:
+        raise ConfigError(f"--minutes: {seconds / 60:g}; allowed: up to {most / 60:.0f}")
+    directions = bisect_left(range(1, _MOST_DIRECTIONS), seconds, key=length) + 1
     path = folder / f"{bench.sensor}-long.yaml"
     content = {
         "extends": str(bench_file.resolve()),
         "trajectory": {"kind": "press_shear", "angle_step_deg": 360.0 / directions},
-        "limits": {"duration_max_min": 2 * walked.duration / 60},
+        "limits": {"duration_max_min": 2 * length(directions) / 60},
     }
     path.write_text(yaml.safe_dump(content))
-    return path, len(longer)
+    return path, len(replace(plan, angle_step=2 * pi / directions))
 
 
 def run_long(

@@ -13,10 +13,10 @@ from rig.arm.config import ArmConfig
 from rig.bench import BenchLimits, load_bench
 from rig.collect.live import minutes
 from rig.collect.streams import SILENT, SLOW, SLOW_FRACTION
-from rig.reliability.campaign import Results
 from rig.reliability.judge import Judgement, Left
 from rig.reliability.kills import VICTIMS, Kills
 from rig.reliability.rows import Row
+from rig.reliability.run import Results
 
 _LONGEST = 150
 # Characters of a reason; what follows is advice to the technician.

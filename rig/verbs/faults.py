@@ -51,8 +51,8 @@ def run(options: argparse.Namespace) -> int:
         ConfigError: No such row, or no such folder of benches.
     """
     from rig.bench import load_bench
-    from rig.reliability.campaign import Campaign, names
     from rig.reliability.rows import SENSORS
+    from rig.reliability.run import Campaign, names
 
     if options.list:
         print("\n".join(names()))
