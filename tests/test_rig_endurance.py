@@ -12,7 +12,7 @@ from collecting import ROOT, quick_bench
 
 from rig.bench import load_bench
 from rig.endurance.long_run import long_bench, run_long
-from rig.endurance.processes import Track, descendants, look, role_of
+from rig.endurance.processes import Track, look, role_of
 from rig.endurance.report import growth_of, page
 from rig.errors import ConfigError
 from trajectories import rehearse
@@ -37,19 +37,18 @@ def test_more_than_directions_can_make_is_refused(tmp_path: Path) -> None:
         long_bench(ROOT / "benches" / "tacpalm.yaml", 6e5, tmp_path)
 
 
-def test_what_a_process_holds_and_that_it_is_below_another(tmp_path: Path) -> None:
+def test_what_a_process_is_for_and_what_it_holds(tmp_path: Path) -> None:
     code = "import sys; held = bytearray(32 << 20); print('up', flush=True); sys.stdin.read()"
     with subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        track = Track(role_of(process.pid, process.pid, tmp_path))
+        track = Track(role_of(process.pid, "python -m rig.taxels.xela_emulator --port 1", tmp_path))
         look(process.pid, track, 1.0)
-        assert process.pid in descendants(process.pid)
         process.communicate()
     look(process.pid, track, 2.0)
-    assert track.role == "collect"
+    assert track.role == "taxels emulator"
     assert track.seconds == [1.0]
     assert 32 << 20 <= track.memory[0] < 128 << 20
     assert track.files[0] >= 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from bisect import bisect_left
@@ -15,8 +14,9 @@ import yaml
 
 from rig.bench import load_bench
 from rig.clock import SECOND_NS, SystemClock
-from rig.endurance.processes import Track, descendants, look, role_of
+from rig.endurance.processes import Track, look, role_of
 from rig.errors import ConfigError
+from rig.reliability.processes import family
 from trajectories import PressShear, rehearse
 
 _EVERY = 5.0
@@ -88,6 +88,7 @@ def run_long(
     clock = SystemClock()
     start_ns = clock.now_ns()
     command = [sys.executable, "-u", "-m", "rig", "collect", "--bench", str(bench_file)]
+    command += ["--calibrations", str(bench_file.parent / "none-measured")]
     printed = session.with_suffix(".out")
     tracks: dict[int, Track] = {}
     with printed.open("w") as out:
@@ -121,17 +122,11 @@ def run_long(
 
 
 def _look_at_all(root: int, session: Path, tracks: dict[int, Track], seconds: float) -> None:
-    for pid in descendants(root):
+    for pid, command in family(root).items():
         if pid not in tracks:
-            if not _settled(pid):
-                continue
-            tracks[pid] = Track("?")
+            tracks[pid] = Track("collect" if pid == root else "?")
         track = tracks[pid]
         if track.role in ("?", "arm"):
             # A stream is known by the files it writes, which it opens some seconds after its start.
-            track.role = role_of(pid, root, session)
+            track.role = role_of(pid, command, session)
         look(pid, track, seconds)
-
-
-def _settled(pid: int) -> bool:
-    return os.path.exists(f"/proc/{pid}/fd")

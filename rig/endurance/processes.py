@@ -26,25 +26,14 @@ class Track:
     """User and system time so far [s]."""
 
 
-def descendants(root: int) -> set[int]:
-    """`root` and every process below it."""
-    parents: dict[int, int] = {}
-    for entry in PROC.iterdir():
-        if entry.name.isdigit():
-            stat = _text(entry / "stat")
-            if stat:
-                parents[int(entry.name)] = int(stat.rsplit(")", 1)[1].split()[1])
-    found = {root}
-    while more := {pid for pid, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found
+def role_of(pid: int, command: str, session: Path) -> str:
+    """What a process below the collecting one is there for.
 
-
-def role_of(pid: int, root: int, session: Path) -> str:
-    """What a process of the collection that writes `session` is there for."""
-    if pid == root:
-        return "collect"
-    command = _text(PROC / str(pid) / "cmdline").replace("\0", " ")
+    Args:
+        pid: The process.
+        command: Its command line.
+        session: What the collection writes.
+    """
     emulator = re.search(r"-m rig\.(\w+)\.(\w+)", command)
     if emulator:
         return "World" if emulator[2] == "host" else f"{emulator[1]} emulator"

@@ -69,6 +69,8 @@ class Trial:
         self.folder: Path | None = None
         """Its run folder, once the bench runs."""
         where = [] if "--resume" in arguments else ["--out", str(session)]
+        # What was measured of a bench has no part in how it is broken.
+        where += ["--calibrations", str(session.parent / "none-measured")]
         self.process = subprocess.Popen(
             [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
             stdout=subprocess.PIPE,
