@@ -11,26 +11,23 @@ from __future__ import annotations
 import json
 import logging
 import os
-import selectors
 import socket
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig.bench import Bench, addressed, bench_from
-from rig.clock import SECOND_NS, SystemClock
+from rig.clock import SystemClock
 from rig.emulators import Sources, Stage, emulator_commands, world_command
 from rig.errors import ConfigError, DeviceLost
 from rig.latest import ARM_TRUTH, WORLD_STATE
+from rig.launched import Launched
 from rig.shared import LatestRecord
 
 logger = logging.getLogger(__name__)
 
-_READY_TIMEOUT = 30.0
-# Interpreters start one after the other on a small machine [s].
 _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
 
 
@@ -62,8 +59,7 @@ class MockBench:
         self._folder = folder
         self._sources = sources or Sources()
         self._truth = truth
-        self._clock = SystemClock()
-        self.processes: dict[str, subprocess.Popen[str]] = {}
+        self._launched = Launched(folder, SystemClock())
 
     def __enter__(self) -> MockBench:
         try:
@@ -98,32 +94,13 @@ class MockBench:
         )
         commands = {**emulator_commands(stage), "world": world_command(stage)}
         for name, arguments in commands.items():
-            with (self._folder / f"{name}.log").open("w") as log:
-                self.processes[name] = subprocess.Popen(
-                    [sys.executable, "-m", *arguments, "--until-stdin-closes"],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=log,
-                    text=True,
-                    # Ctrl-C is for the collecting process: the bench must outlive the retract.
-                    start_new_session=True,
-                )
-        for name, process in self.processes.items():
-            self._wait_ready(name, process)
+            self._launched.start(name, arguments)
+        self._launched.wait_ready()
 
-    def _wait_ready(self, name: str, process: subprocess.Popen[str]) -> None:
-        stdout = process.stdout
-        if stdout is None:
-            raise RuntimeError(f"{name}: started without a pipe")
-        deadline_ns = self._clock.now_ns() + round(_READY_TIMEOUT * SECOND_NS)
-        with selectors.DefaultSelector() as selector:
-            selector.register(stdout, selectors.EVENT_READ)
-            selector.select((deadline_ns - self._clock.now_ns()) / SECOND_NS)
-            line = stdout.readline() if selector.select(0) else ""
-        if not line.startswith("ready"):
-            raise DeviceLost(
-                f"{name} emulator did not start on {self.host}: {self._last_word(name)}"
-            )
+    @property
+    def processes(self) -> dict[str, subprocess.Popen[str]]:
+        """The emulators and the World, by name."""
+        return self._launched.processes
 
     def check(self) -> None:
         """Notice an emulator, or the World, that ended on its own.
@@ -131,28 +108,11 @@ class MockBench:
         Raises:
             DeviceLost: Names it, with its last word.
         """
-        for name, process in self.processes.items():
-            if process.poll() is not None:
-                word = self._last_word(name)
-                raise DeviceLost(f"{name}: its emulator ended (code {process.returncode}): {word}")
-
-    def _last_word(self, name: str) -> str:
-        lines = (self._folder / f"{name}.log").read_text().strip().splitlines()
-        return lines[-1] if lines else "no word from it"
+        self._launched.check()
 
     def close(self) -> None:
         """End every emulator; safe twice."""
-        for process in self.processes.values():
-            process.terminate()
-        for process in self.processes.values():
-            try:
-                process.wait(3.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    pipe.close()
+        self._launched.close()
 
 
 def free_loopback() -> str:

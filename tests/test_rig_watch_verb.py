@@ -11,7 +11,7 @@ from watching import BENCH, TARGETS
 
 from rig.collect.order import Order
 from rig.errors import ConfigError
-from rig.verbs.watching import open_page, watch_options
+from rig.verbs.watching import opened_page, watch_options
 from rig.watch.facts import page_job
 from rig.watch.gate import Gate
 from rig.watch.page import Page
@@ -26,7 +26,8 @@ def parse(*words: str) -> argparse.Namespace:
 
 def opened(options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack) -> Page | None:
     order = Order(folder / "s.zarr", targets=TARGETS)
-    return open_page(options, stack, BENCH, folder, order, BENCH.trajectory, TARGETS)
+    page = opened_page(options, BENCH, folder, order, BENCH.trajectory, TARGETS)
+    return stack.enter_context(page)
 
 
 def test_nothing_is_served_unless_asked_for(tmp_path: Path) -> None:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rig.bench import Bench, bench_from
 from rig.collect.collector import Collector
 from rig.collect.order import Order
+from rig.emulators import Sources
 from rig.mock import MockBench
 from trajectories import Plan
+
+if TYPE_CHECKING:
+    from rig.watch.page import Page
 
 
 def record(
@@ -21,9 +26,13 @@ def record(
     order: Order,
     plan: Plan,
     *,
+    total: int | None = None,
     prepared: Callable[[Bench], Bench],
+    sources: Sources | None = None,
+    truth: Path | None = None,
+    page: Callable[[Bench, Path], AbstractContextManager[Page | None]] | None = None,
 ) -> int:
-    """Record `plan` from its first target to its last; the exit code.
+    """Record `plan` from its first open target on; the exit code.
 
     Args:
         path: The bench file.
@@ -32,6 +41,10 @@ def record(
         plan: What to press.
         prepared: Last word on the bench: speeds, limits, the calibrated frame. The mock's World
             does not see it.
+        total: How many of its targets; None: all.
+        sources: Real recordings for a mock bench to serve.
+        truth: File for a mock bench to log the World's truth to.
+        page: Opens the page to watch on, given the bench and the run folder.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
@@ -40,7 +53,11 @@ def record(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None
         if bench_from(content, str(path)).mock:
-            mock = stack.enter_context(MockBench(content, str(path), folder))
+            mock = stack.enter_context(
+                MockBench(content, str(path), folder, sources=sources, truth=truth)
+            )
             content, watch = mock.content, mock.check
         bench = prepared(bench_from(content, str(path)))
-        return Collector(bench, content, folder, watch).run(order, plan, len(plan))
+        shown = None if page is None else stack.enter_context(page(bench, folder))
+        collector = Collector(bench, content, folder, watch, shown)
+        return collector.run(order, plan, len(plan) if total is None else total)

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import selectors
-import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from rig.clock import SECOND_NS, Clock
+from rig.clock import Clock
 from rig.errors import DeviceLost
+from rig.launched import Launched
 from rig.replay.cue import CUE, FAILED, POSITION, cue_path, position_path
 from rig.shared import LatestRecord
-
-_READY_TIMEOUT = 30.0
-# Interpreters start one after the other on a small machine [s].
-_END_TIMEOUT = 5.0
 
 
 class Players:
@@ -44,25 +38,21 @@ class Players:
         *,
         speed: float,
     ) -> None:
-        self._folder = folder
-        self._clock = clock
+        self._launched = Launched(folder, clock)
         self._cue = LatestRecord.create(cue_path(folder), CUE)
         self._positions = {
             name: LatestRecord.create(position_path(folder, name), POSITION) for name in names
         }
-        self._processes: dict[str, subprocess.Popen[str]] = {}
         self._options = [
             *("--session", str(session), "--run", str(run), "--folder", str(folder)),
             *("--host", host, "--speed", repr(speed), "--with", ",".join(names)),
-            "--until-stdin-closes",
         ]
 
     def __enter__(self) -> Players:
         try:
             for name in self._positions:
-                self._start(name)
-            for name in self._positions:
-                self._wait_ready(name)
+                self._launched.start(name, ["rig.replay.player", "--stream", name, *self._options])
+            self._launched.wait_ready()
         except BaseException:
             self.close()
             raise
@@ -90,57 +80,15 @@ class Players:
         Raises:
             DeviceLost: Names it, with its last word.
         """
-        for name, process in self._processes.items():
-            if process.poll() is not None:
-                word = self._last_word(name)
-                raise DeviceLost(f"{name}: its emulator ended (code {process.returncode}): {word}")
-            position = self._positions[name].read()
+        self._launched.check()
+        for name, record in self._positions.items():
+            position = record.read()
             if position is not None and position["state"] == FAILED:
-                raise DeviceLost(f"{name}: its emulator failed: {self._last_word(name)}")
+                raise DeviceLost(f"{name}: its emulator failed: {self._launched.last_word(name)}")
 
     def close(self) -> None:
         """End every emulator; safe twice."""
-        for process in self._processes.values():
-            process.terminate()
-        for process in self._processes.values():
-            try:
-                process.wait(_END_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    pipe.close()
-        self._processes = {}
+        self._launched.close()
         for record in (self._cue, *self._positions.values()):
             record.close()
         self._positions = {}
-
-    def _start(self, name: str) -> None:
-        command = [sys.executable, "-m", "rig.replay.player", "--stream", name, *self._options]
-        with (self._folder / f"{name}.log").open("w") as log:
-            self._processes[name] = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-                # Ctrl-C is for the replaying process, which ends them in order.
-                start_new_session=True,
-            )
-
-    def _wait_ready(self, name: str) -> None:
-        stdout = self._processes[name].stdout
-        if stdout is None:
-            raise RuntimeError(f"{name}: started without a pipe")
-        deadline_ns = self._clock.now_ns() + round(_READY_TIMEOUT * SECOND_NS)
-        with selectors.DefaultSelector() as selector:
-            selector.register(stdout, selectors.EVENT_READ)
-            selector.select((deadline_ns - self._clock.now_ns()) / SECOND_NS)
-            line = stdout.readline() if selector.select(0) else ""
-        if not line.startswith("ready"):
-            raise DeviceLost(f"{name}: its emulator did not start: {self._last_word(name)}")
-
-    def _last_word(self, name: str) -> str:
-        lines = (self._folder / f"{name}.log").read_text().strip().splitlines()
-        return lines[-1] if lines else "no word from it"

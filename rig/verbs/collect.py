@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.bench import bench_from, load_bench
+from rig.bench import load_bench
 from rig.clock import file_stamp
 from rig.errors import ConfigError
-from rig.mock import MockBench
 from rig.verbs.calibrated import calibration_of, calibration_options
 from rig.verbs.options import (
     banner,
@@ -21,7 +18,7 @@ from rig.verbs.options import (
     source_options,
     sources_of,
 )
-from rig.verbs.watching import open_page, watch_options
+from rig.verbs.watching import opened_page, watch_options
 
 if TYPE_CHECKING:
     from rig.verbs.options import Verbs
@@ -53,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
-    from rig.collect.collector import Collector
     from rig.collect.order import Order, plan_of
+    from rig.collect.recording import record
 
     path = bench_path(options)
     bench, content = load_bench(path)
@@ -82,15 +79,14 @@ def run(options: argparse.Namespace) -> int:
     plan, total = plan_of(order, calibration.applied(bench))
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        watch = None
-        if bench.mock:
-            mock = stack.enter_context(
-                MockBench(content, str(path), folder, sources=sources, truth=options.truth)
-            )
-            content, watch = mock.content, mock.check
-        bench = calibration.applied(bench_from(content, str(path)))
-        page = open_page(options, stack, bench, folder, order, plan, total)
-        collector = Collector(bench, content, folder, watch, page)
-        return collector.run(order, plan, total)
+    return record(
+        path,
+        content,
+        order,
+        plan,
+        total=total,
+        prepared=calibration.applied,
+        sources=sources,
+        truth=options.truth,
+        page=lambda ready, folder: opened_page(options, ready, folder, order, plan, total),
+    )

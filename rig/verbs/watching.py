@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,16 +37,11 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def open_page(
-    options: argparse.Namespace,
-    stack: contextlib.ExitStack,
-    bench: Bench,
-    folder: Path,
-    order: Order,
-    plan: Plan,
-    total: int,
-) -> Page | None:
-    """Start the page that was asked for, to end with `stack`; None without --watch.
+@contextlib.contextmanager
+def opened_page(
+    options: argparse.Namespace, bench: Bench, folder: Path, order: Order, plan: Plan, total: int
+) -> Iterator[Page | None]:
+    """The page that was asked for, running; None without --watch.
 
     Raises:
         ConfigError: A port or an address that cannot be had.
@@ -53,15 +49,18 @@ def open_page(
     if options.watch is None:
         if options.watch_host != LOOPBACK_HOST:
             raise ConfigError("--watch-host: goes with --watch only")
-        return None
+        yield None
+        return
     if not 0 <= options.watch <= 0xFFFF:
         raise ConfigError(f"--watch: found {options.watch}; allowed: 0 to 65535")
     from rig.watch.facts import page_job
     from rig.watch.page import Page
 
     gate = Gate(options.watch_host, options.watch)
-    page = stack.enter_context(Page(page_job(gate, bench, folder, order, plan, total)))
-    print(f"watch it at {page.url}", flush=True)
-    if not is_loopback(gate.host):
-        print("whoever has this address can see, pause and abort: the connection is not encrypted")
-    return page
+    with Page(page_job(gate, bench, folder, order, plan, total)) as page:
+        print(f"watch it at {page.url}", flush=True)
+        if not is_loopback(gate.host):
+            print(
+                "whoever has this address can see, pause and abort: the connection is not encrypted"
+            )
+        yield page
