@@ -396,7 +396,7 @@ def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: 
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_ctrl_c_ends_a_pause_and_a_resume_completes_it(collect: Collect) -> None:
+def test_ctrl_c_ends_a_pause_with_everything_kept(collect: Collect) -> None:
     run = collect(2, "pause")
     in_second_phase(run)
     inject(run, "pedal", "press")
