@@ -7,6 +7,7 @@ or, with --until-stdin-closes, until whoever started it is gone, and says how ma
 from __future__ import annotations
 
 import argparse
+import ipaddress
 import logging
 import os
 import signal
@@ -86,9 +87,28 @@ class Emulator(Protocol):
         """Stop serving; safe twice."""
 
 
+def loopback(text: str) -> str:
+    """An address that only this machine can reach: what drives an emulator, drives no lab.
+
+    Raises:
+        argparse.ArgumentTypeError: Any other, or a name.
+    """
+    try:
+        if ipaddress.ip_address(text).is_loopback:
+            return text
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"found {text!r}; allowed: a loopback address, 127.x.y.z")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options every emulator has."""
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (%(default)s)")
+    parser.add_argument(
+        "--host",
+        type=loopback,
+        default="127.0.0.1",
+        help="loopback address to listen on (%(default)s)",
+    )
     parser.add_argument("--world", type=Path, metavar="PATH", help="file of the World's states")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (%(default)s)")
     parser.add_argument(

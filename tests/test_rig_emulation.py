@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from rig.clock import SystemClock
 from rig.emulation import UNTOUCHED_DEPTH, SharedWorld
@@ -16,6 +18,7 @@ from rig.force.netft import NetFtDriver
 from rig.latest import WORLD_STATE
 from rig.shared import LatestRecord
 
+ROOT = Path(__file__).parent.parent
 HOST = f"127.{1 + os.getpid() % 250}.50.1"
 NETFT = [sys.executable, "-m", "rig.force.netft_emulator", "--host", HOST]
 
@@ -72,3 +75,27 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
             driver.close()
             process.terminate()
     record.close()
+
+
+EMULATORS = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in (ROOT / "rig").rglob("*.py")
+    if "type=loopback" in path.read_text() or "add_arguments(parser)" in path.read_text()
+)
+EMULATORS = [name for name in EMULATORS if name not in ("rig.emulation", "rig.world.host")]
+
+
+@pytest.mark.parametrize("module", EMULATORS)
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "bench.example.org"])
+def test_no_emulator_can_be_reached_from_another_machine(
+    module: str, host: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main = importlib.import_module(module).main
+    with pytest.raises(SystemExit) as ended:
+        main(["--host", host])
+    assert ended.value.code == 2
+    assert f"found '{host}'; allowed: a loopback address" in capsys.readouterr().err
+
+
+def test_all_emulators_are_looked_at() -> None:
+    assert len(EMULATORS) >= 9

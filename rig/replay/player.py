@@ -22,7 +22,7 @@ import numpy as np
 
 from recorder import Session
 from rig.clock import SECOND_NS, Clock, SystemClock
-from rig.emulation import serve
+from rig.emulation import loopback, serve
 from rig.latest import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.realtime import CAMERA_PRIORITY, DEVICE_PRIORITY
 from rig.replay.cue import (
@@ -245,7 +245,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--with", dest="others", default="", help="streams played beside it")
     parser.add_argument("--run", type=int, default=0, help="which run of it (%(default)s)")
     parser.add_argument("--folder", type=Path, required=True, help="run folder")
-    parser.add_argument("--host", required=True, help="address to listen on")
+    parser.add_argument(
+        "--host", type=loopback, required=True, help="loopback address to listen on"
+    )
     parser.add_argument(
         "--speed", type=float, default=1.0, help="times the recorded one; 0: as fast as read"
     )
