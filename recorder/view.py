@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ class _Sink:
     """A Rerun recording, and what part of the session goes there."""
 
     def __init__(
-        self, rerun: ModuleType, recording: Any, zero: int, window: tuple[float, float]
+        self, rerun: Any, recording: Any, zero: int, window: tuple[float, float]
     ) -> None:
         self.rerun = rerun
         self._recording = recording
@@ -114,7 +113,7 @@ def view(
             temporary.unlink(missing_ok=True)
 
 
-def _rerun() -> ModuleType:
+def _rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
