@@ -42,9 +42,7 @@ class _Run:
 class _Sink:
     """A Rerun recording, and what part of the session goes there."""
 
-    def __init__(
-        self, rerun: Any, recording: Any, zero: int, window: tuple[float, float]
-    ) -> None:
+    def __init__(self, rerun: Any, recording: Any, zero: int, window: tuple[float, float]) -> None:
         self.rerun = rerun
         self._recording = recording
         self._zero = zero
