@@ -51,7 +51,7 @@ def stopped_in_order(run: Collection) -> Session:
     "device",
     # The others take the same way through the collector; `make faults` breaks every one of them.
     [
-        pytest.param(device, marks=() if device in ("world", "force") else pytest.mark.slow)
+        pytest.param(device, marks=() if device == "force" else pytest.mark.slow)
         for device in sorted(EMULATORS)
     ],
 )
@@ -69,6 +69,7 @@ def test_a_killed_device_ends_the_session_with_everything_kept(device: str, tmp_
         assert height > 0.015
 
 
+@pytest.mark.slow
 def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path: Path) -> None:
     from recorder.recover import recover
 
@@ -98,6 +99,7 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
     assert np.ptp(heights) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
     # With both limits at one place, and no look ahead by which the soft one comes first.
     bench = limited_bench(tmp_path, hard=0.8, soft=0.8, rating=0.3, horizon_ms=0.001)

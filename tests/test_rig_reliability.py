@@ -31,6 +31,7 @@ MS = 1_000_000
 SECOND = 1_000 * MS
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_the_command_runs_a_row_and_writes_its_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
