@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from rig.campaign.spec import Campaign, Item, load_campaign
 from rig.campaign.state import progress_of, table
 from rig.campaign.walk import Settings, command, run_campaign
 from rig.errors import ConfigError
+from rig.gripper.config import RobotiqConfig
 from trajectories import plan_to_json
 
 DAY = """
@@ -157,6 +159,41 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(
     settings = Settings(ROOT / "benches", ROOT / "calibrations")
     assert run_campaign(campaign, settings, lambda _: False, lambda _: None) == 130
     assert bench.ran == []
+
+
+def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    config = RobotiqConfig("/dev/none")
+    items = tuple(
+        dataclasses.replace(
+            item, bench=dataclasses.replace(item.bench, mock=False, world=None, gripper=config)
+        )
+        for item in campaign.items
+    )
+    campaign = dataclasses.replace(campaign, items=items)
+    monkeypatch.setattr(walk, "_record", _Bench(campaign, [0, 0, 0]))
+    events: list[str] = []
+
+    def ask(question: str) -> bool:
+        events.append(question)
+        return True
+
+    def swap(item: Item) -> None:
+        events.append(f"gripper: {item.entry.indenter}")
+
+    settings = Settings(ROOT / "benches", ROOT / "calibrations")
+    assert run_campaign(campaign, settings, ask, lambda _: None, swap) == 0
+    entries = [item.entry for item in campaign.items]
+    expected, before = [], ("", "")
+    for number, entry in enumerate(entries, 1):
+        if entry.sensor != before[0]:
+            expected.append(f"{number} of {len(entries)}: mount sensor {entry.sensor}")
+        if (entry.sensor, entry.indenter) != before:
+            expected.append(f"gripper: {entry.indenter}")
+        before = (entry.sensor, entry.indenter)
+    assert events == expected
 
 
 def test_a_session_of_another_sensor_in_its_place_is_not_touched(

@@ -26,6 +26,7 @@ from rig.gripper.registers import (
     parse_status,
 )
 from rig.gripper.robotiq import RobotiqDriver
+from rig.gripper.swap import swap_held
 
 CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
 
@@ -290,3 +291,37 @@ def test_a_bench_file_that_makes_no_sense_is_refused() -> None:
     for key, value in (("rate_hz", 0.0), ("slave", 300), ("position_tolerance", 0)):
         with pytest.raises(ConfigError, match=key):
             build(RobotiqConfig, {"kind": "robotiq_2f", "port": "x", key: value}, "bench.gripper")
+
+
+# Swapping what it holds.
+
+
+def test_a_swap_waits_until_something_is_between_the_fingers(
+    emulator: RobotiqEmulator, driver: RobotiqDriver
+) -> None:
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        if len(said) == 1:
+            emulator.inject("lose_grip")
+        if len(said) == 3:
+            emulator.inject("insert", at=60)
+
+    status = swap_held(driver, "indenter prism", SystemClock(), say, pause=0.01, speed=255)
+    assert status.holding
+    assert status.position == 60
+    assert said[0].startswith("gripper: opens in")
+    assert [line.startswith("gripper: put indenter prism between") for line in said[1:3]] == [
+        True,
+        True,
+    ]
+
+
+def test_a_swap_nobody_comes_for_is_device_lost(
+    emulator: RobotiqEmulator, driver: RobotiqDriver
+) -> None:
+    emulator.inject("lose_grip")
+    short = {"pause": 0.01, "patience": 0.5}
+    with pytest.raises(DeviceLost, match=r"nothing to hold in 0\.5 s; indenter prism"):
+        swap_held(driver, "indenter prism", SystemClock(), lambda _: None, speed=255, **short)

@@ -8,13 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.campaign.spec import Campaign
+from rig.campaign.spec import Campaign, Item
 from rig.campaign.state import Progress, progress_of, table
+from rig.collect.curve import show_curve
 from rig.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 
 Ask = Callable[[str], bool]
 """Shows a question and waits; False ends the campaign."""
 Say = Callable[[str], None]
+Swap = Callable[[Item], None]
+"""Waits until the gripper of an item's bench holds its indenter; raises DeviceLost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +46,13 @@ def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[
     return ["collect", *common, *wanted]
 
 
-def run_campaign(campaign: Campaign, settings: Settings, ask: Ask, say: Say) -> int:
+def run_campaign(
+    campaign: Campaign, settings: Settings, ask: Ask, say: Say, swap: Swap | None = None
+) -> int:
     """Record everything that is not done; the exit code.
+
+    A technician is asked to mount each sensor and indenter. Where the bench has a gripper and
+    `swap` is given, the indenter is not asked for: the gripper notices it.
 
     0: all is done. Otherwise that of the session that ended it, or with `keep_going` of the first
     one that failed. Ctrl-C ends the session under way in order and the campaign with it.
@@ -65,14 +73,16 @@ def run_campaign(campaign: Campaign, settings: Settings, ask: Ask, say: Say) -> 
             break
         if mounted != (entry.sensor, entry.indenter):
             place = f"{number + 1} of {len(campaign.items)}"
-            mock = " (mock bench: nothing to mount)" if progress.item.bench.mock else ""
-            if not ask(f"{place}: mount sensor {entry.sensor}, indenter {entry.indenter}{mock}"):
+            if not _mount(progress.item, place, mounted, ask, swap):
                 failed = EXIT_INTERRUPTED
                 break
             mounted = (entry.sensor, entry.indenter)
         say(f"recording {progress.session}")
         code = _record(command(progress, campaign, settings))
         if code == EXIT_DONE:
+            if progress.state == "to resume" and entry.plan == "force_depth":
+                # A resumed one went through `collect`, which knows no curve.
+                show_curve(progress.session)
             continue
         say(f"{entry.name}: ended with exit code {code}")
         failed = failed or code
@@ -84,6 +94,25 @@ def run_campaign(campaign: Campaign, settings: Settings, ask: Ask, say: Say) -> 
     if any(progress.state != "done" for progress in found):
         say("the same command goes on from here")
     return failed
+
+
+def _mount(
+    item: Item, place: str, before: tuple[str, str] | None, ask: Ask, swap: Swap | None
+) -> bool:
+    """Have an item's sensor and indenter mounted; False when the technician ends it."""
+    entry, bench = item.entry, item.bench
+    gripped = swap is not None and bench.gripper is not None and not bench.mock
+    if not gripped or before is None or before[0] != entry.sensor:
+        indenter = "" if gripped else f", indenter {entry.indenter}"
+        mock = " (mock bench: nothing to mount)" if bench.mock else ""
+        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}"):
+            return False
+    if gripped and swap is not None:
+        try:
+            swap(item)
+        except KeyboardInterrupt:
+            return False
+    return True
 
 
 def _record(arguments: list[str]) -> int:

@@ -11,6 +11,7 @@ from rig.errors import EXIT_DONE, ConfigError
 from rig.verbs.calibrated import calibration_options
 
 if TYPE_CHECKING:
+    from rig.campaign.spec import Item
     from rig.verbs.options import Verbs
 
 
@@ -54,7 +55,26 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--yes: {', '.join(lab)}: lab benches; allowed: mock benches only")
     settings = Settings(options.benches, options.calibrations, options.keep_going)
     ask = _agree if options.yes else _ask
-    return run_campaign(campaign, settings, ask, lambda line: print(line, flush=True))
+    return run_campaign(campaign, settings, ask, _say, _swap)
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _swap(item: Item) -> None:
+    """Wait until the gripper of the item's bench holds its indenter."""
+    from rig.clock import SystemClock
+    from rig.gripper.robotiq import RobotiqDriver
+    from rig.gripper.swap import swap_held
+
+    config = item.bench.gripper
+    if config is None:
+        raise ConfigError(f"{item.bench_path}.gripper: missing")
+    clock = SystemClock()
+    with RobotiqDriver(config, clock) as gripper:
+        gripper.open(item.bench.preflight.timeout)
+        swap_held(gripper, f"indenter {item.entry.indenter}", clock, _say)
 
 
 def _agree(question: str) -> bool:

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder import Session, SessionError
 from rig.bench import load_bench
 from rig.clock import file_stamp
 from rig.errors import ConfigError
@@ -39,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
+    from rig.collect.curve import show_curve
     from rig.collect.order import Order, plan_of
     from rig.collect.recording import record
 
@@ -59,25 +59,5 @@ def run(options: argparse.Namespace) -> int:
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))
     code = record(path, content, order, plan, prepared=calibration.applied)
-    show(session)
+    show_curve(session)
     return code
-
-
-def show(path: Path) -> None:
-    """Print the table of a session of presses and write its curve beside it."""
-    from recorder.presscurve import press_curves, save_curves
-
-    try:
-        session = Session(path)
-        curves = press_curves(session)
-    except SessionError as error:
-        print(f"no curve: {error}")
-        return
-    print("\n".join(curves.lines()))
-    picture = path.with_suffix(".curve.png")
-    try:
-        save_curves(curves, picture, f"{session.attrs['sensor']}, {session.attrs['indenter']}")
-    except OSError as error:
-        print(f"no curve: {picture}: {error}")
-    else:
-        print(f"force-depth curve: {picture}")
