@@ -212,9 +212,10 @@ def _fit_piece(
     knots = np.linspace(first, last, count)
     values = np.empty(count)
     for number, knot in enumerate(knots):
-        start = knot - window if causal else knot - window / 2
-        # At the ends the window stays whole and the knot moves off its middle.
-        start = max(first, start) if causal else min(max(first, start), max(last - window, first))
+        start = max(first, float(knot) - (window if causal else window / 2))
+        if not causal:
+            # At the ends the window stays whole and the knot moves off its middle.
+            start = min(start, max(last - window, first))
         stop = max(knot, first + _LEAST_SPAN) if causal else start + window
         inside = (x >= start) & (x <= stop)
         _, at_zero = _line_below(x[inside] - knot, level[inside])
