@@ -36,12 +36,22 @@ class Growth:
     """CPU time over wall time."""
 
 
-def growth_of(track: Track, seconds: float, warm_up: float = _WARM_UP) -> Growth | None:
-    """Growth of one process; None for one that was not there long enough to say."""
+def growth_of(
+    track: Track, seconds: float, warm_up: float = _WARM_UP, until: float = np.inf
+) -> Growth | None:
+    """Growth of one process; None for one that was not there long enough to say.
+
+    Args:
+        track: The process.
+        seconds: Length of the whole run [s].
+        warm_up: What came before is left out [s].
+        until: And what came later, as the closing of the session [s].
+    """
     times = np.array(track.seconds)
-    late = times >= warm_up
+    late = (times >= warm_up) & (times <= until)
     if late.sum() < 3:
         return None
+    first, last = np.flatnonzero(late)[[0, -1]].tolist()
     times, memory = times[late], np.array(track.memory)[late]
     line = np.polyfit(times, memory, 1)
     return Growth(
@@ -50,7 +60,7 @@ def growth_of(track: Track, seconds: float, warm_up: float = _WARM_UP) -> Growth
         float(np.median(memory[times >= times[-1] - 60])),
         float(line[0]) * 3600,
         float(np.std(memory - np.polyval(line, times))),
-        (track.files[int(np.argmax(late))], track.files[-1]),
+        (track.files[first], track.files[last]),
         track.cpu / seconds,
     )
 
@@ -59,7 +69,13 @@ def page(run: LongRun) -> str:
     """The page, Markdown."""
     session = Session(run.session)
     findings = check(run.session)
-    growths = [found for track in run.tracks if (found := growth_of(track, run.seconds))]
+    # Afterwards the session is closed and its frames are built, which takes memory of its own.
+    end = min(track.seconds[-1] for track in run.tracks if track.role.endswith("stream"))
+    growths = [
+        found
+        for track in run.tracks
+        if (found := growth_of(track, run.seconds, until=end)) is not None
+    ]
     growths.sort(key=lambda growth: growth.role)
     dropped = {name: int(facts["dropped"]) for name, facts in session.attrs["summary"].items()}
     rows = {name: len(stream.t_ns) for name, stream in session.streams.items()}
@@ -86,7 +102,7 @@ def page(run: LongRun) -> str:
         *(f"- {finding}" for finding in findings),
         "",
         f"Memory each process has of its own, from {_WARM_UP / 60:.0f} minutes after the start to "
-        f"the end. All together grow by {total / _MIB:+.2f} MiB an hour.",
+        f"the end of recording. All together grow by {total / _MIB:+.2f} MiB an hour.",
         "",
         "| process | first minute | last minute | slope | around it | open files | CPU |",
         "|---|---|---|---|---|---|---|",

@@ -22,7 +22,7 @@ from rig.bench import Bench
 from rig.clock import SECOND_NS, Clock, SystemClock
 from rig.driver import Driver, refused
 from rig.errors import ConfigError, DeviceLost
-from rig.realtime import be_punctual
+from rig.realtime import Sweeper, be_punctual
 from rig.shared import LatestRecord
 from rig.streams.kinds import KINDS, StreamKind, make_driver
 
@@ -105,6 +105,7 @@ class _StreamLoop:
         self._counters = LatestRecord.attach(
             job.folder / f"{job.name}.counters", COUNTERS, writable=True
         )
+        self._sweeper = Sweeper()
         self._writer: StreamWriter | None = None
         self._bias: np.ndarray | None = None
         self._measurement: _Measurement | None = None
@@ -173,6 +174,7 @@ class _StreamLoop:
             (self._last_ns, self._samples, self._rows, dropped, rate_hz, self._longest_gap)
         )
         self._shown_ns = now_ns
+        self._sweeper.sweep(now_ns)
 
     def close(self) -> dict[str, Any]:
         """Seal what was recorded; the summary of it."""

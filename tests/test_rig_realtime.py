@@ -1,0 +1,42 @@
+"""Garbage in cycles is collected when it suits, and only then."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from collections.abc import Iterator
+
+import pytest
+
+from rig.clock import SECOND_NS
+from rig.realtime import Sweeper
+
+
+class Node:
+    def __init__(self) -> None:
+        self.itself = self
+
+
+@pytest.fixture(autouse=True)
+def collection_off() -> Iterator[None]:
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def test_a_cycle_is_collected_once_it_is_time_and_not_before() -> None:
+    sweeper = Sweeper(every=5.0)
+    assert sweeper.sweep(0)
+    left = weakref.ref(Node())
+    assert not sweeper.sweep(4 * SECOND_NS)
+    assert left() is not None
+    assert sweeper.sweep(5 * SECOND_NS)
+    assert left() is None
+
+
+def test_what_is_in_use_stays() -> None:
+    node = Node()
+    kept = weakref.ref(node)
+    assert Sweeper().sweep(0)
+    assert kept() is node
