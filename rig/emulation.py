@@ -11,8 +11,10 @@ import ipaddress
 import logging
 import os
 import signal
+import socketserver
 import sys
 import threading
+from http.server import HTTPServer
 from pathlib import Path
 from typing import Protocol
 
@@ -67,6 +69,15 @@ class SharedWorld:
         if self._record is not None:
             self._record.close()
             self._record = None
+
+
+class NamelessServer(HTTPServer):
+    """An HTTP server of an emulated device, which nobody knows by name."""
+
+    def server_bind(self) -> None:
+        """Bind without the look-up of a host name, which may take seconds."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
 
 class Emulator(Protocol):

@@ -15,7 +15,6 @@ import argparse
 import logging
 import queue
 import socket
-import socketserver
 import sys
 import threading
 from collections.abc import Iterable, Sequence
@@ -28,7 +27,7 @@ from rig.camera.jpeg import frame_stamp, stamped, torn
 from rig.camera.sources import FrameSource, LoopSource, WorldSource, halved
 from rig.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.disturbance import Disturbance
-from rig.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.emulation import NamelessServer, SharedWorld, World, add_arguments, fault_port, serve
 from rig.realtime import CAMERA_PRIORITY
 
 logger = logging.getLogger(__name__)
@@ -184,7 +183,7 @@ def _halved(jpeg: bytes) -> bytes:
     return small if stamp is None else stamped(small, *stamp)
 
 
-class _Server(ThreadingHTTPServer):
+class _Server(ThreadingHTTPServer, NamelessServer):
     daemon_threads = False
 
     def __init__(self, address: tuple[str, int], emulator: MjpegEmulator) -> None:
@@ -192,11 +191,6 @@ class _Server(ThreadingHTTPServer):
         self._clients: set[socket.socket] = set()
         self._lock = threading.Lock()
         super().__init__(address, _Handler)
-
-    def server_bind(self) -> None:
-        """Bind without the look-up of a host name, which may take seconds."""
-        socketserver.TCPServer.server_bind(self)
-        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Nobody gets through to a camera that is unplugged."""

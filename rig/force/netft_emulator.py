@@ -12,7 +12,6 @@ import argparse
 import logging
 import select
 import socket
-import socketserver
 import sys
 import threading
 from collections.abc import Iterable, Sequence
@@ -26,7 +25,7 @@ import numpy.typing as npt
 
 from rig.clock import Clock, Pacer, SystemClock
 from rig.disturbance import Disturbance, spoilt_bytes
-from rig.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.emulation import NamelessServer, SharedWorld, World, add_arguments, fault_port, serve
 from rig.errors import ConfigError
 from rig.force.rdt import (
     COMMAND_BIAS,
@@ -211,7 +210,7 @@ class NetFtEmulator:
                 self._bias = counts
 
 
-class _HttpServer(ThreadingHTTPServer):
+class _HttpServer(ThreadingHTTPServer, NamelessServer):
     """The box's web server: netftapi2.xml and comm.cgi."""
 
     daemon_threads = True
@@ -219,11 +218,6 @@ class _HttpServer(ThreadingHTTPServer):
     def __init__(self, address: tuple[str, int], emulator: NetFtEmulator) -> None:
         self.emulator = emulator
         super().__init__(address, _Handler)
-
-    def server_bind(self) -> None:
-        """Bind without the look-up of a host name, which may take seconds."""
-        socketserver.TCPServer.server_bind(self)
-        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Nobody gets through to a box that is unplugged."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import socket
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
-from socketserver import TCPServer
 from urllib.parse import urlsplit
 
 import numpy as np
 
+from rig.emulation import NamelessServer
 from rig.force.rdt import COMMAND_REALTIME, COMMAND_STOP, RECORD, emit_page, parse_request
 from rig.replay.tape import Tape
 from rig.replay.wire import force_bias, force_counts, force_page
@@ -125,17 +125,12 @@ class NetFtOutlet:
                 self._peer = None
 
 
-class _PageServer(HTTPServer):
+class _PageServer(NamelessServer):
     """netftapi2.xml, the same for every request that asks for it."""
 
     def __init__(self, address: tuple[str, int], page: bytes) -> None:
         self.page = page
         super().__init__(address, _PageHandler)
-
-    def server_bind(self) -> None:
-        """Bind without the look-up of a host name, which may take seconds."""
-        TCPServer.server_bind(self)
-        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
 
 class _PageHandler(BaseHTTPRequestHandler):
