@@ -1,0 +1,26 @@
+"""Gravity: the body's weight, and the sag it starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sim.checks import check_range
+from sim.errors import SceneError
+
+
+@dataclass(frozen=True, slots=True)
+class Gravity:
+    """A constant acceleration on the body's mass; the first frame is already in balance with it.
+
+    Raises:
+        SceneError: A component that is not within +-1000 m/s^2.
+    """
+
+    acceleration: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    """In the contact frame [m/s^2]; a sensor looking down has +9.81 in z."""
+
+    def __post_init__(self) -> None:
+        if len(self.acceleration) != 3:
+            raise SceneError(f"gravity.acceleration: {self.acceleration!r}; allowed: 3 numbers")
+        for index, value in enumerate(self.acceleration):
+            check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")

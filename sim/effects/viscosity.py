@@ -1,0 +1,41 @@
+"""Viscosity: the material relaxes along a Prony series beside its elasticity at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sim.checks import check_range
+from sim.errors import SceneError
+
+
+@dataclass(frozen=True, slots=True)
+class Viscosity:
+    """Maxwell branches beside the spring: E(t) = E (1 + sum_i ratio_i exp(-t / time_i)).
+
+    E is `Body.modulus`, the modulus at rest. Form: Simo & Hughes, Computational Inelasticity
+    (1998), section 10.3, on the second Piola-Kirchhoff stress.
+
+    Raises:
+        SceneError: No branch, more than 4, or a value outside of what is allowed.
+    """
+
+    ratios: tuple[float, ...]
+    """Stiffness of each branch over the stiffness at rest, 0 to 100."""
+    times: tuple[float, ...]
+    """Relaxation time of each branch [s], 1e-6 to 1e6."""
+    relaxes: Literal["all", "shear"] = "all"
+    """`all`: Poisson's ratio keeps its value at all times (Lee & Radok's assumption); `shear`: the
+    answer to a change of volume is elastic. The `layer` tier knows `all` only."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.ratios) <= 4 or len(self.ratios) != len(self.times):
+            raise SceneError(
+                f"viscosity: {len(self.ratios)} ratios and {len(self.times)} times; allowed: as "
+                "many of both, 1 to 4"
+            )
+        for index, (ratio, time) in enumerate(zip(self.ratios, self.times, strict=True)):
+            check_range("viscosity", f"ratios[{index}]", ratio, 0.0, 100.0)
+            check_range("viscosity", f"times[{index}]", time, 1e-6, 1e6, unit="s")
+        if self.relaxes not in ("all", "shear"):
+            raise SceneError(f"viscosity.relaxes: {self.relaxes!r}; allowed: 'all', 'shear'")

@@ -1,0 +1,410 @@
+# mypy: ignore-errors
+# Warp's arrays and kernels are typed at run time; mypy cannot follow them.
+"""Everything on the device for one batch: mesh, material, state; and the forces that follow.
+
+Units: lengths in thicknesses T, stresses in moduli E, forces in E T^2, times in seconds. So the
+arithmetic is the same whatever units or stiffness a scene has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from sim.fem.contact import contact_kernels, face_rule
+from sim.fem.element import GAUSS_POINTS, element_kernels
+from sim.fem.mesh import CORNERS, GAUSS, Mesh
+from sim.fem.nodes import RUN, jacobi_kernel, node_kernels, reduce_kernel
+from sim.fem.numerics import Numerics
+from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
+from sim.fem.state import State
+from sim.indenters.device import PartTable
+from sim.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class ContactPoints:
+    """Contact points of one environment, in units of thickness and modulus."""
+
+    pressure: np.ndarray
+    """(S, P)."""
+    traction: np.ndarray
+    """Shear traction on the body (S, P, 3)."""
+    force: np.ndarray
+    """Force on the body (S, P, 3)."""
+    place: np.ndarray
+    """Where they are (S, P, 3)."""
+    area: np.ndarray
+    """Untouched area of each (S, P)."""
+    slip_excess: float
+    """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
+
+
+class Assembly:
+    """The equations of B presses on one mesh: residual, tangent, preconditioner."""
+
+    def __init__(
+        self, mesh: Mesh, scenes: Sequence[Scene], numerics: Numerics, precision: str, device: str
+    ) -> None:
+        self.mesh, self.numerics, self.device = mesh, numerics, device
+        self.precision = precision
+        self.real = real = PRECISIONS[precision]
+        self.effects = scenes[0].effects.key
+        self.environments = len(scenes)
+        vec3, mat33 = vector_of(real), matrix_of(real)
+        planted = numerics.planted
+        shape, rule = face_rule(numerics.contact_points, nodal=planted.nodal_contact)
+        self.points = len(rule)
+
+        self._element = element_kernels(
+            real, "viscosity" in self.effects, planted.full_integration
+        )
+        self._contact = contact_kernels(real, "friction" in self.effects)
+        self._node = node_kernels(real, "inertia" in self.effects, "gravity" in self.effects)
+        self._jacobi = jacobi_kernel(real, "inertia" in self.effects)
+
+        self._elements = self._array(mesh.elements, wp.int32)
+        self._inverse = self._array(mesh.inverse, mat33)
+        self._weight = self._array(mesh.weight, real)
+        self._faces = self._array(mesh.faces, wp.int32)
+        self._face_area = self._array(mesh.face_area, real)
+        self._shape = self._array(shape, real)
+        self._rule = self._array(rule, real)
+        self._nodes = self._array(mesh.nodes, vec3)
+        self._node_elements = self._array(mesh.node_elements, wp.int32)
+        self._node_faces = self._array(mesh.node_faces, wp.int32)
+        self._free = self._array(mesh.free, wp.int32)
+        self._all_free = self._array(np.ones(len(mesh.nodes)), wp.int32)
+        self._node_mass = self._array(mesh.node_volume, real)
+        shear_block, bulk_block = _rest_blocks(mesh)
+        self._shear_block = self._array(shear_block, mat33)
+        self._bulk_block = self._array(bulk_block, mat33)
+
+        bodies = [scene.body for scene in scenes]
+        self._shear = self._array([body.shear_modulus / body.modulus for body in bodies], real)
+        self._bulk = self._array([body.bulk_modulus / body.modulus for body in bodies], real)
+        unit = bodies[0].thickness
+        self._table = PartTable.pack(
+            [scene.indenter for scene in scenes], unit=unit, real=real, device=device
+        ).struct
+        self._penalty = real(numerics.penalty)
+        self._stick = real(numerics.stick)
+
+        environments, count = self.environments, len(mesh.nodes)
+        elements, faces = len(mesh.elements), len(mesh.faces)
+        self._runs = -(-count // RUN)
+        self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
+        self._element_energy = wp.zeros((environments, elements), dtype=real, device=device)
+        self._element_det = wp.zeros((environments, elements), dtype=real, device=device)
+        self._face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
+        self._face_block = wp.zeros((environments, faces, 4), dtype=mat33, device=device)
+        self._face_energy = wp.zeros((environments, faces), dtype=real, device=device)
+        self._touched = wp.zeros((environments, faces), dtype=wp.int32, device=device)
+        self._matrix = wp.zeros((environments, faces, self.points), dtype=mat33, device=device)
+        self._sums = wp.zeros((environments, self._runs, 3), dtype=wp.float64, device=device)
+        self._totals = wp.zeros((environments, 3), dtype=wp.float64, device=device)
+        self.residual = wp.zeros((environments, count), dtype=vec3, device=device)
+        """Out-of-balance force of the state last evaluated (B, N) [E T^2]."""
+        self.jacobi = wp.zeros((environments, count), dtype=mat33, device=device)
+        """Inverse diagonal blocks of the state last linearised (B, N)."""
+        self.coefficients = [getattr(s.effects.friction, "coefficient", 0.0) for s in scenes]
+        self.state = State(self, scenes)
+        """What the state of the batch is."""
+
+    def evaluate(self, active, u, direction) -> np.ndarray:
+        """Forces at displacement `u`; |r|^2, |applied|^2 and -r.direction by environment (B, 3)."""
+        state = self.state
+        wp.launch(
+            self._element[0],
+            dim=(self.environments, len(self.mesh.elements)),
+            inputs=[
+                self._elements,
+                self._inverse,
+                self._weight,
+                GAUSS_POINTS,
+                self._shear,
+                self._bulk,
+                *state.viscous,
+                active,
+                u,
+            ],
+            outputs=[self._element_force, self._element_energy, self._element_det],
+            device=self.device,
+        )
+        return self.evaluate_contact(active, u, direction)
+
+    def evaluate_contact(self, active, u, direction) -> np.ndarray:
+        """As `evaluate`, where only the friction limit changed since the last one."""
+        state = self.state
+        wp.launch(
+            self._contact[0],
+            dim=(self.environments, len(self.mesh.faces)),
+            inputs=[
+                self._faces,
+                self._face_area,
+                self._shape,
+                self._rule,
+                self._nodes,
+                self._table,
+                state.tip,
+                self._penalty,
+                *state.friction(self._stick),
+                active,
+                u,
+            ],
+            outputs=[
+                self._face_force,
+                self._touched,
+                state.pressure,
+                state.normal,
+                state.traction,
+                self._matrix,
+                self._face_energy,
+            ],
+            device=self.device,
+        )
+        return self._gather(active, u, direction, self._free, self.residual)
+
+    def _gather(self, active, u, direction, free, residual) -> np.ndarray:
+        state = self.state
+        wp.launch(
+            self._node[0],
+            dim=(self.environments, self._runs),
+            inputs=[
+                self._node_elements,
+                self._node_faces,
+                free,
+                self._node_mass,
+                state.inertia_rate,
+                state.predicted,
+                state.weight,
+                active,
+                self._element_force,
+                self._touched,
+                self._face_force,
+                u,
+                direction,
+            ],
+            outputs=[residual, self._sums],
+            device=self.device,
+        )
+        wp.launch(
+            reduce_kernel(),
+            dim=(self.environments, 3),
+            inputs=[active, self._sums],
+            outputs=[self._totals],
+            device=self.device,
+        )
+        return self._totals.numpy().copy()
+
+    def linearise(self, active) -> None:
+        """Fill `jacobi` for the state last evaluated."""
+        wp.launch(
+            self._contact[2],
+            dim=(self.environments, len(self.mesh.faces)),
+            inputs=[self._shape, active, self._touched, self._matrix],
+            outputs=[self._face_block],
+            device=self.device,
+        )
+        factor, bulk_factor = self.state.viscous[:2]
+        wp.launch(
+            self._jacobi,
+            dim=(self.environments, len(self.mesh.nodes)),
+            inputs=[
+                self._node_faces,
+                self._free,
+                self._node_mass,
+                self._shear_block,
+                self._bulk_block,
+                self._shear,
+                self._bulk,
+                factor,
+                bulk_factor,
+                self.state.inertia_rate,
+                active,
+                self._touched,
+                self._face_block,
+            ],
+            outputs=[self.jacobi],
+            device=self.device,
+        )
+
+    def tangent(self, u):
+        """The derivative at `u` as a function for `ConjugateGradient.solve`."""
+
+        def apply(active, v, product, sums) -> None:
+            wp.launch(
+                self._element[1],
+                dim=(self.environments, len(self.mesh.elements)),
+                inputs=[
+                    self._elements,
+                    self._inverse,
+                    self._weight,
+                    GAUSS_POINTS,
+                    self._shear,
+                    self._bulk,
+                    *self.state.viscous,
+                    active,
+                    u,
+                    v,
+                ],
+                outputs=[self._element_force],
+                device=self.device,
+            )
+            wp.launch(
+                self._contact[1],
+                dim=(self.environments, len(self.mesh.faces)),
+                inputs=[self._faces, self._shape, active, self._touched, self._matrix, v],
+                outputs=[self._face_force],
+                device=self.device,
+            )
+            wp.launch(
+                self._node[1],
+                dim=(self.environments, self._runs),
+                inputs=[
+                    self._node_elements,
+                    self._node_faces,
+                    self._free,
+                    self._node_mass,
+                    self.state.inertia_rate,
+                    active,
+                    self._element_force,
+                    self._touched,
+                    self._face_force,
+                    v,
+                ],
+                outputs=[product, sums],
+                device=self.device,
+            )
+
+        return apply
+
+    def det_min(self) -> np.ndarray:
+        """Smallest det F of the state last evaluated (B,)."""
+        return self._element_det.numpy().min(axis=1).astype(float)
+
+    def energy(self) -> np.ndarray:
+        """Incremental potential of the state last evaluated (B,) [E T^3]; weight left out."""
+        elastic = self._element_energy.numpy().sum(axis=1, dtype=float)
+        return elastic + self._face_energy.numpy().sum(axis=1, dtype=float)
+
+    def accept(self, active, duration: np.ndarray) -> None:
+        """Make the present state of `active` environments the start of their next step."""
+        self.state.accept(
+            active,
+            duration,
+            (self._elements, self._inverse, self._weight),
+            (self._shear, self._bulk),
+        )
+
+    def contact_force(self) -> np.ndarray:
+        """Force of the indenter on each body, state last evaluated (B, 3) [E T^2]."""
+        force = self._face_force.numpy().sum(axis=2, dtype=float)
+        return np.where(self._touched.numpy()[:, :, None] > 0, force, 0.0).sum(axis=1)
+
+    def contact_points(self, env: int) -> ContactPoints:
+        """Pressure, force and place of the contact points of one environment."""
+        state, mesh = self.state, self.mesh
+        pressure = state.pressure.numpy()[env].astype(float)
+        push = state.normal.numpy()[env] * pressure[:, :, None]
+        excess = np.nan
+        traction = np.zeros_like(push)
+        if "friction" in self.effects:
+            traction = state.traction.numpy()[env].astype(float)
+            most = self.coefficients[env] * pressure
+            size = np.linalg.norm(traction, axis=2)
+            excess = float((size - most).max() / max(pressure.max(), 1e-30))
+        area = self._rule.numpy() * mesh.face_area[:, None]
+        shape = self._shape.numpy().astype(float)
+        corners = mesh.nodes[mesh.faces] + state.u.numpy()[env][mesh.faces]
+        return ContactPoints(
+            pressure=pressure,
+            traction=traction,
+            force=(push + traction) * area[:, :, None],
+            place=np.einsum("pa,saj->spj", shape, corners),
+            area=area,
+            slip_excess=excess,
+        )
+
+    def surface_traction(self, env: int) -> np.ndarray:
+        """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
+        nx, ny, _nz = self.mesh.cells
+        force = np.zeros((len(self.mesh.nodes), 3))
+        area = np.zeros(len(self.mesh.nodes))
+        top = self.mesh.faces[: nx * ny]
+        share = self._face_force.numpy()[env, : nx * ny].astype(float)
+        touched = self._touched.numpy()[env, : nx * ny] > 0
+        np.add.at(force, top, np.where(touched[:, None, None], share, 0.0))
+        np.add.at(area, top, np.repeat(self.mesh.face_area[: nx * ny, None], 4, axis=1))
+        grid = self.mesh.top
+        return force[grid] / area[grid][..., None]
+
+    def stored_energy(self, env: int, points: ContactPoints, u: np.ndarray) -> float:
+        """Energy in the material at rest modulus, contact springs and height [E T^3]."""
+        penalty = self.numerics.penalty
+        square = (points.traction**2).sum(axis=2) / (self.numerics.stick * penalty)
+        springs = ((points.pressure**2 / penalty + square) * points.area / 2).sum()
+        if "gravity" in self.effects:
+            weight = self.state.weight.numpy()[env].astype(float)
+            springs -= (self.mesh.node_volume[:, None] * u * weight).sum()
+        return float(self._element_energy.numpy()[env].sum(dtype=float) + springs)
+
+    def body_force(self, env: int, u: np.ndarray) -> np.ndarray:
+        """Weight less inertia of one environment (3,) [E T^2]."""
+        total = np.zeros(3)
+        if "gravity" in self.effects:
+            total += self.state.weight.numpy()[env].astype(float) * self.mesh.node_volume.sum()
+        if "inertia" in self.effects:
+            rate = self.state.rates[env]
+            ahead = u - self.state.predicted.numpy()[env]
+            free = self.mesh.node_volume[:, None] * ahead
+            total -= rate * free.sum(axis=0)
+        return total
+
+    def reactions(self) -> np.ndarray:
+        """Force of the base on each body (B, 3) [E T^2], from the elements on it.
+
+        Evaluates the present state once more, everywhere: what was last evaluated is that state.
+        """
+        everyone, u = self.state.everyone, self.state.u
+        nothing = wp.zeros_like(self.residual)
+        self.evaluate(everyone, u, nothing)
+        held = wp.zeros_like(self.residual)
+        self._gather(everyone, u, nothing, self._all_free, held)
+        base = held.numpy()[:, self.mesh.base].sum(axis=1, dtype=float)
+        return -base
+
+    def _array(self, values, dtype):
+        scalar = {wp.int32: np.int32}.get(dtype, numpy_of(self.real))
+        return wp.array(
+            np.ascontiguousarray(np.asarray(values, dtype=scalar)), dtype=dtype, device=self.device
+        )
+
+
+def _rest_blocks(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Diagonal blocks (N, 3, 3) of the undeformed tangent per shear and per bulk modulus."""
+    signs = 2.0 * np.array(CORNERS) - 1.0
+    shear = np.zeros((len(mesh.nodes), 3, 3))
+    bulk = np.zeros_like(shear)
+    volume = mesh.weight.sum(1)
+    for corner in range(8):
+        mean = np.zeros((len(mesh.elements), 3))
+        block = np.zeros((len(mesh.elements), 3, 3))
+        for point, place in enumerate(signs * GAUSS):
+            factors = 1.0 + signs[corner] * place
+            local = np.array(
+                [signs[corner, a] * np.delete(factors, a).prod() / 8 for a in range(3)]
+            )
+            gradient = local @ mesh.inverse[:, point]
+            weight = mesh.weight[:, point]
+            square = (gradient**2).sum(1)
+            outer = gradient[:, :, None] * gradient[:, None, :]
+            block += weight[:, None, None] * (square[:, None, None] * np.eye(3) + outer / 3)
+            mean += weight[:, None] * gradient
+        np.add.at(shear, mesh.elements[:, corner], block)
+        outer = mean[:, :, None] * mean[:, None, :] / volume[:, None, None]
+        np.add.at(bulk, mesh.elements[:, corner], outer)
+    return shear, bulk

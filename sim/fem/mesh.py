@@ -1,0 +1,178 @@
+"""The mesh: a regular grid of 8-node hexahedra from the bonded base to the top of a body.
+
+Lengths are in units of the body's thickness. Nodes are numbered with z running fastest, then y,
+then x; the 8 corners of an element likewise, from (0, 0, 0) to (1, 1, 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.body import Body
+from sim.errors import SceneError
+
+CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
+"""Corner of a cell by its index: x, y, z steps."""
+GAUSS = 1 / np.sqrt(3)
+"""Abscissa of the 2-point Gauss rule on -1 to 1."""
+
+GRADING = 1.25
+"""Exponent that makes elements flatter towards the top, where the strain is."""
+CELLS_MAX = 4_000_000
+"""More elements than this need more than 10 GB for one press."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Nodes, elements and contact faces of one body; E elements, N nodes, S faces."""
+
+    cells: tuple[int, int, int]
+    """Elements along x, y, z."""
+    nodes: NDArray[np.float64]
+    """Rest positions (N, 3), in thicknesses."""
+    elements: NDArray[np.int32]
+    """Node of each corner (E, 8)."""
+    inverse: NDArray[np.float64]
+    """d(reference coordinates)/d(position) at the 8 Gauss points (E, 8, 3, 3)."""
+    weight: NDArray[np.float64]
+    """Volume of each Gauss point (E, 8)."""
+    faces: NDArray[np.int32]
+    """Node of each corner (S, 4) of every face that can be touched: the top, then the sides."""
+    face_area: NDArray[np.float64]
+    """Rest area of each face over the area 4 of the reference square (S,)."""
+    node_elements: NDArray[np.int32]
+    """Element and corner, 8 e + a, around each node (N, 8); -1 where there is none."""
+    node_faces: NDArray[np.int32]
+    """Face and corner, 4 s + a, around each node (N, 4); -1 where there is none."""
+    free: NDArray[np.bool_]
+    """Whether a node moves (N,): all but those on the base."""
+    node_volume: NDArray[np.float64]
+    """Volume lumped to each node (N,)."""
+
+    @property
+    def top(self) -> NDArray[np.int64]:
+        """Node numbers of the top (X, Y)."""
+        nx, ny, nz = self.cells
+        grid = np.arange(len(self.nodes)).reshape(nx + 1, ny + 1, nz + 1)
+        return grid[:, :, -1]
+
+    @property
+    def base(self) -> NDArray[np.int64]:
+        """Node numbers of the bonded base, any order."""
+        return np.flatnonzero(~self.free)
+
+
+def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
+    """How many elements of about `spacing` [m] a body is cut into along x, y, z.
+
+    Raises:
+        SceneError: A spacing that leaves fewer than 3 elements through the thickness or 4 across,
+            or makes more than `CELLS_MAX`.
+    """
+    sizes = (body.size_x, body.size_y, body.thickness)
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise SceneError(f"mesh: {spacing!r} m; allowed: above 0")
+    counts = tuple(max(1, round(size / spacing)) for size in sizes)
+    coarsest = min(body.thickness / 3, body.size_x / 4, body.size_y / 4)
+    if counts[2] < 3 or min(counts[:2]) < 4:
+        raise SceneError(
+            f"mesh: elements of {spacing * 1e3:.4g} mm; allowed: up to {coarsest * 1e3:.4g} mm "
+            "for this body (3 through the thickness, 4 across)"
+        )
+    if counts[0] * counts[1] * counts[2] > CELLS_MAX:
+        raise SceneError(
+            f"mesh: {spacing * 1e3:.4g} mm makes {counts[0]}x{counts[1]}x{counts[2]} elements; "
+            f"allowed: up to {CELLS_MAX} in all"
+        )
+    return counts[0], counts[1], counts[2]
+
+
+def build_mesh(body: Body, spacing: float) -> Mesh:
+    """The mesh of a body with elements of about `spacing` [m]; one number, from coarse to fine.
+
+    Raises:
+        SceneError: See `cell_counts`.
+    """
+    nx, ny, nz = cells = cell_counts(body, spacing)
+    unit = body.thickness
+    x = np.linspace(-body.size_x / 2, body.size_x / 2, nx + 1) / unit
+    y = np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1) / unit
+    share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
+    height = np.array([[body.height(a * unit, b * unit) / unit for b in y] for a in x])
+    nodes = np.empty((nx + 1, ny + 1, nz + 1, 3))
+    nodes[..., 0] = x[:, None, None]
+    nodes[..., 1] = y[None, :, None]
+    nodes[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
+    nodes = nodes.reshape(-1, 3)
+    grid = np.arange(len(nodes), dtype=np.int32).reshape(nx + 1, ny + 1, nz + 1)
+    elements = np.stack(
+        [grid[i : nx + i, j : ny + j, k : nz + k].ravel() for i, j, k in CORNERS], axis=1
+    )
+    inverse, weight = _geometry(nodes[elements])
+    faces = _faces(grid)
+    face_area = _face_areas(nodes[faces])
+    volume = np.zeros(len(nodes))
+    np.add.at(volume, elements, weight.sum(1, keepdims=True) / 8)
+    free = np.ones(len(nodes), dtype=bool)
+    free[grid[:, :, 0].ravel()] = False
+    return Mesh(
+        cells=cells,
+        nodes=nodes,
+        elements=elements,
+        inverse=inverse,
+        weight=weight,
+        faces=faces,
+        face_area=face_area,
+        node_elements=_around(elements, len(nodes), 8),
+        node_faces=_around(faces, len(nodes), 4),
+        free=free,
+        node_volume=volume,
+    )
+
+
+def _geometry(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Inverse Jacobians (E, 8, 3, 3) and volumes (E, 8) at the Gauss points of (E, 8, 3)."""
+    signs = 2.0 * np.array(CORNERS) - 1.0
+    jacobian = np.empty((len(corners), 8, 3, 3))
+    for point, place in enumerate(signs * GAUSS):
+        factors = 1.0 + signs * place
+        gradient = np.empty((8, 3))
+        for axis in range(3):
+            others = [other for other in range(3) if other != axis]
+            gradient[:, axis] = signs[:, axis] * factors[:, others].prod(1) / 8
+        jacobian[:, point] = np.einsum("eai,aj->eij", corners, gradient)
+    return np.linalg.inv(jacobian), np.linalg.det(jacobian)
+
+
+def _faces(grid: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Faces of the top and of the four sides, corners in the order (0,0) (0,1) (1,0) (1,1)."""
+    sheets = (grid[:, :, -1], grid[0], grid[-1], grid[:, 0], grid[:, -1])
+    faces = [
+        np.stack([sheet[:-1, :-1], sheet[:-1, 1:], sheet[1:, :-1], sheet[1:, 1:]], axis=-1)
+        for sheet in sheets
+    ]
+    return np.concatenate([face.reshape(-1, 4) for face in faces])
+
+
+def _face_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quarter of the area of each face (S,), as two triangles."""
+    one = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    two = np.cross(corners[:, 1] - corners[:, 3], corners[:, 2] - corners[:, 3])
+    area: NDArray[np.float64] = np.linalg.norm(one, axis=1) + np.linalg.norm(two, axis=1)
+    return area / 8
+
+
+def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32]:
+    """For each of `count` nodes the cells around it as `cell * corners + corner`, -1 filled."""
+    corners = cells.shape[1]
+    order = np.argsort(cells.ravel(), kind="stable")
+    node = cells.ravel()[order]
+    place = np.arange(len(node)) - np.searchsorted(node, node)
+    around = np.full((count, most), -1, dtype=np.int32)
+    around[node, place] = order
+    if corners * len(cells) > np.iinfo(np.int32).max:
+        raise SceneError(f"mesh: {len(cells)} cells; allowed: up to {2**31 // corners}")
+    return around

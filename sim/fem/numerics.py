@@ -1,0 +1,53 @@
+"""The numbers of the finite-element solver: what is chosen, not what is physical."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Planted:
+    """Known mistakes, switched on only to prove that `make hard-cases` catches them."""
+
+    full_integration: bool = False
+    """Volume change taken at every Gauss point: the element locks near nu = 0.5."""
+    nodal_contact: bool = False
+    """Contact looked for at nodes only."""
+    lagged_friction: bool = False
+    """The friction limit taken from the step before, never brought up to date."""
+    energy_line_search: bool = False
+    """Steps accepted by a drop of the energy, which round-off hides close to the solution."""
+
+
+@dataclass(frozen=True, slots=True)
+class Numerics:
+    """Mesh, precision, tolerances and step control of the `fem` tier."""
+
+    spacing: float | None = None
+    """Edge of an element [m]; None is a sixth of the thickness. Halving it costs 16 to 20 times
+    the time and cuts the error of the force by about 4."""
+    precision: Literal["auto", "float32", "float64"] = "auto"
+    """`auto` begins in float32 and goes on in float64 where float32 cannot reach the tolerance."""
+    tolerance: float = 1e-4
+    """Out-of-balance nodal force over contact force (l2 norms) at which a state is accepted."""
+    penalty: float = 1000.0
+    """Contact stiffness in modulus per thickness; force error about 1/2000 of the force."""
+    stick: float = 0.1
+    """Stiffness of sticking over `penalty`: the springs that hold a point before it slips give by
+    1/100 of the thickness when the shear traction equals the modulus."""
+    contact_points: int = 2
+    """Gauss points along each edge of a contact face, 2 to 4."""
+    newton_max: int = 25
+    """Newton iterations after which a step is cut in half."""
+    cg_max: int = 4000
+    """Conjugate-gradient iterations of one Newton step."""
+    det_floor: float = 0.05
+    """Smallest determinant of the deformation gradient that is accepted."""
+    step_travel: float | None = None
+    """Longest step of the tip [m]; None: half the edge radius, with friction at most a fortieth of
+    the thickness as well."""
+    halvings: int = 12
+    """How often a step is cut in half before the solver gives up."""
+    planted: Planted = field(default_factory=Planted)
+    """Known mistakes, all off."""

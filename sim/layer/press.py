@@ -1,0 +1,227 @@
+"""A layer under an indenter: the state it is in, and the steps that move it on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SimulationDiverged
+from sim.layer.clearance import Clearance
+from sim.layer.contact import Contact, solve_frictional, solve_frictionless
+from sim.layer.convolution import Convolutions
+from sim.layer.grid import Grid
+from sim.layer.history import History, Relaxed
+from sim.scene import Scene
+
+Array = NDArray[np.floating[Any]]
+
+TRAVEL = 0.1
+"""Longest step in radii of the contact. Within a step every pixel slides and relaxes evenly, also
+those touched half-way: halving the step halves that error. Work needs short steps anyway."""
+TRAVEL_LEAST = 0.5
+"""The same in pixels, where the contact is small."""
+TINY = 1e-300
+"""Keeps 0 / 0 away."""
+HALVINGS = 4
+"""How often a step that does not converge is halved."""
+BULGE = 0.2
+"""Share of the overlap by which the skin may rise beside the contact and touch elsewhere."""
+BLOCK = 8
+"""Windows grow by this many pixels, so that few sizes occur."""
+OVERLAP = 1e-2
+"""Share of the tip's depth that may be left as overlap outside of the window."""
+
+
+@dataclass(slots=True)
+class Spent:
+    """What moves have cost."""
+
+    iterations: int = 0
+    steps: int = 0
+
+
+class Press:
+    """One scene's layer, moved step by step; `traction` and `displacement` are its state."""
+
+    def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
+        """Start untouched, the tip above the first waypoint."""
+        effects = scene.effects
+        self.grid = grid
+        self.traction: Array = np.zeros((3, *grid.shape))
+        """Of the indenter on the body (3, nx, ny) [Pa]."""
+        self.history = History(effects.viscosity, grid.shape)
+        x, y, z = scene.motion.tip[0]
+        self.tip = np.array([x, y, max(z, 0.0)])
+        """Where the tip is [m]."""
+        self.residual = 0.0
+        """Of the last step's contact."""
+        self.work = 0.0
+        """Done by the indenter so far, by the trapezoid rule [J]."""
+        self.spent = Spent()
+        self._tolerance = tolerance
+        self._rubs = effects.friction is not None
+        self._coefficient = effects.friction.coefficient if effects.friction else 0.0
+        self._clearance = Clearance(scene.indenter, grid, scene.motion)
+        self._convolutions = Convolutions(grid)
+        self._tried: list[str] = []
+        self.displacement: Array = np.zeros((3, *grid.shape), np.float32)
+        """Of the top (3, nx, ny) [m]."""
+
+    @property
+    def force(self) -> Array:
+        """Force of the indenter on the body (3,) [N]."""
+        total: Array = self.traction.sum(axis=(1, 2)) * self.grid.area
+        return total
+
+    @property
+    def gap(self) -> Array:
+        """Between indenter and body (nx, ny) [m]; below 0 they overlap."""
+        gap: Array = self._clearance.at(self.tip) - self.displacement[2]
+        return gap
+
+    @property
+    def wrench(self) -> Array:
+        """Force and torque about the tip of the indenter on the body (6,) [N, N m]."""
+        touched = self.traction.any(axis=0)
+        row, column = np.nonzero(touched)
+        untouched = np.stack(
+            [self.grid.x[row], self.grid.y[column], self._clearance.surface[touched]]
+        )
+        lever = untouched + self.displacement[:, touched] - self.tip[:, None]
+        push = self.traction[:, touched] * self.grid.area
+        return np.concatenate([push.sum(axis=1), np.cross(lever, push, axis=0).sum(axis=1)])
+
+    @property
+    def slip_excess(self) -> float:
+        """Most by which shear exceeds friction, over the largest pressure; NaN without friction."""
+        pressure = -self.traction[2]
+        if not self._rubs or not pressure.any():
+            return 0.0 if self._rubs else math.nan
+        shear = np.hypot(self.traction[0], self.traction[1])
+        return float((shear - self._coefficient * pressure).max() / pressure.max())
+
+    @property
+    def energy(self) -> float:
+        """Held in all springs [J]."""
+        rest = float(np.vdot(self.history.elastic, self.displacement))
+        branches = (
+            float(np.vdot(traction, self._moved_by(traction))) / stiffness
+            for stiffness, traction in self.history.branches()
+        )
+        return 0.5 * self.grid.area * (rest + sum(branches))
+
+    def move(self, tip: Array, duration: float) -> None:
+        """Bring the tip straight to `tip` (3,) [m] in `duration` [s], in as many steps as it takes.
+
+        Raises:
+            SimulationDiverged: A step did not converge, halved again and again.
+        """
+        start, left = self.tip, 1.0
+        length = float(np.linalg.norm(tip - start))
+        while left > 0:
+            share = min(left, self._longest(tip) / length) if length > 0 else left
+            share = left / math.ceil(left / share - 1e-9)
+            left = left - share if share < left else 0.0
+            self._step_or_halve(tip + (start - tip) * left, duration * share, 0)
+
+    def _longest(self, tip: Array) -> float:
+        """How far the next step on the way to `tip` may go [m]."""
+        radius = math.sqrt(np.count_nonzero(self.traction[2]) * self.grid.area / math.pi)
+        longest = max(TRAVEL * radius, TRAVEL_LEAST * min(self.grid.pixel))
+        if radius == 0:
+            here = float(self.gap.min())
+            there = float((self._clearance.at(tip) - self.displacement[2]).min())
+            free = 1.0 if there >= 0 else max(0.0, here) / max(here - there, here, TINY)
+            longest = max(longest, free * float(np.linalg.norm(tip - self.tip)))
+        return longest
+
+    def _step_or_halve(self, tip: Array, duration: float, halvings: int) -> None:
+        self._tried = self._tried if halvings else []
+        if self._step(tip, duration):
+            return
+        if halvings == HALVINGS:
+            x, y, z = tip * 1e3
+            raise SimulationDiverged(
+                f"no converged state with the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
+                f"{len(self._tried)} steps failed, the last: {self._tried[-1]}",
+                tried=tuple(self._tried),
+            )
+        middle = (self.tip + tip) / 2
+        self._step_or_halve(middle, duration / 2, halvings + 1)
+        self._step_or_halve(tip, duration / 2, halvings + 1)
+
+    def _step(self, tip: Array, duration: float) -> bool:
+        """Whether the step converged; if not, nothing has changed."""
+        gap = self._clearance.at(tip)
+        relaxed = self.history.after(duration)
+        touching = self.history.elastic.any(axis=0)
+        touching |= gap < BULGE * max(0.0, -float(gap.min()))
+        while True:
+            window = self._window(touching)
+            found = self._solve(window, gap, tip, relaxed)
+            self.spent.steps += 1
+            self.spent.iterations += found.iterations
+            if not found.residual <= self._tolerance:
+                travel = float(np.linalg.norm(tip - self.tip))
+                self._tried.append(
+                    f"step of {travel * 1e3:.4g} mm, {found.iterations} iterations, residual "
+                    f"{found.residual:.2e} (allowed {self._tolerance:.2e})"
+                )
+                return False
+            traction = np.zeros_like(self.traction)
+            traction[window] = found.traction
+            elastic = (traction - relaxed.held) / relaxed.factor
+            displacement = self._moved_by(elastic)
+            missed = gap - displacement[2] < -OVERLAP * abs(tip[2])
+            missed[window[1:]] = False
+            if not missed.any():
+                break
+            touching |= missed
+        before = self.force
+        self.traction, self.displacement = traction, displacement
+        self.history.take(relaxed, elastic)
+        self.work += 0.5 * float((before + self.force) @ (tip - self.tip))
+        self.tip, self.residual = tip, found.residual
+        return True
+
+    def _solve(
+        self, window: tuple[slice, ...], gap: Array, tip: Array, relaxed: Relaxed
+    ) -> Contact:
+        """Solve the elastic contact that the step's relaxing one comes down to.
+
+        With traction = factor * elastic + held, the gap is gap - C (traction - held) / factor: that
+        of an elastic layer, all lengths multiplied by the factor.
+        """
+        elastic, held = self.history.elastic[window], relaxed.held[window]
+        away = relaxed.factor * gap[window[1:]]
+        body = self._convolutions.within(away.shape)
+        relief = body.answer.full(held) if held.any() else np.zeros_like(held)
+        # A guess: the displacement stays as it is.
+        start = relaxed.factor * elastic + held
+        away = away + relief[2]
+        if not self._coefficient:
+            return solve_frictionless(body, away, start, tolerance=self._tolerance)
+        slid = body.answer.full(elastic)[:2] + (tip - self.tip)[:2, None, None]
+        slip = -relaxed.factor * slid - relief[:2]
+        return solve_frictional(
+            body, away, slip, self._coefficient, start, tolerance=self._tolerance
+        )
+
+    def _moved_by(self, elastic: Array) -> Array:
+        return self._convolutions.whole.full(elastic.astype(np.float32))
+
+    def _window(self, touching: NDArray[np.bool_]) -> tuple[slice, ...]:
+        """The block of pixels to solve on, as slices of (3, nx, ny)."""
+        window = [slice(None)]
+        for axis in range(2):
+            size = self.grid.shape[axis]
+            used = np.flatnonzero(touching.any(axis=1 - axis))
+            first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
+            wide = min(size, BLOCK * math.ceil((last - first + 2) / BLOCK))
+            low = min(max(0, (first + last - wide) // 2), size - wide)
+            window.append(slice(low, low + wide))
+        return tuple(window)

@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from sim.indenters import named, tube
+from sim.indenters.sheet import CAPTION, VIEW, draw_sheet
+
+
+def test_a_sheet_shows_material_where_there_is_some(tmp_path: Path) -> None:
+    tile = 85
+    gap = tile // 12
+    draw_sheet(tmp_path / "sheet.png", indenters=[tube(4e-3, 2e-3), named("moon")], tile=tile)
+    with Image.open(tmp_path / "sheet.png") as picture:
+        pixels = np.asarray(picture).astype(float)
+    assert pixels.shape == (2 * gap + tile + CAPTION, 3 * gap + 2 * tile, 3)
+
+    def colour(index: int, x: float, y: float) -> np.ndarray:
+        column = gap + index * (tile + gap) + tile / 2 + x / VIEW * tile
+        row = gap + tile / 2 - y / VIEW * tile
+        return pixels[int(row), int(column)]
+
+    background = colour(0, 0.0, 0.0)
+    assert np.array_equal(colour(0, 6e-3, 6e-3), background)
+    assert np.ptp(background) < 10  # grey
+    assert np.ptp(colour(0, 3e-3, 0.0)) > 40  # brass
+    assert np.array_equal(colour(1, 2e-3, 0.0), background)
+    assert np.ptp(colour(1, -2e-3, 0.0)) > 40
