@@ -17,7 +17,13 @@ import warp as wp
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, element_kernels
 from sim.fem.mesh import CORNERS, GAUSS, Mesh
-from sim.fem.nodes import RUN, jacobi_kernel, node_kernels, reduce_kernel
+from sim.fem.nodes import (
+    RUN,
+    jacobi_kernel,
+    reduce_kernel,
+    residual_kernel,
+    tangent_kernel,
+)
 from sim.fem.numerics import Numerics
 from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.fem.state import State
@@ -63,8 +69,9 @@ class Assembly:
             real, "viscosity" in self.effects, planted.full_integration
         )
         self._contact = contact_kernels(real, "friction" in self.effects)
-        self._node = node_kernels(real, "inertia" in self.effects, "gravity" in self.effects)
-        self._jacobi = jacobi_kernel(real, "inertia" in self.effects)
+        self._residual = residual_kernel(
+            real, "inertia" in self.effects, "gravity" in self.effects
+        )
 
         self._elements = self._array(mesh.elements, wp.int32)
         self._inverse = self._array(mesh.inverse, mat33)
@@ -96,6 +103,7 @@ class Assembly:
         environments, count = self.environments, len(mesh.nodes)
         elements, faces = len(mesh.elements), len(mesh.faces)
         self._runs = -(-count // RUN)
+        self._shift = wp.zeros(environments, dtype=real, device=device)
         self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
         self._element_energy = wp.zeros((environments, elements), dtype=real, device=device)
         self._element_det = wp.zeros((environments, elements), dtype=real, device=device)
@@ -171,7 +179,7 @@ class Assembly:
     def _gather(self, active, u, direction, free, residual) -> np.ndarray:
         state = self.state
         wp.launch(
-            self._node[0],
+            self._residual,
             dim=(self.environments, self._runs),
             inputs=[
                 self._node_elements,
@@ -200,8 +208,12 @@ class Assembly:
         )
         return self._totals.numpy().copy()
 
-    def linearise(self, active) -> None:
-        """Fill `jacobi` for the state last evaluated."""
+    def linearise(self, active, damping: np.ndarray) -> None:
+        """Fill `jacobi` for the state last evaluated.
+
+        `damping` (B,) [E / T^2] stiffens the tangent against any motion, not the residual.
+        """
+        self._shift.assign((self.state.rates + damping).astype(numpy_of(self.real)))
         wp.launch(
             self._contact[2],
             dim=(self.environments, len(self.mesh.faces)),
@@ -211,7 +223,7 @@ class Assembly:
         )
         factor, bulk_factor = self.state.viscous[:2]
         wp.launch(
-            self._jacobi,
+            jacobi_kernel(self.real),
             dim=(self.environments, len(self.mesh.nodes)),
             inputs=[
                 self._node_faces,
@@ -223,7 +235,7 @@ class Assembly:
                 self._bulk,
                 factor,
                 bulk_factor,
-                self.state.inertia_rate,
+                self._shift,
                 active,
                 self._touched,
                 self._face_block,
@@ -262,14 +274,14 @@ class Assembly:
                 device=self.device,
             )
             wp.launch(
-                self._node[1],
+                tangent_kernel(self.real),
                 dim=(self.environments, self._runs),
                 inputs=[
                     self._node_elements,
                     self._node_faces,
                     self._free,
                     self._node_mass,
-                    self.state.inertia_rate,
+                    self._shift,
                     active,
                     self._element_force,
                     self._touched,

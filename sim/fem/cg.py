@@ -17,6 +17,9 @@ from sim.fem.scalars import matrix_of, vector_of
 LOOK = {"cpu": 1, "cuda": 16}
 """Iterations between looks at who is still running: free on the CPU, a stop on a GPU."""
 
+CONCAVE = 1e300
+"""Mark in place of the accuracy to reach: stop here, the tangent is not convex."""
+
 
 @functools.cache
 def _kernels(real):
@@ -97,7 +100,7 @@ def _kernels(real):
             scalars_out[env, 2] = wp.float64(0.0)
             if count_out[env] == 0:
                 scalars_out[env, 2] = wp.float64(1.0)
-            scalars_out[env, 1] = wp.float64(1.0e300)
+            scalars_out[env, 1] = wp.float64(CONCAVE)
         count_out[env] = count_out[env] + 1
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -261,3 +264,7 @@ class ConjugateGradient:
                 device=device,
             )
         return self._count.numpy().copy()
+
+    def concave(self) -> np.ndarray:
+        """Where the last solve met a direction along which the tangent is not convex (B,)."""
+        return self._scalars.numpy()[:, 1] >= CONCAVE

@@ -20,6 +20,10 @@ from sim.fem.scalars import matrix_of, vector_of
 from sim.indenters.device import distance_function, table_struct
 
 
+REACH = 2e-3
+"""Distance over which the turning of the normal is measured, in thicknesses."""
+
+
 def face_rule(points: int, *, nodal: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Shape functions (P, 4) and weights (P,) of `points` x `points` Gauss points on a face.
 
@@ -42,6 +46,26 @@ def contact_kernels(real, friction: bool):
     distance = distance_function(real)
     zero, half, one = real(0.0), real(0.5), real(1.0)
     tiny = real(1.0e-20)
+    reach = real(REACH)
+
+    @wp.func
+    def bend(table: table_type, env: int, place: vec3, normal: vec3, along: vec3):
+        """How the normal turns along a tangent, in the tangent plane."""
+        ahead = distance(table, env, place + along * reach)
+        turn = (vec3(ahead[0], ahead[1], ahead[2]) - normal) / reach
+        return turn - normal * wp.dot(normal, turn)
+
+    @wp.func
+    def curvature(table: table_type, env: int, place: vec3, normal: vec3):
+        """Derivative of the normal, symmetric, by differences."""
+        helper = vec3(one, zero, zero)
+        if wp.abs(normal[0]) > real(0.7):
+            helper = vec3(zero, one, zero)
+        first = wp.normalize(wp.cross(normal, helper))
+        second = wp.cross(normal, first)
+        bent = wp.outer(bend(table, env, place, normal, first), first)
+        bent += wp.outer(bend(table, env, place, normal, second), second)
+        return (bent + wp.transpose(bent)) * half
 
     @wp.kernel(enable_backward=False, module="unique")
     def contact(
@@ -96,7 +120,8 @@ def contact_kernels(real, friction: bool):
             a1 = shape[p, 1]
             a2 = shape[p, 2]
             a3 = shape[p, 3]
-            answer = distance(table, env, x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3)
+            place = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
+            answer = distance(table, env, place)
             gap = answer[3]
             pressure = real(0.0)
             if gap < zero:
@@ -106,6 +131,7 @@ def contact_kernels(real, friction: bool):
                 pressure = -penalty * gap
                 energy += half * w * pressure * pressure / penalty
                 matrix = wp.outer(normal, normal) * penalty
+                matrix -= curvature(table, env, place, normal) * pressure
                 traction = vec3()
                 if wp.static(friction):
                     slip = (

@@ -27,6 +27,12 @@ DET_TRIAL = 0.02
 TRIALS = 12
 """Step lengths tried along one direction."""
 
+LENGTH_GOOD = 0.2
+"""Below this share of a full step, or where the tangent is not convex, the next is damped."""
+DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
+"""Stiffness against any motion that is added then [E / T^2], least and most: from that of the
+softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -55,6 +61,7 @@ class Newton:
         count = assembly.environments
         iterations, cg = np.zeros(count, int), np.zeros(count, int)
         converged, residual = np.zeros(count, bool), np.full(count, np.inf)
+        damping = np.zeros(count)
         rubbing = "friction" in assembly.effects and not numerics.planted.lagged_friction
         running = chosen.copy()
         active = self._mask(running)
@@ -72,8 +79,8 @@ class Newton:
             if not running.any() or iteration == numerics.newton_max:
                 break
             active = self._mask(running)
-            assembly.linearise(active)
-            accuracy = np.clip(0.3 * residual, 1e-3, 0.1)
+            assembly.linearise(active, damping)
+            accuracy = np.clip(0.3 * residual, 1e-3, 1e-2)
             accuracy = np.where(running, accuracy, 1.0)
             used = self._cg.solve(
                 active,
@@ -85,14 +92,19 @@ class Newton:
             )
             cg[running] += used[running]
             iterations[running] += 1
-            walked, sums = self._search(active, running)
-            running &= walked
+            walked, length, sums = self._search(active, running)
+            hard = self._cg.concave() | (length < LENGTH_GOOD) | ~walked
+            damping = np.where(hard, np.maximum(damping * 8, DAMPING_LEAST), damping / 4)
+            damping[damping < DAMPING_LEAST] = 0.0
+            running &= walked | (damping < DAMPING_MOST)
             active = self._mask(running)
         converged &= assembly.det_min() > numerics.det_floor
         return Outcome(converged, residual, iterations, cg)
 
-    def _search(self, active, running: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Walk along the solved direction; who found a step (B,), and the sums there (B, 3)."""
+    def _search(
+        self, active, running: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Walk along the solved direction; who found a step (B,), its length (B,), the sums there."""
         assembly, state = self._assembly, self._assembly.state
         by_energy = assembly.numerics.planted.energy_line_search
         direction = self._cg.solution
@@ -120,7 +132,11 @@ class Newton:
                 break
             shrink = np.clip(np.nan_to_num(shrink, nan=0.5), 0.1, 0.7)
             length[open_] *= shrink[open_]
-        return running & ~open_, sums
+        if open_.any():
+            stuck = self._mask(open_)
+            copy_active(stuck, self._start, state.u)
+            sums[open_] = assembly.evaluate(stuck, state.u, direction)[open_]
+        return running & ~open_, length, sums
 
     def _dot(self, direction) -> np.ndarray:
         """residual . direction by environment (B,)."""

@@ -18,8 +18,8 @@ RUN = 32
 
 
 @functools.cache
-def node_kernels(real, inertia: bool, gravity: bool):
-    """Kernels (residual, tangent) for one precision and combination of effects."""
+def residual_kernel(real, inertia: bool, gravity: bool):
+    """Kernel of what is out of balance, for one precision and combination of effects."""
     vec3 = vector_of(real)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -78,6 +78,14 @@ def node_kernels(real, inertia: bool, gravity: bool):
         sums_out[env, run, 1] = applied_square
         sums_out[env, run, 2] = slope
 
+    return residual
+
+
+@functools.cache
+def tangent_kernel(real):
+    """Kernel of the tangent times a vector, from what elements and faces gave."""
+    vec3 = vector_of(real)
+
     @wp.kernel(enable_backward=False, module="unique")
     def tangent(
         # Mesh:
@@ -85,8 +93,8 @@ def node_kernels(real, inertia: bool, gravity: bool):
         node_faces: wp.array2d(dtype=wp.int32),
         free: wp.array(dtype=wp.int32),
         node_mass: wp.array(dtype=real),
-        # Inertia: mass over step squared, by environment
-        inertia_rate: wp.array(dtype=real),
+        # Stiffness of a unit volume against any motion (inertia, damping), by environment
+        shift: wp.array(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
         element_force: wp.array3d(dtype=vec3),
@@ -113,14 +121,13 @@ def node_kernels(real, inertia: bool, gravity: bool):
                 if place >= 0:
                     if touched[env, place // 4] > 0:
                         total += face_force[env, place // 4, place % 4]
-            if wp.static(inertia):
-                total += v[env, n] * (inertia_rate[env] * node_mass[n])
+            total += v[env, n] * (shift[env] * node_mass[n])
             total = total * real(free[n])
             product_out[env, n] = total
             curvature += wp.float64(wp.dot(total, v[env, n]))
         sums_out[env, run, 0] = curvature
 
-    return residual, tangent
+    return tangent
 
 
 @functools.cache
@@ -147,7 +154,7 @@ def reduce_kernel():
 
 
 @functools.cache
-def jacobi_kernel(real, inertia: bool):
+def jacobi_kernel(real):
     """Kernel that inverts each node's 3x3 block of the tangent: the preconditioner.
 
     The elastic part is that of the undeformed body, whose two terms are the same for every
@@ -168,7 +175,7 @@ def jacobi_kernel(real, inertia: bool):
         bulk: wp.array(dtype=real),
         factor: wp.array(dtype=real),
         bulk_factor: wp.array(dtype=real),
-        inertia_rate: wp.array(dtype=real),
+        shift: wp.array(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
         touched: wp.array2d(dtype=wp.int32),
@@ -189,8 +196,7 @@ def jacobi_kernel(real, inertia: bool):
             if place >= 0:
                 if touched[env, place // 4] > 0:
                     block += face_block[env, place // 4, place % 4]
-        if wp.static(inertia):
-            block += wp.identity(n=3, dtype=real) * (inertia_rate[env] * node_mass[n])
+        block += wp.identity(n=3, dtype=real) * (shift[env] * node_mass[n])
         inverse_out[env, n] = wp.inverse(block)
 
     return jacobi

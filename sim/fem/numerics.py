@@ -38,7 +38,7 @@ class Numerics:
     1/100 of the thickness when the shear traction equals the modulus."""
     contact_points: int = 2
     """Gauss points along each edge of a contact face, 2 to 4."""
-    newton_max: int = 25
+    newton_max: int = 60
     """Newton iterations after which a step is cut in half."""
     cg_max: int = 4000
     """Conjugate-gradient iterations of one Newton step."""

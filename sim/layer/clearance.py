@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from sim.indenters import Indenter
 from sim.layer.grid import Grid
 from sim.motion import Motion
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 FINENESS = 2
 """Samples of the indenter's lower surface in a pixel's width."""
@@ -64,14 +66,12 @@ class Clearance:
 
         corners = [sample(i, j) for i in (0, 1) for j in (0, 1)]
         low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
-        rows = sum(
-            weight * self._heights[_every(whole[0] + i - 1, nx)]
-            for i, weight in enumerate(_weights(rest[0]))
-        )
-        cubic = sum(
-            weight * rows[:, _every(whole[1] + j - 1, ny)]
-            for j, weight in enumerate(_weights(rest[1]))
-        )
+        rows: Array = np.zeros((nx, self._heights.shape[1]))
+        for i, weight in enumerate(_weights(rest[0])):
+            rows += weight * self._heights[_every(whole[0] + i - 1, nx)]
+        cubic: Array = np.zeros((nx, ny))
+        for j, weight in enumerate(_weights(rest[1])):
+            cubic += weight * rows[:, _every(whole[1] + j - 1, ny)]
         nearest = sample(int(rest[0] >= 0.5), int(rest[1] >= 0.5))
         return np.where(high < self._cap, np.clip(cubic, low, high), nearest)
 

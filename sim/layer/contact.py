@@ -23,8 +23,8 @@ STALLED = 0.8
 """A turn that leaves more than this of the residual has overshot."""
 DAMPED, DAMPED_MOST = 0.6, 0.05
 """What is left of the share of the new shear that is taken, each time; and its least."""
-TINY = 1e-300
-"""Keeps 0 / 0 away where nothing presses."""
+TINY = 1e-30
+"""Keeps 0 / 0 away where nothing presses [Pa]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +46,8 @@ def solve_frictionless(body: Elastic, gap: Array, start: Array, *, tolerance: fl
     `gap` (X, Y) [m] is the gap that there would be without traction, `start` a guess of the
     traction (3, X, Y). At every pixel pressure >= 0, gap >= 0, and one of them is 0.
     """
+    if gap.min() >= 0:
+        return Contact(np.zeros_like(start), 0.0, 0)
     pressure = _pushing(-start[2])
     found = descend(
         Problem(body.answer.normal, _pushing, body.local_normal),
@@ -55,7 +57,7 @@ def solve_frictionless(body: Elastic, gap: Array, start: Array, *, tolerance: fl
         iterations=ITERATIONS,
     )
     traction = np.stack([np.zeros_like(gap), np.zeros_like(gap), -found.x])
-    return Contact(traction, found.residual, max(1, found.iterations))
+    return Contact(traction, found.residual, found.iterations)
 
 
 def solve_frictional(
@@ -70,13 +72,15 @@ def solve_frictional(
     (Panagiotopoulos, Ingenieur-Archiv 44 (1975) 421), until both hold together. With much friction
     on a material that couples them strongly the turns overshoot and have to be damped.
     """
+    if gap.min() >= 0:
+        return Contact(np.zeros_like(start), 0.0, 0)
     answer = body.answer
     pressure = _pushing(-start[2])
     shear = _within(start[:2], coefficient * pressure)
     caused = answer.full(np.concatenate([shear, -pressure[None]]))
     gap, slip = gap - caused[2], slip + caused[:2]
     normal = Problem(answer.normal, _pushing, body.local_normal)
-    iterations, share, before = 1, 1.0, np.inf
+    iterations, share, before = 0, 1.0, np.inf
     for _ in range(TURNS):
         tangential = _tangential(body, coefficient * pressure)
         residuals = normal.residual(pressure, gap), tangential.residual(shear, slip)
@@ -117,4 +121,5 @@ def _pushing(pressure: Array) -> Array:
 
 def _within(shear: Array, bound: Array) -> Array:
     length = np.sqrt(shear[0] ** 2 + shear[1] ** 2)
-    return shear * (bound / np.maximum(np.maximum(length, bound), TINY))
+    inside: Array = shear * (bound / np.maximum(np.maximum(length, bound), TINY))
+    return inside

@@ -72,11 +72,13 @@ class Convolution:
     def _forward(self, field: Array) -> Spectrum:
         # One axis at a time: rows of nothing but padding are not transformed.
         half = scipy.fft.rfft(field, n=self._padded[1], axis=-1)
-        return scipy.fft.fft(half, n=self._padded[0], axis=-2, overwrite_x=True)
+        spectrum: Spectrum = scipy.fft.fft(half, n=self._padded[0], axis=-2, overwrite_x=True)
+        return spectrum
 
     def _back(self, spectrum: Spectrum) -> Array:
         half = scipy.fft.ifft(spectrum, axis=-2, overwrite_x=True)[..., : self._shape[0], :]
-        return scipy.fft.irfft(half, n=self._padded[1], axis=-1)[..., : self._shape[1]]
+        field: Array = scipy.fft.irfft(half, n=self._padded[1], axis=-1)[..., : self._shape[1]]
+        return field
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +95,9 @@ class Elastic:
 class Convolutions:
     """The whole top's convolution, and smaller ones for windows that hold the contact."""
 
-    def __init__(self, grid: Grid) -> None:
-        """Transform the grid's symbol to the answer of the top to one loaded pixel."""
+    def __init__(self, grid: Grid, dtype: DTypeLike = np.float64) -> None:
+        """Transform the grid's symbol to the answer to one loaded pixel; `dtype` is a window's."""
+        self.dtype = np.dtype(dtype)
         symbol = grid.symbol
         waves = np.concatenate([symbol[:4], 1j * symbol[4:]])
         self._kernel = scipy.fft.irfft2(waves, s=grid.period)
@@ -109,11 +112,11 @@ class Convolutions:
                 self._made.clear()
             local = self._kernel[:3, 0, 0]
             self._made[shape] = Elastic(
-                self._cut(shape), float(local[2]), float(min(local[0], local[1]))
+                self._cut(shape, self.dtype), float(local[2]), float(min(local[0], local[1]))
             )
         return self._made[shape]
 
-    def _cut(self, shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> Convolution:
+    def _cut(self, shape: tuple[int, ...], dtype: DTypeLike) -> Convolution:
         """The convolution over a window of `shape`, without the period's images.
 
         Padded to twice the window, it meets the kernel at true distances only, so the margin

@@ -12,7 +12,10 @@ from sim.scene import Scene
 
 
 class Frames:
-    """Frames of one press, filled one after the other."""
+    """Frames of one press, filled one after the other.
+
+    `balance` stays NaN: base and top are in balance wave by wave, there is nothing to compare.
+    """
 
     def __init__(self, scene: Scene, press: Press) -> None:
         """Make room for a frame at each waypoint."""
@@ -25,7 +28,7 @@ class Frames:
             name: np.full(count, np.nan)
             for name in ("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess")
         }
-        self._counts = {name: np.zeros(count, np.int64) for name in ("newton", "cg", "steps")}
+        self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._start: tuple[float, float] | None = None
         self._work_most = 0.0
 
@@ -37,11 +40,10 @@ class Frames:
         self._wrench[frame] = press.wrench
         quality["residual"][frame] = press.residual
         overlap = max(0.0, -float(press.gap.min()))
-        quality["contact"][frame] = overlap / max(-press.tip[2], 1e-9)
+        quality["contact"][frame] = overlap / -press.tip[2] if press.tip[2] < 0 else 0.0
         quality["energy_gap"][frame] = self._lost()
         quality["slip_excess"][frame] = press.slip_excess
-        self._counts["newton"][frame] = press.spent.iterations
-        self._counts["steps"][frame] = press.spent.steps
+        self._newton[frame], self._steps[frame] = press.spent.iterations, press.spent.steps
         press.spent = Spent()
 
     def _lost(self) -> float:
@@ -59,10 +61,15 @@ class Frames:
             scene=self._scene,
             tier="layer",
             wrench=self._wrench,
-            surface_x=grid.x,
-            surface_y=grid.y,
+            surface_x=grid.x.astype(np.float64),
+            surface_y=grid.y.astype(np.float64),
             surface=self._surface,
             traction=self._traction,
-            quality=Quality(**self._quality, **self._counts),
+            quality=Quality(
+                **self._quality,
+                newton=self._newton,
+                cg=np.zeros_like(self._newton),
+                steps=self._steps,
+            ),
             record=record,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -13,11 +14,12 @@ from sim.body import Body
 from sim.errors import SceneError
 from sim.layer.compliance import Compliance, compliance
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
-MARGIN = 8.0
-"""Empty width added to the body before its waves repeat, in thicknesses. Images of a contact 2.5 h
-wide on a body 5 h wide change its force by 0.12 % at 5 and 0.007 % at 8 (nu = 0.5)."""
+MARGIN = 5.0
+"""Thicknesses that are added to twice the body's size before its waves repeat. Against waves that
+never repeat, forces are 0.005 % off at most on the default body and 0.06 % on one as thick as wide
+(contacts to two thirds of the body's width, nu to 0.5)."""
 THICKNESS_MAX = 2.0
 """Thickest body over its narrower side: the model knows no sides, and the period grows with it."""
 
@@ -43,8 +45,8 @@ class Grid:
                 f"{limit:g} m, {THICKNESS_MAX:g} times the narrower side (it knows no sides; 'fem' "
                 "does)"
             )
-        if not 16 <= self.count <= 1024:
-            raise SceneError(f"grid: {self.count!r}; allowed: 16 to 1024")
+        if not 16 <= self.count <= 512:
+            raise SceneError(f"grid: {self.count!r}; allowed: 16 to 512")
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -83,7 +85,7 @@ class Grid:
         x, y = (
             2
             * scipy.fft.next_fast_len(
-                int(np.ceil((size + MARGIN * self.body.thickness) / pixel / 2)), real=True
+                int(np.ceil((2 * size + MARGIN * self.body.thickness) / pixel / 2)), real=True
             )
             for size, pixel in zip(sizes, self.pixel, strict=True)
         )
@@ -113,9 +115,8 @@ class Grid:
                 layer.coupling * sine,
             ]
         )
-        # The shortest wave has no odd part that samples could hold.
+        # The shortest wave has no odd part that samples could hold (along y the transform sees to it).
         symbol[3:, self.period[0] // 2, :] = 0
-        symbol[3:, :, -1] = 0
         return symbol
 
     def _compliance(self, length: Array) -> Compliance:

@@ -33,8 +33,8 @@ class History:
     With E(t) = E (1 + sum_i ratio_i exp(-t / time_i)) and a constant Poisson's ratio, the traction
     is that of the elastic layer with the present displacement, `elastic`, and for each branch the
     convolution of its change with ratio_i exp(-t / time_i). `elastic` changes evenly within a
-    step, for which the convolution is exact (Simo & Hughes 1998, box 10.1, with the even change in
-    place of the midpoint rule).
+    step, for which the convolution is exact (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2
+    (1970) 45).
     """
 
     def __init__(self, viscosity: Viscosity | None, shape: tuple[int, int]) -> None:

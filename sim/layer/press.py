@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,16 +26,21 @@ TRAVEL = 0.1
 those touched half-way: halving the step halves that error. Work needs short steps anyway."""
 TRAVEL_LEAST = 0.5
 """The same in pixels, where the contact is small."""
-TINY = 1e-300
-"""Keeps 0 / 0 away."""
 HALVINGS = 4
 """How often a step that does not converge is halved."""
 BULGE = 0.2
 """Share of the overlap by which the skin may rise beside the contact and touch elsewhere."""
 BLOCK = 8
 """Windows grow by this many pixels, so that few sizes occur."""
+SINGLE = 1e-3
+"""Least tolerance that is left to single precision, which ends at some 1e-5."""
 OVERLAP = 1e-2
 """Share of the tip's depth that may be left as overlap outside of the window."""
+
+
+def precision(tolerance: float) -> type[np.floating[Any]]:
+    """What contacts are solved in: single precision where it can reach the tolerance."""
+    return np.float32 if tolerance >= SINGLE else np.float64
 
 
 @dataclass(slots=True)
@@ -50,6 +57,7 @@ class Press:
     def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
         """Start untouched, the tip above the first waypoint."""
         effects = scene.effects
+        self._scene = scene
         self.grid = grid
         self.traction: Array = np.zeros((3, *grid.shape))
         """Of the indenter on the body (3, nx, ny) [Pa]."""
@@ -66,7 +74,7 @@ class Press:
         self._rubs = effects.friction is not None
         self._coefficient = effects.friction.coefficient if effects.friction else 0.0
         self._clearance = Clearance(scene.indenter, grid, scene.motion)
-        self._convolutions = Convolutions(grid)
+        self._convolutions = Convolutions(grid, precision(tolerance))
         self._tried: list[str] = []
         self.displacement: Array = np.zeros((3, *grid.shape), np.float32)
         """Of the top (3, nx, ny) [m]."""
@@ -135,7 +143,7 @@ class Press:
         if radius == 0:
             here = float(self.gap.min())
             there = float((self._clearance.at(tip) - self.displacement[2]).min())
-            free = 1.0 if there >= 0 else max(0.0, here) / max(here - there, here, TINY)
+            free = 1.0 if there >= 0 else max(0.0, here) / (max(0.0, here) - there)
             longest = max(longest, free * float(np.linalg.norm(tip - self.tip)))
         return longest
 
@@ -144,15 +152,36 @@ class Press:
         if self._step(tip, duration):
             return
         if halvings == HALVINGS:
-            x, y, z = tip * 1e3
-            raise SimulationDiverged(
-                f"no converged state with the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
-                f"{len(self._tried)} steps failed, the last: {self._tried[-1]}",
-                tried=tuple(self._tried),
-            )
+            raise self._diverged()
         middle = (self.tip + tip) / 2
         self._step_or_halve(middle, duration / 2, halvings + 1)
         self._step_or_halve(tip, duration / 2, halvings + 1)
+
+    def _diverged(self) -> SimulationDiverged:
+        dump = self._dump()
+        x, y, z = self.tip * 1e3
+        return SimulationDiverged(
+            f"no converged state after the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
+            f"{len(self._tried)} steps failed, the last: {self._tried[-1]}; state: "
+            f"{dump or 'could not be written'}",
+            tried=tuple(self._tried),
+            dump=dump,
+        )
+
+    def _dump(self) -> Path | None:
+        """The file that the present state was written to; None where it could not be."""
+        try:
+            path = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
+            np.savez_compressed(
+                path,
+                scene=repr(self._scene),
+                tip=self.tip,
+                traction=self.traction,
+                displacement=self.displacement,
+            )
+        except OSError:
+            return None
+        return path
 
     def _step(self, tip: Array, duration: float) -> bool:
         """Whether the step converged; if not, nothing has changed."""
@@ -196,17 +225,19 @@ class Press:
         With traction = factor * elastic + held, the gap is gap - C (traction - held) / factor: that
         of an elastic layer, all lengths multiplied by the factor.
         """
-        elastic, held = self.history.elastic[window], relaxed.held[window]
-        away = relaxed.factor * gap[window[1:]]
+        dtype = self._convolutions.dtype
+        elastic = self.history.elastic[window].astype(dtype)
+        held = relaxed.held[window].astype(dtype)
+        away = (relaxed.factor * gap[window[1:]]).astype(dtype)
         body = self._convolutions.within(away.shape)
         relief = body.answer.full(held) if held.any() else np.zeros_like(held)
+        away += relief[2]
         # A guess: the displacement stays as it is.
         start = relaxed.factor * elastic + held
-        away = away + relief[2]
         if not self._coefficient:
             return solve_frictionless(body, away, start, tolerance=self._tolerance)
-        slid = body.answer.full(elastic)[:2] + (tip - self.tip)[:2, None, None]
-        slip = -relaxed.factor * slid - relief[:2]
+        travel = (tip - self.tip)[:2, None, None].astype(dtype)
+        slip = -relaxed.factor * (body.answer.full(elastic)[:2] + travel) - relief[:2]
         return solve_frictional(
             body, away, slip, self._coefficient, start, tolerance=self._tolerance
         )
@@ -216,7 +247,7 @@ class Press:
 
     def _window(self, touching: NDArray[np.bool_]) -> tuple[slice, ...]:
         """The block of pixels to solve on, as slices of (3, nx, ny)."""
-        window = [slice(None)]
+        window: list[slice] = [slice(None)]
         for axis in range(2):
             size = self.grid.shape[axis]
             used = np.flatnonzero(touching.any(axis=1 - axis))

@@ -10,7 +10,7 @@ import numpy as np
 from sim.errors import SceneError
 from sim.layer.frames import Frames
 from sim.layer.grid import Grid
-from sim.layer.press import Press
+from sim.layer.press import Press, precision
 from sim.result import Result
 from sim.scene import Scene
 
@@ -33,7 +33,7 @@ def simulate_layer(
 
     Args:
         scene: Friction and viscosity that relaxes all are known, mass is not.
-        grid: Pixels along the body's longer side, 16 to 1024.
+        grid: Pixels along the body's longer side, 16 to 512.
         tolerance: Residual of the contact to reach, 1e-10 to 0.1 (`Contact.residual`).
         progress: Called with the share done, 0 to 1.
 
@@ -61,7 +61,7 @@ def simulate_layer(
         {
             "tier": "layer",
             "mesh": {"grid": list(press.grid.shape), "period": list(press.grid.period)},
-            "precision": "float64",
+            "precision": np.dtype(precision(tolerance)).name,
             "device": "cpu",
             "tolerance": tolerance,
             "effects": list(scene.effects.key),
