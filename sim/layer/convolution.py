@@ -15,7 +15,7 @@ Array = NDArray[np.floating[Any]]
 Spectrum = NDArray[np.complexfloating[Any, Any]]
 
 SHAPES_KEPT = 64
-"""Shapes of windows whose convolutions are kept, of a megabyte or so each."""
+"""Shapes of windows that are kept before all are made anew; each takes a megabyte or so."""
 
 
 class Convolution:
@@ -106,7 +106,7 @@ class Convolutions:
         self._made: dict[tuple[int, ...], Elastic] = {}
 
     def within(self, shape: tuple[int, ...]) -> Elastic:
-        """The layer within a window of `shape`; the last few shapes are kept."""
+        """The layer within a window of `shape`, made once for each shape."""
         if shape not in self._made:
             if len(self._made) == SHAPES_KEPT:
                 self._made.clear()

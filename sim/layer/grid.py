@@ -115,7 +115,7 @@ class Grid:
                 layer.coupling * sine,
             ]
         )
-        # The shortest wave has no odd part that samples could hold (along y the transform sees to it).
+        # The shortest wave has no odd part that samples could hold (the transform knows, along y).
         symbol[3:, self.period[0] // 2, :] = 0
         return symbol
 

@@ -23,7 +23,8 @@ Array = NDArray[np.floating[Any]]
 
 TRAVEL = 0.1
 """Longest step in radii of the contact. Within a step every pixel slides and relaxes evenly, also
-those touched half-way: halving the step halves that error. Work needs short steps anyway."""
+those touched half-way, and halving the step halves that error. At 0.1 a sphere's shear forces are
+off by 0.1, 0.3, 1.5 % of their peak with friction 0.3, 0.8, 3, against steps 20 times as short."""
 TRAVEL_LEAST = 0.5
 """The same in pixels, where the contact is small."""
 HALVINGS = 4
