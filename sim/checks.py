@@ -27,4 +27,6 @@ def check_range(
     if not inside or (open_low and value == low):
         unit = f" {unit}" if unit else ""
         edge = "above " if open_low else ""
-        raise SceneError(f"{owner}.{name}: {value!r}{unit}; allowed: {edge}{low:g} to {high:g}{unit}")
+        raise SceneError(
+            f"{owner}.{name}: {value!r}{unit}; allowed: {edge}{low:g} to {high:g}{unit}"
+        )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class SceneError(ValueError):
-    """A scene is not physical or not solvable: the message names field, value and what is allowed."""
+    """A scene is not physical or not solvable: the message names field, value, what is allowed."""
 
 
 class SimulationDiverged(RuntimeError):

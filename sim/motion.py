@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class Motion:
         for index, point in enumerate(self.tip):
             if len(point) != 3 or not all(math.isfinite(value) for value in point):
                 raise SceneError(f"motion.tip[{index}]: {point!r}; allowed: 3 finite numbers [m]")
-        rising = all(a < b for a, b in zip(self.time, self.time[1:], strict=False))
+        rising = all(a < b for a, b in pairwise(self.time))
         if self.time[0] != 0 or not rising or not math.isfinite(self.time[-1]):
             raise SceneError(
                 f"motion.time: {self.time[:4]!r}...; allowed: 0 first, then rising [s]"
@@ -58,7 +59,9 @@ def press(
     depths: Sequence[float], *, at: tuple[float, float] = (0.0, 0.0), speed: float = 10e-3
 ) -> Motion:
     """Touch the surface, then go to each of `depths` [m] in turn at `speed` [m/s]."""
-    return through([(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths], speed=speed)
+    return through(
+        [(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths], speed=speed
+    )
 
 
 def press_shear_return(
@@ -122,7 +125,7 @@ def through(points: Sequence[Point], *, speed: float) -> Motion:
 
 def _subdivided(corners: Sequence[Point], steps: int) -> list[Point]:
     points = [corners[0]]
-    for start, end in zip(corners, corners[1:], strict=False):
+    for start, end in pairwise(corners):
         for index in range(1, steps + 1):
             part = index / steps
             x, y, z = (a + (b - a) * part for a, b in zip(start, end, strict=True))

@@ -39,9 +39,7 @@ def simulate(
         SceneError: A tier that is not there, or that does not know what the scene asks for.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
-    outcome = simulate_many(
-        [scene], tier, numerics=numerics, device=device, progress=progress
-    )[0]
+    outcome = simulate_many([scene], tier, numerics=numerics, device=device, progress=progress)[0]
     if isinstance(outcome, SimulationDiverged):
         raise outcome
     return outcome

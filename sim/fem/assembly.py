@@ -9,14 +9,13 @@ arithmetic is the same whatever units or stiffness a scene has.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, element_kernels
-from sim.fem.mesh import CORNERS, GAUSS, Mesh
+from sim.fem.mesh import Mesh
 from sim.fem.nodes import (
     RUN,
     jacobi_kernel,
@@ -25,28 +24,11 @@ from sim.fem.nodes import (
     tangent_kernel,
 )
 from sim.fem.numerics import Numerics
+from sim.fem.rest_blocks import rest_blocks
 from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.fem.state import State
 from sim.indenters.device import PartTable
 from sim.scene import Scene
-
-
-@dataclass(frozen=True, slots=True)
-class ContactPoints:
-    """Contact points of one environment, in units of thickness and modulus."""
-
-    pressure: np.ndarray
-    """(S, P)."""
-    traction: np.ndarray
-    """Shear traction on the body (S, P, 3)."""
-    force: np.ndarray
-    """Force on the body (S, P, 3)."""
-    place: np.ndarray
-    """Where they are (S, P, 3)."""
-    area: np.ndarray
-    """Untouched area of each (S, P)."""
-    slip_excess: float
-    """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
 
 
 class Assembly:
@@ -65,28 +47,24 @@ class Assembly:
         shape, rule = face_rule(numerics.contact_points, nodal=planted.nodal_contact)
         self.points = len(rule)
 
-        self._element = element_kernels(
-            real, "viscosity" in self.effects, planted.full_integration
-        )
+        self._element = element_kernels(real, "viscosity" in self.effects, planted.full_integration)
         self._contact = contact_kernels(real, "friction" in self.effects)
-        self._residual = residual_kernel(
-            real, "inertia" in self.effects, "gravity" in self.effects
-        )
+        self._residual = residual_kernel(real, "inertia" in self.effects, "gravity" in self.effects)
 
         self._elements = self._array(mesh.elements, wp.int32)
         self._inverse = self._array(mesh.inverse, mat33)
         self._weight = self._array(mesh.weight, real)
         self._faces = self._array(mesh.faces, wp.int32)
         self._face_area = self._array(mesh.face_area, real)
-        self._shape = self._array(shape, real)
-        self._rule = self._array(rule, real)
+        self.shape = self._array(shape, real)
+        self.rule = self._array(rule, real)
         self._nodes = self._array(mesh.nodes, vec3)
         self._node_elements = self._array(mesh.node_elements, wp.int32)
         self._node_faces = self._array(mesh.node_faces, wp.int32)
         self._free = self._array(mesh.free, wp.int32)
         self._all_free = self._array(np.ones(len(mesh.nodes)), wp.int32)
         self._node_mass = self._array(mesh.node_volume, real)
-        shear_block, bulk_block = _rest_blocks(mesh)
+        shear_block, bulk_block = rest_blocks(mesh)
         self._shear_block = self._array(shear_block, mat33)
         self._bulk_block = self._array(bulk_block, mat33)
 
@@ -105,12 +83,12 @@ class Assembly:
         self._runs = -(-count // RUN)
         self._shift = wp.zeros(environments, dtype=real, device=device)
         self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
-        self._element_energy = wp.zeros((environments, elements), dtype=real, device=device)
+        self.element_energy = wp.zeros((environments, elements), dtype=real, device=device)
         self._element_det = wp.zeros((environments, elements), dtype=real, device=device)
-        self._face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
+        self.face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
         self._face_block = wp.zeros((environments, faces, 4), dtype=mat33, device=device)
         self._face_energy = wp.zeros((environments, faces), dtype=real, device=device)
-        self._touched = wp.zeros((environments, faces), dtype=wp.int32, device=device)
+        self.touched = wp.zeros((environments, faces), dtype=wp.int32, device=device)
         self._matrix = wp.zeros((environments, faces, self.points), dtype=mat33, device=device)
         self._sums = wp.zeros((environments, self._runs, 3), dtype=wp.float64, device=device)
         self._totals = wp.zeros((environments, 3), dtype=wp.float64, device=device)
@@ -139,7 +117,7 @@ class Assembly:
                 active,
                 u,
             ],
-            outputs=[self._element_force, self._element_energy, self._element_det],
+            outputs=[self._element_force, self.element_energy, self._element_det],
             device=self.device,
         )
         return self.evaluate_contact(active, u, direction)
@@ -153,8 +131,8 @@ class Assembly:
             inputs=[
                 self._faces,
                 self._face_area,
-                self._shape,
-                self._rule,
+                self.shape,
+                self.rule,
                 self._nodes,
                 self._table,
                 state.tip,
@@ -164,8 +142,8 @@ class Assembly:
                 u,
             ],
             outputs=[
-                self._face_force,
-                self._touched,
+                self.face_force,
+                self.touched,
                 state.pressure,
                 state.normal,
                 state.traction,
@@ -191,8 +169,8 @@ class Assembly:
                 state.weight,
                 active,
                 self._element_force,
-                self._touched,
-                self._face_force,
+                self.touched,
+                self.face_force,
                 u,
                 direction,
             ],
@@ -217,7 +195,7 @@ class Assembly:
         wp.launch(
             self._contact[2],
             dim=(self.environments, len(self.mesh.faces)),
-            inputs=[self._shape, active, self._touched, self._matrix],
+            inputs=[self.shape, active, self.touched, self._matrix],
             outputs=[self._face_block],
             device=self.device,
         )
@@ -237,7 +215,7 @@ class Assembly:
                 bulk_factor,
                 self._shift,
                 active,
-                self._touched,
+                self.touched,
                 self._face_block,
             ],
             outputs=[self.jacobi],
@@ -269,8 +247,8 @@ class Assembly:
             wp.launch(
                 self._contact[1],
                 dim=(self.environments, len(self.mesh.faces)),
-                inputs=[self._faces, self._shape, active, self._touched, self._matrix, v],
-                outputs=[self._face_force],
+                inputs=[self._faces, self.shape, active, self.touched, self._matrix, v],
+                outputs=[self.face_force],
                 device=self.device,
             )
             wp.launch(
@@ -284,8 +262,8 @@ class Assembly:
                     self._shift,
                     active,
                     self._element_force,
-                    self._touched,
-                    self._face_force,
+                    self.touched,
+                    self.face_force,
                     v,
                 ],
                 outputs=[product, sums],
@@ -300,7 +278,7 @@ class Assembly:
 
     def energy(self) -> np.ndarray:
         """Incremental potential of the state last evaluated (B,) [E T^3]; weight left out."""
-        elastic = self._element_energy.numpy().sum(axis=1, dtype=float)
+        elastic = self.element_energy.numpy().sum(axis=1, dtype=float)
         return elastic + self._face_energy.numpy().sum(axis=1, dtype=float)
 
     def accept(self, active, duration: np.ndarray) -> None:
@@ -314,67 +292,8 @@ class Assembly:
 
     def contact_force(self) -> np.ndarray:
         """Force of the indenter on each body, state last evaluated (B, 3) [E T^2]."""
-        force = self._face_force.numpy().sum(axis=2, dtype=float)
-        return np.where(self._touched.numpy()[:, :, None] > 0, force, 0.0).sum(axis=1)
-
-    def contact_points(self, env: int) -> ContactPoints:
-        """Pressure, force and place of the contact points of one environment."""
-        state, mesh = self.state, self.mesh
-        pressure = state.pressure.numpy()[env].astype(float)
-        push = state.normal.numpy()[env] * pressure[:, :, None]
-        excess = np.nan
-        traction = np.zeros_like(push)
-        if "friction" in self.effects:
-            traction = state.traction.numpy()[env].astype(float)
-            most = self.coefficients[env] * pressure
-            size = np.linalg.norm(traction, axis=2)
-            excess = float((size - most).max() / max(pressure.max(), 1e-30))
-        area = self._rule.numpy() * mesh.face_area[:, None]
-        shape = self._shape.numpy().astype(float)
-        corners = mesh.nodes[mesh.faces] + state.u.numpy()[env][mesh.faces]
-        return ContactPoints(
-            pressure=pressure,
-            traction=traction,
-            force=(push + traction) * area[:, :, None],
-            place=np.einsum("pa,saj->spj", shape, corners),
-            area=area,
-            slip_excess=excess,
-        )
-
-    def surface_traction(self, env: int) -> np.ndarray:
-        """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
-        nx, ny, _nz = self.mesh.cells
-        force = np.zeros((len(self.mesh.nodes), 3))
-        area = np.zeros(len(self.mesh.nodes))
-        top = self.mesh.faces[: nx * ny]
-        share = self._face_force.numpy()[env, : nx * ny].astype(float)
-        touched = self._touched.numpy()[env, : nx * ny] > 0
-        np.add.at(force, top, np.where(touched[:, None, None], share, 0.0))
-        np.add.at(area, top, np.repeat(self.mesh.face_area[: nx * ny, None], 4, axis=1))
-        grid = self.mesh.top
-        return force[grid] / area[grid][..., None]
-
-    def stored_energy(self, env: int, points: ContactPoints, u: np.ndarray) -> float:
-        """Energy in the material at rest modulus, contact springs and height [E T^3]."""
-        penalty = self.numerics.penalty
-        square = (points.traction**2).sum(axis=2) / (self.numerics.stick * penalty)
-        springs = ((points.pressure**2 / penalty + square) * points.area / 2).sum()
-        if "gravity" in self.effects:
-            weight = self.state.weight.numpy()[env].astype(float)
-            springs -= (self.mesh.node_volume[:, None] * u * weight).sum()
-        return float(self._element_energy.numpy()[env].sum(dtype=float) + springs)
-
-    def body_force(self, env: int, u: np.ndarray) -> np.ndarray:
-        """Weight less inertia of one environment (3,) [E T^2]."""
-        total = np.zeros(3)
-        if "gravity" in self.effects:
-            total += self.state.weight.numpy()[env].astype(float) * self.mesh.node_volume.sum()
-        if "inertia" in self.effects:
-            rate = self.state.rates[env]
-            ahead = u - self.state.predicted.numpy()[env]
-            free = self.mesh.node_volume[:, None] * ahead
-            total -= rate * free.sum(axis=0)
-        return total
+        force = self.face_force.numpy().sum(axis=2, dtype=float)
+        return np.where(self.touched.numpy()[:, :, None] > 0, force, 0.0).sum(axis=1)
 
     def reactions(self) -> np.ndarray:
         """Force of the base on each body (B, 3) [E T^2], from the elements on it.
@@ -394,29 +313,3 @@ class Assembly:
         return wp.array(
             np.ascontiguousarray(np.asarray(values, dtype=scalar)), dtype=dtype, device=self.device
         )
-
-
-def _rest_blocks(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Diagonal blocks (N, 3, 3) of the undeformed tangent per shear and per bulk modulus."""
-    signs = 2.0 * np.array(CORNERS) - 1.0
-    shear = np.zeros((len(mesh.nodes), 3, 3))
-    bulk = np.zeros_like(shear)
-    volume = mesh.weight.sum(1)
-    for corner in range(8):
-        mean = np.zeros((len(mesh.elements), 3))
-        block = np.zeros((len(mesh.elements), 3, 3))
-        for point, place in enumerate(signs * GAUSS):
-            factors = 1.0 + signs[corner] * place
-            local = np.array(
-                [signs[corner, a] * np.delete(factors, a).prod() / 8 for a in range(3)]
-            )
-            gradient = local @ mesh.inverse[:, point]
-            weight = mesh.weight[:, point]
-            square = (gradient**2).sum(1)
-            outer = gradient[:, :, None] * gradient[:, None, :]
-            block += weight[:, None, None] * (square[:, None, None] * np.eye(3) + outer / 3)
-            mean += weight[:, None] * gradient
-        np.add.at(shear, mesh.elements[:, corner], block)
-        outer = mean[:, :, None] * mean[:, None, :] / volume[:, None, None]
-        np.add.at(bulk, mesh.elements[:, corner], outer)
-    return shear, bulk

@@ -19,7 +19,6 @@ import warp as wp
 from sim.fem.scalars import matrix_of, vector_of
 from sim.indenters.device import distance_function, table_struct
 
-
 REACH = 2e-3
 """Distance over which the turning of the normal is measured, in thicknesses."""
 

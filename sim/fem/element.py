@@ -164,7 +164,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
     mat33 = matrix_of(real)
     modes_of, scatter = mode_functions(real)
     strain, cofactor, cofactor_change, det_less_one = strain_functions(real)
-    zero, half, one, two, three = real(0.0), real(0.5), real(1.0), real(2.0), real(3.0)
+    half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
 
     @wp.kernel(enable_backward=False, module="unique")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.fem.assembly import Assembly
+from sim.fem.readings import body_force, contact_points, stored_energy, surface_traction
 from sim.result import Quality, Result
 from sim.scene import Scene
 
@@ -56,7 +57,7 @@ class Collector:
         state, mesh = assembly.state, self._mesh
         u = state.u.numpy()[env].astype(float)
         tip = state.tip.numpy()[env].astype(float)
-        points = assembly.contact_points(env)
+        points = contact_points(assembly, env)
         force = points.force.sum(axis=(0, 1))
         lever = points.place - tip
         torque = np.cross(lever, points.force).sum(axis=(0, 1))
@@ -64,10 +65,10 @@ class Collector:
         self._wrench[frame, :3] = force * push
         self._wrench[frame, 3:] = torque * push * unit
         self._surface[frame] = u[mesh.top] * unit
-        self._traction[frame] = assembly.surface_traction(env) * self._stress
+        self._traction[frame] = surface_traction(assembly, env) * self._stress
         depth = max(-float(tip[2]), 1e-6)
         size = float(np.linalg.norm(force))
-        external = force + assembly.body_force(env, u)
+        external = force + body_force(assembly, env, u)
         quality = self._quality
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.pressure.max() / assembly.numerics.penalty / depth
@@ -75,7 +76,7 @@ class Collector:
         quality["balance"][frame] = (
             float(np.linalg.norm(external + reaction)) / scale if scale > 1e-6 else 0.0
         )
-        stored = assembly.stored_energy(env, points, u)
+        stored = stored_energy(assembly, env, points, u)
         if self._start is None:
             self._start, self._work, self._work_most = stored, 0.0, 0.0
         lost = self._work - (stored - self._start)

@@ -102,11 +102,11 @@ def build_mesh(body: Body, spacing: float) -> Mesh:
     y = np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1) / unit
     share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
     height = np.array([[body.height(a * unit, b * unit) / unit for b in y] for a in x])
-    nodes = np.empty((nx + 1, ny + 1, nz + 1, 3))
-    nodes[..., 0] = x[:, None, None]
-    nodes[..., 1] = y[None, :, None]
-    nodes[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
-    nodes = nodes.reshape(-1, 3)
+    place = np.empty((nx + 1, ny + 1, nz + 1, 3))
+    place[..., 0] = x[:, None, None]
+    place[..., 1] = y[None, :, None]
+    place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
+    nodes = place.reshape(-1, 3)
     grid = np.arange(len(nodes), dtype=np.int32).reshape(nx + 1, ny + 1, nz + 1)
     elements = np.stack(
         [grid[i : nx + i, j : ny + j, k : nz + k].ravel() for i, j, k in CORNERS], axis=1
@@ -144,7 +144,7 @@ def _geometry(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
             others = [other for other in range(3) if other != axis]
             gradient[:, axis] = signs[:, axis] * factors[:, others].prod(1) / 8
         jacobian[:, point] = np.einsum("eai,aj->eij", corners, gradient)
-    return np.linalg.inv(jacobian), np.linalg.det(jacobian)
+    return np.asarray(np.linalg.inv(jacobian), float), np.asarray(np.linalg.det(jacobian), float)
 
 
 def _faces(grid: NDArray[np.int32]) -> NDArray[np.int32]:

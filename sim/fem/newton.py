@@ -94,16 +94,14 @@ class Newton:
             iterations[running] += 1
             walked, length, sums = self._search(active, running)
             hard = self._cg.concave() | (length < LENGTH_GOOD) | ~walked
-            damping = np.where(hard, np.maximum(damping * 8, DAMPING_LEAST), damping / 4)
+            damping = np.where(hard, np.clip(damping * 8, DAMPING_LEAST, DAMPING_MOST), damping / 4)
             damping[damping < DAMPING_LEAST] = 0.0
             running &= walked | (damping < DAMPING_MOST)
             active = self._mask(running)
         converged &= assembly.det_min() > numerics.det_floor
         return Outcome(converged, residual, iterations, cg)
 
-    def _search(
-        self, active, running: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _search(self, active, running: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Walk along the solved direction; who found a step (B,), its length (B,), the sums there."""
         assembly, state = self._assembly, self._assembly.state
         by_energy = assembly.numerics.planted.energy_line_search
@@ -139,7 +137,7 @@ class Newton:
         return running & ~open_, length, sums
 
     def _dot(self, direction) -> np.ndarray:
-        """residual . direction by environment (B,)."""
+        """Product of residual and direction by environment (B,)."""
         residual = self._assembly.residual.numpy()
         return np.einsum("bni,bni->b", residual, direction.numpy(), dtype=float)
 

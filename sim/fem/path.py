@@ -64,7 +64,8 @@ class Path:
         by_time = min(STEPS_MAX, max(1.0, duration / self.shortest_time * RELAXATION_STEPS))
         if not self.segment:
             by_time = 1.0
-        return 1.0 / max(1.0, np.ceil(self.length / self.longest), np.ceil(by_time))
+        steps = max(1.0, np.ceil(self.length / self.longest), np.ceil(by_time))
+        return float(1.0 / steps)
 
     def goal(self) -> tuple[float, Array, float]:
         """Share of the segment after the next step, the tip there (3,), and the step's time [s]."""

@@ -60,7 +60,7 @@ def _extrapolate_kernel(real, vec3):
 
 
 def extrapolate(share, now, before, out) -> None:
-    """out = now + share * (now - before), vectors (B, N), share (B,)."""
+    """Write out = now + share * (now - before), vectors (B, N), share (B,)."""
     wp.launch(
         _extrapolate_kernel(share.dtype, now.dtype),
         dim=now.shape,
@@ -91,7 +91,7 @@ def _walk_kernel(real, vec3):
 
 
 def walk(active, length, start, direction, out) -> None:
-    """out = start + length * direction in active environments, vectors (B, N), length (B,)."""
+    """Write out = start + length * direction in active environments, vectors (B, N), length (B,)."""
     wp.launch(
         _walk_kernel(length.dtype, start.dtype),
         dim=start.shape,

@@ -2,11 +2,11 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """Prony branches at the Gauss points: what they remember, and how a step changes it.
 
-Simo & Hughes, Computational Inelasticity (1998), section 10.3: the stress of branch i after a step dt
-is h = exp(-dt/time) h_old + ratio a (S - S_old) with a = (1 - exp(-dt/time)) time / dt, S the second
-Piola-Kirchhoff stress at rest. So within a step the stress is S (1 + sum ratio a) + history, where
-history = sum(exp(-dt/time) h_old) - sum(ratio a) S_old does not change: that is all the element
-kernels see. The pressure of an element relaxes in the same way.
+Simo & Hughes, Computational Inelasticity (1998), section 10.3: the stress of branch i after a step
+dt is h = exp(-dt/time) h_old + ratio a (S - S_old) with a = (1 - exp(-dt/time)) time / dt, S the
+second Piola-Kirchhoff stress at rest. So within a step the stress is S (1 + sum ratio a) + history,
+where history = sum(exp(-dt/time) h_old) - sum(ratio a) S_old does not change: that is all the
+element kernels see. The pressure of an element relaxes in the same way.
 """
 
 import functools
@@ -95,8 +95,7 @@ def _kernels(real):
             g = shear[env] * wp.pow(j, real(-2.0 / 3.0))
             # S = F^-1 P with F^-1 = cof(F)^T / J
             stress = (
-                wp.identity(n=3, dtype=real)
-                - (wp.transpose(c) * c) * (square * third / (j * j))
+                wp.identity(n=3, dtype=real) - (wp.transpose(c) * c) * (square * third / (j * j))
             ) * g
             for i in range(decay.shape[1]):
                 branch_out[i, env, e, q] = (

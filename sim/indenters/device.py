@@ -89,6 +89,9 @@ def _numbers(part: Any, unit: float) -> list[float]:
     values = [] if part.figure == "path" else list(part.values)
     for index in SCALED[part.figure]:
         values[index] /= unit
+    if part.figure == "circle":
+        # |centre|^2 - radius^2, exact where the circle passes through the tip.
+        values.append(values[0] ** 2 + values[1] ** 2 - values[2] ** 2)
     values += [0.0] * (4 - len(values))
     return [*values, part.axis[0] / unit, part.axis[1] / unit, part.cosine]
 
@@ -178,9 +181,10 @@ def distance_function(real: type) -> Any:
         if figure == PATH:
             found = path_distance(table, table.codes[part, 3], table.codes[part, 4], p)
         elif figure == CIRCLE:
+            # length - radius, as a difference of squares: a large circle keeps float32's digits.
             offset = p - first
             length = wp.length(offset)
-            found[2] = length - third
+            found[2] = (wp.dot(p, p - first - first) + fourth) / (length + third)
             if length > zero:
                 found = triple(offset[0] / length, offset[1] / length, found[2])
         else:

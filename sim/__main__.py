@@ -1,0 +1,52 @@
+"""Command line of the simulator: `python -m sim VERB`; every verb is a file of `sim.verbs`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from sim.errors import SceneError, SimulationDiverged
+from sim.verbs import hold, loop, press
+from sim.verbs.numbers import joined
+
+EXIT_DIVERGED = 1
+EXIT_WRONG_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+TRIED_SHOWN = 5
+"""Last attempts that are told of when there is no solution."""
+
+_VERBS = (press, loop, hold)
+
+
+def _arguments() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m sim",
+        description="Presses rigid indenters into a soft layer. Lengths in mm, forces in N.",
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    for verb in _VERBS:
+        verb.add_to(verbs)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one verb; the exit code."""
+    options = _arguments().parse_args(joined(sys.argv[1:] if argv is None else argv))
+    try:
+        return int(options.run(options))
+    except SceneError as error:
+        print(f"wrong input: {error}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    except SimulationDiverged as error:
+        print(f"no solution: {error}", file=sys.stderr)
+        for attempt in error.tried[-TRIED_SHOWN:]:
+            print(f"  tried: {attempt}", file=sys.stderr)
+        return EXIT_DIVERGED
+    except KeyboardInterrupt:
+        print("interrupted; nothing was written", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

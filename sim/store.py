@@ -1,0 +1,151 @@
+"""Results on disk: one Zarr v3 directory of arrays with units, readable by any Zarr reader.
+
+Layout: the root group holds one group a result, `0`, `1`, ...; each holds the arrays of `ARRAYS`
+and a group `quality`, and in its attributes the tier, the scene (`sim.stored`) and the record of
+the run.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import ZstdCodec
+
+from sim.result import Quality, Result
+from sim.stored import scene_from_json, scene_to_json
+
+FORMAT = "tactile-rig simulation"
+VERSION = 1
+
+XYZ = "component"
+ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
+    "time": ("s", ("frame",), "when the tip is at each waypoint"),
+    "tip": ("m", ("frame", XYZ), "the indenter's lowest point, contact frame"),
+    "wrench": (
+        "N, N, N, N m, N m, N m",
+        ("frame", XYZ),
+        "force and torque of the indenter on the body; pressing is negative Fz, torque about the "
+        "tip",
+    ),
+    "surface_x": ("m", ("x",), "material points of the untouched top along x"),
+    "surface_y": ("m", ("y",), "material points of the untouched top along y"),
+    "surface": ("m", ("frame", "x", "y", XYZ), "displacement of those points"),
+    "traction": (
+        "Pa",
+        ("frame", "x", "y", XYZ),
+        "traction of the indenter on those points, per untouched area",
+    ),
+}
+"""Unit, dimension names and meaning of each array; `time` and `tip` repeat the scene's motion."""
+
+
+def save_results(path: Path, results: Sequence[Result]) -> None:
+    """Write results to a new directory, whole or not at all.
+
+    Everything goes to a temporary name beside `path` first, which is renamed at the end.
+
+    Raises:
+        FileExistsError: There is something at `path` already; it is left as it is.
+    """
+    path = Path(path)
+    if path.exists():
+        raise FileExistsError(f"{path}: exists; allowed: a new path")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        attributes: dict[str, Any] = {"format": FORMAT, "version": VERSION, "results": len(results)}
+        root = zarr.open_group(partial, mode="w-", zarr_format=3, attributes=attributes)
+        for index, result in enumerate(results):
+            _write(root, str(index), result)
+        os.rename(partial, path)
+    finally:
+        # There is nothing under this name once it was renamed.
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def load_result(path: Path, index: int = 0) -> Result:
+    """One result of a directory that `save_results` wrote.
+
+    Raises:
+        FileNotFoundError: There is no Zarr group at `path`.
+        ValueError: The group is of another format or version.
+        IndexError: Fewer results than that.
+        SceneError: The stored scene is not one.
+    """
+    root = zarr.open_group(Path(path), mode="r", zarr_format=3)
+    found = (root.attrs.get("format"), root.attrs.get("version"))
+    if found != (FORMAT, VERSION):
+        raise ValueError(f"{path}: format {found!r}; allowed: {(FORMAT, VERSION)!r}")
+    count: Any = root.attrs["results"]
+    if not 0 <= index < count:
+        raise IndexError(f"{path}: result {index}; allowed: 0 to {count - 1}")
+    attributes: dict[str, Any] = root[str(index)].attrs.asdict()
+
+    def read(name: str) -> Any:
+        return np.asarray(root[f"{index}/{name}"])
+
+    arrays = {name: read(name) for name in ARRAYS if name not in ("time", "tip")}
+    return Result(
+        scene=scene_from_json(attributes["scene"]),
+        tier=attributes["tier"],
+        quality=Quality(**{one.name: read(f"quality/{one.name}") for one in fields(Quality)}),
+        record=attributes["record"],
+        **arrays,
+    )
+
+
+def result_count(path: Path) -> int:
+    """How many results a directory holds.
+
+    Raises:
+        FileNotFoundError: There is no Zarr group at `path`.
+    """
+    count: Any = zarr.open_group(Path(path), mode="r", zarr_format=3).attrs["results"]
+    return int(count)
+
+
+def _write(root: zarr.Group, name: str, result: Result) -> None:
+    group = root.create_group(
+        name,
+        attributes={
+            "tier": result.tier,
+            "scene": scene_to_json(result.scene),
+            "record": result.record,
+        },
+    )
+    motion = result.scene.motion
+    given = {"time": np.array(motion.time, float), "tip": np.array(motion.tip, float)}
+    for array, (unit, dimensions, meaning) in ARRAYS.items():
+        values = given[array] if array in given else getattr(result, array)
+        _array(group, array, values, unit, dimensions, meaning)
+    quality = group.create_group("quality")
+    for one in fields(Quality):
+        _array(quality, one.name, getattr(result.quality, one.name), "1", ("frame",), "")
+
+
+def _array(
+    group: zarr.Group,
+    name: str,
+    values: np.ndarray[Any, Any],
+    unit: str,
+    dimensions: tuple[str, ...],
+    meaning: str,
+) -> None:
+    # A frame a chunk: whoever wants one press does not read the others.
+    chunks = (1, *values.shape[1:]) if values.ndim == 4 else values.shape
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        dtype=values.dtype,
+        chunks=chunks,
+        compressors=ZstdCodec(level=3, checksum=True),
+        dimension_names=dimensions,
+        attributes={"units": unit, "description": meaning},
+    )
+    array[...] = values
