@@ -29,6 +29,9 @@ TRIALS = 12
 
 LENGTH_GOOD = 0.2
 """Below this share of a full step, or where the tangent is not convex, the next is damped."""
+RELAX_AFTER, RELAX_SHARE = 4, 0.5
+"""Friction's limit follows the pressure at once for the first iterations, later half of the way:
+the two may answer each other with equal and opposite changes for ever."""
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
@@ -79,6 +82,11 @@ class Newton:
             if not running.any() or iteration == numerics.newton_max:
                 break
             active = self._mask(running)
+            if rubbing:
+                share = 1.0 if iteration < RELAX_AFTER else RELAX_SHARE
+                state.relax_limit(active, share)
+                if share < 1.0:
+                    assembly.evaluate_contact(active, state.u, self._cg.solution)
             assembly.linearise(active, damping)
             accuracy = np.clip(0.3 * residual, 1e-3, 1e-2)
             accuracy = np.where(running, accuracy, 1.0)
@@ -102,7 +110,7 @@ class Newton:
         return Outcome(converged, residual, iterations, cg)
 
     def _search(self, active, running: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Walk along the solved direction; who found a step (B,), its length (B,), the sums there."""
+        """Walk along the direction; who found a step (B,), how long (B,), the sums there."""
         assembly, state = self._assembly, self._assembly.state
         by_energy = assembly.numerics.planted.energy_line_search
         direction = self._cg.solution

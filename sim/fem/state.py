@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from sim.fem.scalars import matrix_of, numpy_of, vector_of
-from sim.fem.vectors import copy_active, extrapolate
+from sim.fem.vectors import blend, copy_active, extrapolate
 from sim.fem.viscous import Branches
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ class State:
         self._traction_old = zeros(rubbing, vec3)
         self.limit = zeros(rubbing, real)
         """Pressure that limits friction (B, S, P)."""
+        self._limit_relaxed = zeros(rubbing, real)
         self._coefficient = self._array(
             [getattr(scene.effects.friction, "coefficient", 0.0) for scene in scenes], real
         )
@@ -135,8 +136,12 @@ class State:
 
     def settle_limit(self, active) -> None:
         """Take the pressure of the state last evaluated as the limit of friction."""
-        if "friction" in self._effects:
-            copy_active(active, self.pressure, self.limit)
+        copy_active(active, self.pressure, self.limit)
+
+    def relax_limit(self, active, share: float) -> None:
+        """Move the limit of friction by `share` of the way from where it was relaxed to last."""
+        blend(active, share, self.pressure, self._limit_relaxed)
+        copy_active(active, self._limit_relaxed, self.limit)
 
     def accept(self, active, duration: np.ndarray, mesh, material) -> None:
         """Make the present state of `active` environments the start of their next step."""

@@ -91,11 +91,44 @@ def _walk_kernel(real, vec3):
 
 
 def walk(active, length, start, direction, out) -> None:
-    """Write out = start + length * direction in active environments, vectors (B, N), length (B,)."""
+    """Write out = start + length * direction where active; vectors (B, N), length (B,)."""
     wp.launch(
         _walk_kernel(length.dtype, start.dtype),
         dim=start.shape,
         inputs=[active, length, start, direction],
         outputs=[out],
         device=start.device,
+    )
+
+
+@functools.cache
+def _blend_kernel(real):
+    @wp.kernel(enable_backward=False, module="unique")
+    def blend(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        share: real,
+        source: wp.array3d(dtype=real),
+        # In and out:
+        mean_out: wp.array3d(dtype=real),
+    ):
+        env, i = wp.tid()
+        if active[env] == 0:
+            return
+        for j in range(source.shape[2]):
+            mean_out[env, i, j] = mean_out[env, i, j] + share * (
+                source[env, i, j] - mean_out[env, i, j]
+            )
+
+    return blend
+
+
+def blend(active, share: float, source, mean) -> None:
+    """Move `mean` by `share` of the way to `source` where active; numbers (B, n, m)."""
+    wp.launch(
+        _blend_kernel(source.dtype),
+        dim=source.shape[:2],
+        inputs=[active, share, source],
+        outputs=[mean],
+        device=source.device,
     )

@@ -1,0 +1,98 @@
+"""All 18 indenters pressed and sheared, on one mesh after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from sim.effects import Effects, Friction
+from sim.errors import SimulationDiverged
+from sim.fem.numerics import Numerics
+from sim.indenters import NAMES, Indenter, named
+from sim.motion import press_shear_return
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate_many
+
+DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5
+EDGE = 0.5e-3
+"""Edge radius given to every shape that has room for it [m]: that of an element of the finer
+meshes, since an edge sharper than an element makes the force depend on the path."""
+STEPS = 2
+"""Frames of each phase."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeRow:
+    """One shape on one mesh: the force pressed, and pressed and sheared; or why there is none."""
+
+    name: str
+    edge_radius: float
+    """Used [m]; 0 for shapes without an edge."""
+    spacing: float
+    """Edge of an element [m]."""
+    pressed: float
+    """Normal force at full depth [N], pressing positive."""
+    sheared: float
+    """Shear force at full shear [N]."""
+    det_f_min: float
+    balance: float
+    diverged: str
+    """Empty, or what the solver said."""
+
+
+def rounded(name: str) -> Indenter:
+    """The named shape with the edge radius used here."""
+    own = named(name)
+    if own.edge_radius == 0:
+        return own
+    return named(name, min(EDGE, own.edge_radius_max))
+
+
+def shape_rows(
+    spacings: Sequence[float], device: str, *, names: Sequence[str] = NAMES
+) -> Iterator[tuple[float, float, list[ShapeRow]]]:
+    """For each spacing [m]: the spacing, wall seconds and a row for each shape, in one batch."""
+    scenes = [
+        Scene(
+            rounded(name),
+            press_shear_return(DEPTH, SHEAR, steps=STEPS),
+            effects=Effects(friction=Friction(FRICTION)),
+        )
+        for name in names
+    ]
+    for spacing in spacings:
+        began = time.perf_counter()
+        outcomes = simulate_many(scenes, numerics=Numerics(spacing=spacing), device=device)
+        seconds = time.perf_counter() - began
+        rows = [
+            _row(scene.indenter, spacing, outcome)
+            for scene, outcome in zip(scenes, outcomes, strict=True)
+        ]
+        yield spacing, seconds, rows
+
+
+def _row(indenter: Indenter, spacing: float, outcome: Result | SimulationDiverged) -> ShapeRow:
+    nothing = float("nan")
+    if isinstance(outcome, SimulationDiverged):
+        return ShapeRow(
+            indenter.name,
+            indenter.edge_radius,
+            spacing,
+            nothing,
+            nothing,
+            nothing,
+            nothing,
+            str(outcome),
+        )
+    return ShapeRow(
+        name=indenter.name,
+        edge_radius=indenter.edge_radius,
+        spacing=spacing,
+        pressed=float(-outcome.force[STEPS, 2]),
+        sheared=float(outcome.force[2 * STEPS, 0]),
+        det_f_min=float(outcome.quality.det_f_min.min()),
+        balance=float(outcome.quality.balance.max()),
+        diverged="",
+    )
