@@ -20,7 +20,7 @@ from sim.fem.frames import Collector
 from sim.fem.mesh import build_mesh
 from sim.fem.newton import Newton
 from sim.fem.numerics import Numerics
-from sim.fem.path import Path, path_of
+from sim.fem.path import Path, path_of, sharpest
 from sim.result import Result
 from sim.scene import Scene
 
@@ -118,7 +118,7 @@ class _Batch:
         self._seconds["solve"] = time.perf_counter() - began
         record = self._record()
         return [
-            self._failed.get(i) or collector.result(record)
+            self._failed.get(i) or collector.result({**record, "warnings": self._warnings(i)})
             for i, collector in enumerate(self._collectors)
         ]
 
@@ -188,6 +188,20 @@ class _Batch:
             tried=tuple(path.tried),
             dump=dump,
         )
+
+    def _warnings(self, env: int) -> list[str]:
+        """What makes this result less than its tolerances say."""
+        scene = self._scenes[env]
+        radius = sharpest(scene.indenter)
+        nx, ny, _nz = self._mesh.cells
+        element = max(scene.body.size_x / nx, scene.body.size_y / ny)
+        if radius >= 0.99 * element:
+            return []
+        return [
+            f"edge radius {radius * 1e3:.3g} mm is below the element's {element * 1e3:.3g} mm: the "
+            "force depends on the mesh and on the path; allowed without this warning: a finer "
+            "mesh or a rounder edge"
+        ]
 
     def _record(self) -> dict:
         assembly = self._assembly

@@ -61,8 +61,8 @@ def _bench_lines(rows: Sequence[BenchRow]) -> list[str]:
     if len(rows) > 2:
         lines += [
             "",
-            f"The force settles as (size of an element)^{convergence_rate(rows):.1f}, fitted to the mean "
-            "error over the depths against the finest mesh.",
+            f"The force settles as (size of an element)^{convergence_rate(rows):.1f}, fitted to "
+            "the mean error over the depths against the finest mesh.",
         ]
     return lines
 
