@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.fem.assembly import Assembly
+from sim.fem.newton import FORCE_FLOOR
 from sim.fem.readings import body_force, contact_points, stored_energy, surface_traction
 from sim.result import Quality, Result
 from sim.scene import Scene
@@ -72,10 +73,8 @@ class Collector:
         quality = self._quality
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.pressure.max() / assembly.numerics.penalty / depth
-        scale = max(size, float(np.linalg.norm(external)))
-        quality["balance"][frame] = (
-            float(np.linalg.norm(external + reaction)) / scale if scale > 1e-6 else 0.0
-        )
+        scale = max(size, float(np.linalg.norm(external)), FORCE_FLOOR[assembly.precision])
+        quality["balance"][frame] = float(np.linalg.norm(external + reaction)) / scale
         stored = stored_energy(assembly, env, points, u)
         if self._start is None:
             self._start, self._work, self._work_most = stored, 0.0, 0.0
