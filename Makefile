@@ -10,7 +10,7 @@ SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAX
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -64,6 +64,15 @@ faults: $(VENV)/.nidaq  ## Break a mock bench in every way, write docs/reliabili
 bench-recorder: $(VENV)/.bench  ## Measure what recording costs, write docs/recording.md: [QUICK=1] [ONLY=part] [OUT=page.md] (12 minutes)
 	@$(PY) -m rig bench-recorder $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
 
+press: $(VENV)/.sim  ## Simulate a press, table and picture: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5 --mesh 1"]
+	@$(PY) -m sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators, write docs/stability.md: [ONLY=case] [PLANTED=all] [DEVICE=cuda:0] [OUT=page.md] (10 minutes)
+	@$(PY) -m sim hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+
+refine: $(VENV)/.sim  ## Force and surface from coarse to fine meshes, all 18 shapes, write docs/refinement.md: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md] (hours on a CPU)
+	@$(PY) -m sim refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+
 test: $(VENV)/.dev  ## Run the default tests (about 4 minutes on 2 cores)
 	@$(PY) -m pytest -q
 
@@ -88,6 +97,9 @@ $(VENV)/bin/python:
 
 $(VENV)/.rig: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig]' && touch $@
+
+$(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[sim]' && touch $@
 
 $(VENV)/.nidaq: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,nidaq]' && touch $@ $(VENV)/.rig

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from sim.errors import SceneError, SimulationDiverged
-from sim.verbs import hold, loop, press
+from sim.verbs import effects, hard_cases, hold, loop, press, refine
 from sim.verbs.numbers import joined
 
 EXIT_DIVERGED = 1
@@ -16,10 +16,11 @@ EXIT_INTERRUPTED = 130
 TRIED_SHOWN = 5
 """Last attempts that are told of when there is no solution."""
 
-_VERBS = (press, loop, hold)
+_VERBS = (press, loop, hold, refine, hard_cases, effects)
 
 
-def _arguments() -> argparse.ArgumentParser:
+def arguments() -> argparse.ArgumentParser:
+    """The parser of every verb and its options."""
     parser = argparse.ArgumentParser(
         prog="python -m sim",
         description="Presses rigid indenters into a soft layer. Lengths in mm, forces in N.",
@@ -32,7 +33,7 @@ def _arguments() -> argparse.ArgumentParser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; the exit code."""
-    options = _arguments().parse_args(joined(sys.argv[1:] if argv is None else argv))
+    options = arguments().parse_args(joined(sys.argv[1:] if argv is None else argv))
     try:
         return int(options.run(options))
     except SceneError as error:
@@ -43,6 +44,9 @@ def main(argv: list[str] | None = None) -> int:
         for attempt in error.tried[-TRIED_SHOWN:]:
             print(f"  tried: {attempt}", file=sys.stderr)
         return EXIT_DIVERGED
+    except OSError as error:
+        print(f"cannot read or write: {error}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
     except KeyboardInterrupt:
         print("interrupted; nothing was written", file=sys.stderr)
         return EXIT_INTERRUPTED

@@ -13,6 +13,8 @@ QUIET = 2.0
 """What takes less than this [s] says nothing."""
 LINE_EVERY = 10.0
 """Time between lines where one cannot be rewritten [s]."""
+ESTIMATE_FROM = 0.01
+"""Share that must be done before a rest is estimated from it."""
 BLINK = 0.25
 """Time between two looks [s]."""
 
@@ -80,8 +82,9 @@ class Progress:
             return f"{self._name}: {spent:.0f} s"
         since, before = self._origin
         text = f"{self._name}: {100 * self._share:.0f} %, {spent:.0f} s"
-        if before < self._share < 1 and now > since:
-            rate = (self._share - before) / (now - since)
+        done = self._share - before
+        if done >= ESTIMATE_FROM and self._share < 1 and now > since:
+            rate = done / (now - since)
             text += f", {duration((1 - self._share) / rate)} left"
         return text
 

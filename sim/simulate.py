@@ -70,13 +70,19 @@ def simulate_many(
 
         outcomes: list[Result | SimulationDiverged] = []
         for index, scene in enumerate(scenes):
+            share = None
+            if progress is not None:
+                share = _part(progress, index, len(scenes))
             try:
-                outcomes.append(simulate_layer(scene))
+                outcomes.append(simulate_layer(scene, progress=share))
             except SimulationDiverged as diverged:
                 outcomes.append(diverged)
-            if progress is not None:
-                progress((index + 1) / len(scenes))
         return outcomes
     from sim.fem.solver import simulate_fem
 
     return simulate_fem(scenes, numerics, device=device, progress=progress)
+
+
+def _part(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
+    """What tells of the share of part `index` of `count` as a share of the whole."""
+    return lambda share: progress((index + share) / count)

@@ -113,8 +113,9 @@ class _Batch:
                 break
             self._step(open_)
             if self._progress is not None:
-                done = sum(path.segment + path.share for path in self._paths)
-                self._progress(done / sum(len(path.corners) - 1 for path in self._paths))
+                done = sum(path.segment + path.share - 1 for path in self._paths)
+                whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
+                self._progress(max(done, 0.0) / whole)
         self._seconds["solve"] = time.perf_counter() - began
         record = self._record()
         return [

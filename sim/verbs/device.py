@@ -1,0 +1,55 @@
+"""Warp made ready without a word of its own, and the device that was asked for."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from sim.errors import SceneError
+
+
+def ready_device(name: str) -> Path | None:
+    """Start Warp, silent below warnings; the folder that it keeps compiled kernels in.
+
+    Raises:
+        SceneError: A device that this machine does not have.
+    """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    with _without_driver_warning(asked=name != "cpu"):
+        wp.init()  # type: ignore[no-untyped-call]
+    devices = [device.alias for device in wp.get_devices()]
+    if name not in devices:
+        raise SceneError(f"--device: {name!r}; allowed here: {', '.join(devices)}")
+    return Path(wp.config.kernel_cache_dir) if wp.config.kernel_cache_dir else None
+
+
+@contextlib.contextmanager
+def _without_driver_warning(*, asked: bool) -> Iterator[None]:
+    """Drop what Warp's native part says about a missing GPU driver, unless a GPU was asked for.
+
+    It writes to the process's standard error, past `sys.stderr`; everything else goes on to there.
+    """
+    if asked:
+        yield
+        return
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with tempfile.TemporaryFile() as said:
+            os.dup2(said.fileno(), 2)
+            try:
+                yield
+            finally:
+                os.dup2(kept, 2)
+            said.seek(0)
+            for line in said.read().splitlines(keepends=True):
+                if b"CUDA warning" not in line:
+                    os.write(2, line)
+    finally:
+        os.close(kept)

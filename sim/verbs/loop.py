@@ -1,0 +1,79 @@
+"""`python -m sim loop`: press, shear, shear back, lift."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+from sim.errors import SceneError
+from sim.motion import press_shear_return
+from sim.verbs.numbers import metres
+from sim.verbs.options import add_scene_options
+
+if TYPE_CHECKING:
+    from sim.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser("loop", help="press, shear, return and lift: hysteresis and slip")
+    group = parser.add_argument_group("motion")
+    group.add_argument(
+        "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
+    )
+    group.add_argument(
+        "--shear",
+        type=float,
+        default=1.0,
+        metavar="MM",
+        help="way to the side at that depth [mm] (%(default)s)",
+    )
+    group.add_argument(
+        "--angle",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="direction of it, from x towards y [deg] (%(default)s)",
+    )
+    group.add_argument(
+        "--steps",
+        type=int,
+        default=5,
+        metavar="N",
+        help="frames of each of the 4 phases (%(default)s)",
+    )
+    group.add_argument(
+        "--speed",
+        type=float,
+        default=10.0,
+        metavar="MM/S",
+        help="speed of the tip, felt by viscosity and inertia only [mm/s] (%(default)s)",
+    )
+    add_scene_options(parser, friction=0.5)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Press, shear, return and lift, and show every frame; the exit code.
+
+    Raises:
+        SceneError, SimulationDiverged: Before anything was written.
+    """
+    from sim.verbs.running import run_motion
+
+    for name in ("depth", "shear"):
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0):
+            raise SceneError(f"--{name}: {value!r} mm; allowed: above 0")
+    if not 1 <= options.steps <= 1000:
+        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
+    motion = press_shear_return(
+        metres(options.depth),
+        metres(options.shear),
+        angle=math.radians(options.angle),
+        steps=options.steps,
+        at=(metres(options.at[0]), metres(options.at[1])),
+        speed=metres(options.speed),
+    )
+    return run_motion(options, motion)
