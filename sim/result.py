@@ -19,7 +19,7 @@ class Quality:
 
     residual: Array
     """Out-of-balance nodal force over contact force (l2 norms). Here and in `balance`, `fem` puts
-    2e-3 E T^2 (float64: 1e-4) in place of a smaller force: 5 mN in the paper's gel."""
+    1e-3 E T^2 (float64: 1e-5) in place of a smaller force: 2 mN in the paper's gel."""
     contact: Array
     """Deepest penetration of a contact point over the depth of the press."""
     balance: Array

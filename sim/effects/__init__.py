@@ -27,5 +27,5 @@ class Effects:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """Names of the effects that are on, in fixed order: what kernels are built and cached by."""
+        """Names of the effects that are on, in fixed order; kernels are cached by them."""
         return tuple(name for name in self.__slots__ if getattr(self, name) is not None)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from sim.checks import check_range
+from sim.effects.declaration import Memory, Snippet
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,8 +17,22 @@ class Friction:
         SceneError: A coefficient outside of 0 to 10.
     """
 
+    STATE: ClassVar[tuple[Memory, ...]] = (
+        Memory("traction", "contact point", 3),
+        Memory("_traction_old", "contact point", 3),
+        Memory("limit", "contact point", 1),
+    )
+    KERNELS: ClassVar[tuple[Snippet, ...]] = (
+        Snippet("sim.fem.contact", "contact_kernels", "friction"),
+    )
+    LIMIT: ClassVar[str] = "coefficient -> 0: frictionless contact"
+
     coefficient: float
     """Shear traction over pressure at which a point slips, 0 to 10."""
 
     def __post_init__(self) -> None:
         check_range("friction", "coefficient", self.coefficient, 0.0, 10.0)
+
+    def weakened(self, share: float) -> Friction:
+        """The effect with `share` of its coefficient: as `share` -> 0 it does nothing."""
+        return replace(self, coefficient=share * self.coefficient)

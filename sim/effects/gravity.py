@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from sim.checks import check_range
+from sim.effects.declaration import Memory, Snippet
 from sim.errors import SceneError
 
 
@@ -16,6 +18,12 @@ class Gravity:
         SceneError: A component that is not within +-1000 m/s^2.
     """
 
+    STATE: ClassVar[tuple[Memory, ...]] = (Memory("weight", "environment", 3),)
+    KERNELS: ClassVar[tuple[Snippet, ...]] = (
+        Snippet("sim.fem.nodes", "residual_kernel", "gravity"),
+    )
+    LIMIT: ClassVar[str] = "acceleration -> 0: a weightless body"
+
     acceleration: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """In the contact frame [m/s^2]; a sensor looking down has +9.81 in z."""
 
@@ -24,3 +32,8 @@ class Gravity:
             raise SceneError(f"gravity.acceleration: {self.acceleration!r}; allowed: 3 numbers")
         for index, value in enumerate(self.acceleration):
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")
+
+    def weakened(self, share: float) -> Gravity:
+        """The effect with `share` of its acceleration: as `share` -> 0 it does nothing."""
+        x, y, z = self.acceleration
+        return replace(self, acceleration=(share * x, share * y, share * z))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 from sim.checks import check_range
+from sim.effects.declaration import Memory, Snippet
 from sim.errors import SceneError
 
 
@@ -19,6 +20,19 @@ class Viscosity:
     Raises:
         SceneError: No branch, more than 4, or a value outside of what is allowed.
     """
+
+    STATE: ClassVar[tuple[Memory, ...]] = (
+        Memory("_branches.history", "Gauss point", 9),
+        Memory("_branches.bulk_history", "element", 1),
+        Memory("_branches._rest", "Gauss point", 9),
+        Memory("_branches._bulk_rest", "element", 1),
+        Memory("_branches._branch", "branch and Gauss point", 9),
+        Memory("_branches._bulk_branch", "branch and element", 1),
+    )
+    KERNELS: ClassVar[tuple[Snippet, ...]] = (
+        Snippet("sim.fem.element", "element_kernels", "viscous"),
+    )
+    LIMIT: ClassVar[str] = "ratios -> 0: an elastic body"
 
     ratios: tuple[float, ...]
     """Stiffness of each branch over the stiffness at rest, 0 to 100."""
@@ -39,3 +53,7 @@ class Viscosity:
             check_range("viscosity", f"times[{index}]", time, 1e-6, 1e6, unit="s")
         if self.relaxes not in ("all", "shear"):
             raise SceneError(f"viscosity.relaxes: {self.relaxes!r}; allowed: 'all', 'shear'")
+
+    def weakened(self, share: float) -> Viscosity:
+        """The effect with `share` of its branches' stiffness: as `share` -> 0 it does nothing."""
+        return replace(self, ratios=tuple(share * ratio for ratio in self.ratios))

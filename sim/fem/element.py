@@ -166,6 +166,8 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
     strain, cofactor, cofactor_change, det_less_one = strain_functions(real)
     half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
+    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
+    power, five_thirds = real(-2.0 / 3.0), real(5.0 / 3.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def residual(
@@ -228,11 +230,15 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
             j = one + less
             w = weight[e, q]
             square = wp.ddot(f, f)
-            g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), real(-2.0 / 3.0))
+            g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), power)
             if wp.static(full_integration):
                 pressure = half * bulk[env] * less * (two + less) / j
             energy += w * half * (g * square - three * shear[env])
-            stress = (f - c * (square * third / j)) * g
+            # F - cof(F) tr(F^T F) / 3J, written in h = F - 1: nothing cancels at small strain
+            trace = wp.trace(h)
+            excess = (two * trace + wp.ddot(h, h) - three * less) * (third / j)
+            stress = h + wp.transpose(h) - cofactor(h) - c * excess
+            stress = (stress - wp.identity(n=3, dtype=real) * trace) * g
             if wp.static(viscous):
                 stress = stress * factor[env] + f * history[env, e, q]
             stress = (stress + c * pressure) * w
@@ -310,13 +316,13 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
             j = one + less
             w = weight[e, q]
             square = wp.ddot(f, f)
-            g = shear[env] * wp.pow(j, real(-2.0 / 3.0))
+            g = shear[env] * wp.pow(j, power)
             tj = wp.ddot(c, d) / j
             fd = wp.ddot(f, d)
             if wp.static(full_integration):
                 pressure = half * bulk[env] * less * (two + less) / j
                 rate = half * bulk[env] * (one + one / (j * j)) * tj * j
-            mixed = g * third / j * (real(5.0 / 3.0) * square * tj - two * fd)
+            mixed = g * third / j * (five_thirds * square * tj - two * fd)
             spread = -g * third / j * square
             if wp.static(viscous):
                 g = g * factor[env]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from sim.checks import check_range
+from sim.errors import SceneError
+
 
 @dataclass(frozen=True, slots=True)
 class Planted:
@@ -22,7 +25,11 @@ class Planted:
 
 @dataclass(frozen=True, slots=True)
 class Numerics:
-    """Mesh, precision, tolerances and step control of the `fem` tier."""
+    """Mesh, precision, tolerances and step control of the `fem` tier.
+
+    Raises:
+        SceneError: A value outside of what is allowed.
+    """
 
     spacing: float | None = None
     """Edge of an element [m]; None is a sixth of the thickness. Halving it costs 16 to 20 times
@@ -37,7 +44,7 @@ class Numerics:
     """Stiffness of sticking over `penalty`: the springs that hold a point before it slips give by
     1/100 of the thickness when the shear traction equals the modulus."""
     contact_points: int = 2
-    """Gauss points along each edge of a contact face, 2 to 4."""
+    """Gauss points along each edge of a contact face, 1 to 6."""
     newton_max: int = 60
     """Newton iterations after which a step is cut in half."""
     cg_max: int = 4000
@@ -51,3 +58,21 @@ class Numerics:
     """How often a step is cut in half before the solver gives up."""
     planted: Planted = field(default_factory=Planted)
     """Known mistakes, all off."""
+
+    def __post_init__(self) -> None:
+        if self.precision not in ("auto", "float32", "float64"):
+            raise SceneError(
+                f"numerics.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"
+            )
+        for name in ("spacing", "step_travel"):
+            value = getattr(self, name)
+            if value is not None:
+                check_range("numerics", name, value, 0.0, 1.0, unit="m", open_low=True)
+        check_range("numerics", "tolerance", self.tolerance, 1e-10, 0.1)
+        check_range("numerics", "penalty", self.penalty, 1.0, 1e6)
+        check_range("numerics", "stick", self.stick, 1e-6, 1.0)
+        check_range("numerics", "det_floor", self.det_floor, 0.0, 0.9)
+        check_range("numerics", "contact_points", self.contact_points, 1, 6)
+        check_range("numerics", "newton_max", self.newton_max, 1, 10_000)
+        check_range("numerics", "cg_max", self.cg_max, 1, 1_000_000)
+        check_range("numerics", "halvings", self.halvings, 0, 60)

@@ -52,7 +52,10 @@ def simulate_fem(
     numerics = numerics or Numerics()
     _same_batch(scenes)
     body = scenes[0].body
-    spacing = numerics.spacing or body.thickness / SPACING_SHARE
+    spacing = numerics.spacing
+    if spacing is None:
+        spacing = body.thickness / SPACING_SHARE
+    _check_device(device)
     began = time.perf_counter()
     mesh = build_mesh(body, spacing)
     meshed = time.perf_counter() - began
@@ -69,6 +72,14 @@ def simulate_fem(
                 outcome = replace(outcome, record={**outcome.record, "precision_reason": said})
             outcomes[i] = outcome
     return outcomes
+
+
+def _check_device(device: str) -> None:
+    try:
+        wp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        allowed = ", ".join(str(each) for each in wp.get_devices())
+        raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
 def _same_batch(scenes: Sequence[Scene]) -> None:

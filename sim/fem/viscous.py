@@ -26,6 +26,7 @@ def _kernels(real):
     strain, cofactor, _cofactor_change, det_less_one = strain_functions(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
     third = real(1.0 / 3.0)
+    power = real(-2.0 / 3.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def recall(
@@ -92,7 +93,7 @@ def _kernels(real):
             c = cofactor(f)
             j = one + less
             square = wp.ddot(f, f)
-            g = shear[env] * wp.pow(j, real(-2.0 / 3.0))
+            g = shear[env] * wp.pow(j, power)
             # S = F^-1 P with F^-1 = cof(F)^T / J
             stress = (
                 wp.identity(n=3, dtype=real) - (wp.transpose(c) * c) * (square * third / (j * j))

@@ -1,0 +1,35 @@
+"""How many numbers the solver's state holds for an effect, counted and as declared."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.effects.declaration import Memory
+
+
+def stored(state: Any, memory: Memory) -> int:
+    """Numbers that the state holds in an effect's array; 0 where it has none."""
+    array = state
+    for name in memory.name.split("."):
+        array = getattr(array, name)
+        if array is None:
+            return 0
+    return int(np.size(array if isinstance(array, np.ndarray) else array.numpy()))
+
+
+def declared(assembly: Any, memory: Memory, branches: int = 1) -> int:
+    """Numbers that an effect says it needs, with `branches` Prony branches at most."""
+    mesh = assembly.mesh
+    elements = len(mesh.elements)
+    places = {
+        "environment": 1,
+        "node": len(mesh.nodes),
+        "element": elements,
+        "Gauss point": elements * mesh.weight.shape[1],
+        "contact point": len(mesh.faces) * assembly.points,
+        "branch and element": branches * elements,
+        "branch and Gauss point": branches * elements * mesh.weight.shape[1],
+    }
+    return int(assembly.environments * places[memory.per] * memory.numbers)

@@ -1,0 +1,51 @@
+"""The press that effects are measured on: small, so that what an effect adds shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sim.body import Body
+from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+from sim.motion import Motion
+from sim.scene import Scene
+
+BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
+NUMERICS = Numerics(spacing=1e-3, precision="float64")
+EXACT = Numerics(spacing=1e-3, precision="float64", tolerance=1e-10)
+"""For differences far below the usual tolerance."""
+MOTION = Motion(
+    ((0.0, 0.0, 0.0), (0.0, 0.0, -0.5e-3), (0.15e-3, 0.0, -0.5e-3)), (0.0, 0.5e-3, 1e-3)
+)
+"""Down half a millimetre, then a little aside, in 1 ms: fast enough for mass to be felt."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An effect as strong as it is measured, and how weak it is when it should vanish."""
+
+    effect: Friction | Viscosity | Inertia | Gravity
+    parameter: str
+    """The parameter that goes to 0, as the page shows it at full strength."""
+    share: float
+    """Share of the parameter at which the effect answers in proportion."""
+
+
+TRIALS: dict[str, Trial] = {
+    "friction": Trial(Friction(1.0), "coefficient 1", 1e-3),
+    "viscosity": Trial(Viscosity((1.0, 0.5), (1e-3, 1.0)), "ratios 1 and 0.5", 1e-4),
+    "inertia": Trial(Inertia(), "scale 1", 1e-4),
+    "gravity": Trial(Gravity((300.0, 0.0, -500.0)), "300 and -500 m/s^2", 2e-3),
+}
+
+
+def scene(*names: str, share: float = 1.0) -> Scene:
+    """The press with the named effects at `share` of their strength, all others off."""
+    return Scene(sphere(3e-3), MOTION, BODY, effects(*names, share=share))
+
+
+def effects(*names: str, share: float = 1.0) -> Effects:
+    """The named effects at `share` of their strength."""
+    made = {name: TRIALS[name].effect.weakened(share) for name in names}
+    return Effects(**made)  # type: ignore[arg-type]  # each under the name of its own kind

@@ -1,0 +1,226 @@
+"""NumPy's word on what the finite elements must give, from plain nodal shape functions.
+
+Nothing here shares a formula with the kernels but the energy: forces are written node by node, and
+derivatives are taken by the complex step f'(u) v = Im f(u + i h v) / h, exact to round-off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim import Body, Indenter
+from sim.fem.mesh import Mesh, build_mesh
+from sim.fem.scalars import matrix_of, numpy_of, vector_of
+
+Array = NDArray[Any]
+
+STEP = 1e-30
+POINTS = 8
+CPU = "cpu"
+
+
+def domed_mesh() -> Mesh:
+    """48 elements, no two of one shape: a small dome, its nodes moved a little (not the base's)."""
+    body = Body(size_x=4e-3, size_y=4.4e-3, thickness=3e-3, dome_radius=5e-3)
+    return moved(build_mesh(body, 1e-3), 0.03)
+
+
+def moved(mesh: Mesh, by: float) -> Mesh:
+    """The mesh with its free nodes moved by up to `by` thicknesses, and what follows from that."""
+    shift = np.random.default_rng(3).uniform(-by, by, mesh.nodes.shape) * mesh.free[:, None]
+    nodes = mesh.nodes + shift
+    jacobian = np.einsum("eai,qaj->eqij", nodes[mesh.elements], local_gradients())
+    return replace(
+        mesh, nodes=nodes, inverse=np.linalg.inv(jacobian), weight=np.linalg.det(jacobian)
+    )
+
+
+def local_gradients() -> Array:
+    """Gradient of the 8 trilinear shape functions at the 8 Gauss points (point, node, axis).
+
+    N_a = (1 +- xi)(1 +- eta)(1 +- zeta)/8, by the complex step along each axis.
+    """
+    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+    gradients = np.empty((POINTS, 8, 3))
+    for axis in range(3):
+        place = (signs / np.sqrt(3)).astype(complex)
+        place[:, axis] += 1j * STEP
+        shape = (1 + signs[None] * place[:, None]).prod(axis=2) / 8
+        gradients[:, :, axis] = shape.imag / STEP
+    return gradients
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """One environment's material, and what its Prony branches bring into the step."""
+
+    shear: float
+    bulk: float
+    factor: float = 1.0
+    bulk_factor: float = 1.0
+    history: Array | None = None
+    bulk_history: Array | None = None
+    everywhere: bool = False
+    """Volume change at every Gauss point: the element that locks."""
+
+
+def deformation(mesh: Mesh, u: Array) -> tuple[Array, Array, Array]:
+    """F (E, 8, 3, 3), d(shape)/d(position) (E, 8, node, 3) volume (E, 8), at Gauss points."""
+    jacobian = np.einsum("eai,qaj->eqij", mesh.nodes[mesh.elements], local_gradients())
+    slopes = np.einsum("qaj,eqji->eqai", local_gradients(), np.linalg.inv(jacobian))
+    gradient = np.einsum("eai,eqaj->eqij", u[mesh.elements], slopes)
+    return gradient + np.eye(3), slopes, np.linalg.det(jacobian)
+
+
+def element_energy(mesh: Mesh, u: Array, material: Material) -> Array:
+    """Elastic energy of every element (E,), real or complex."""
+    f, _slopes, weight = deformation(mesh, u)
+    j = np.linalg.det(f)
+    square = np.einsum("eqij,eqij->eq", f, f)
+    isochoric = material.shear / 2 * (j ** (-2 / 3) * square - 3)
+    volume = weight.sum(1)
+    theta = (weight * j).sum(1) / volume
+    return (weight * isochoric).sum(1) + volume * material.bulk / 2 * (
+        (theta**2 - 1) / 2 - np.log(theta)
+    )
+
+
+def element_force(mesh: Mesh, u: Array, material: Material) -> Array:
+    """Force of every element on its nodes, outwards of the strain (E, 8, 3), real or complex."""
+    f, slopes, weight = deformation(mesh, u)
+    j = np.linalg.det(f)
+    inverse = np.swapaxes(np.linalg.inv(f), 2, 3)
+    square = np.einsum("eqij,eqij->eq", f, f)
+    isochoric = material.shear * (j ** (-2 / 3))[..., None, None]
+    stress = isochoric * (f - (square / 3)[..., None, None] * inverse) * material.factor
+    if material.history is not None:
+        stress = stress + f @ material.history
+    theta = (weight * j).sum(1) / weight.sum(1)
+    if material.everywhere:
+        pressure = material.bulk / 2 * (j - 1 / j)
+    else:
+        average = material.bulk / 2 * (theta - 1 / theta) * material.bulk_factor
+        if material.bulk_history is not None:
+            average = average + material.bulk_history
+        pressure = average[:, None]
+    stress = stress + (pressure * j)[..., None, None] * inverse
+    return np.einsum("eq,eqij,eqaj->eai", weight, stress, slopes)
+
+
+def element_tangent(mesh: Mesh, u: Array, v: Array, material: Material) -> Array:
+    """Derivative of `element_force` along `v` (E, 8, 3)."""
+    return element_force(mesh, u + 1j * STEP * v, material).imag / STEP
+
+
+def at_nodes(cells: NDArray[np.int32], values: Array, count: int) -> Array:
+    """Values at the corners of cells (C, corners, ...) added up at `count` nodes."""
+    total = np.zeros((count, *values.shape[2:]))
+    np.add.at(total, cells, values)
+    return total
+
+
+def stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
+    """Dense tangent of the elements at `u` (N, 3, N, 3); nothing held."""
+    count = len(mesh.nodes)
+    dense = np.empty((count, 3, count, 3))
+    for node in range(count):
+        for axis in range(3):
+            v = np.zeros((count, 3))
+            v[node, axis] = 1.0
+            force = element_tangent(mesh, u, v, material)
+            dense[:, :, node, axis] = at_nodes(mesh.elements, force, count)
+    return dense
+
+
+@dataclass(frozen=True, slots=True)
+class Rubbing:
+    """What friction remembers of the step before, and what limits it."""
+
+    coefficient: float
+    stick: float
+    tip_old: Array
+    u_old: Array
+    traction_old: Array
+    limit: Array
+
+
+def contact(
+    mesh: Mesh,
+    rule: tuple[Array, Array],
+    indenter: Indenter,
+    unit: float,
+    tip: Array,
+    penalty: float,
+    u: Array,
+    rubbing: Rubbing | None,
+) -> dict[str, Array]:
+    """Contact by the host's signed distance and a return map: everything the kernel writes."""
+    shape, weight = rule
+    corners = (mesh.nodes + u)[mesh.faces]
+    place = np.einsum("pa,saj->spj", shape, corners) - tip
+    gap, normal = indenter.distance(place * unit)
+    gap = gap / unit
+    touched = gap < 0
+    area = weight * mesh.face_area[:, None]
+    pressure = np.where(touched, -penalty * gap, 0.0)
+    traction = np.zeros_like(place)
+    energy = pressure**2 / penalty / 2
+    slips = np.zeros_like(touched)
+    if rubbing is not None:
+        moved_by = np.einsum("pa,saj->spj", shape, (u - rubbing.u_old)[mesh.faces])
+        moved_by = moved_by - (tip - rubbing.tip_old)
+        spring = rubbing.stick * penalty
+        trial = rubbing.traction_old - spring * moved_by
+        trial = trial - normal * (normal * trial).sum(-1, keepdims=True)
+        size = np.linalg.norm(trial, axis=-1)
+        most = rubbing.coefficient * rubbing.limit
+        slips = touched & (size > most)
+        scale = np.where(slips, most / np.maximum(size, 1e-300), 1.0)
+        traction = np.where(touched[..., None], trial * scale[..., None], 0.0)
+        huber = np.where(slips, most * (size - most / 2), size**2 / 2) / spring
+        energy = energy + np.where(touched, huber, 0.0)
+    push = (normal * pressure[..., None] + traction) * area[..., None]
+    return {
+        "force": np.einsum("spj,pa->saj", push, shape),
+        "touched": touched.sum(1),
+        "pressure": pressure,
+        "traction": traction,
+        "energy": (energy * area).sum(1),
+        "normal": np.where(touched[..., None], normal, 0.0),
+        "slips": slips,
+    }
+
+
+def scalars(values: Any, real: Any) -> Any:
+    """An array of Warp scalars."""
+    return wp.array(np.asarray(values, numpy_of(real)), dtype=real, device=CPU)
+
+
+def vectors(values: Any, real: Any) -> Any:
+    """An array of Warp 3-vectors, the last axis being theirs."""
+    return wp.array(np.asarray(values, numpy_of(real)), dtype=vector_of(real), device=CPU)
+
+
+def matrices(values: Any, real: Any) -> Any:
+    """An array of Warp 3x3 matrices, the last two axes being theirs."""
+    return wp.array(np.asarray(values, numpy_of(real)), dtype=matrix_of(real), device=CPU)
+
+
+def integers(values: Any) -> Any:
+    """An array of Warp integers."""
+    return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=CPU)
+
+
+def zeros(shape: tuple[int, ...], dtype: Any) -> Any:
+    """An array of zeros of a Warp type."""
+    return wp.zeros(shape, dtype=dtype, device=CPU)
+
+
+def relative(found: Array, expected: Array) -> float:
+    """Largest difference over the largest expected value."""
+    return float(np.abs(found - expected).max() / np.abs(expected).max())

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+from typing import Any
+
+import fem_oracles as oracle
+import numpy as np
+import pytest
+import warp as wp
+from fem_oracles import Array
+
+from sim.fem.cg import ConjugateGradient
+from sim.fem.scalars import numpy_of
+
+NODES = 40
+SIZE = 3 * NODES
+
+
+def _symmetric(eigenvalues: Array, seed: int) -> Array:
+    basis, _ = np.linalg.qr(np.random.default_rng(seed).normal(0, 1, (SIZE, SIZE)))
+    return np.asarray((basis * eigenvalues) @ basis.T)
+
+
+def _blocks(matrix: Array) -> Array:
+    return np.linalg.inv(np.einsum("ninj->nij", matrix.reshape(NODES, 3, NODES, 3)))
+
+
+class Solved:
+    """Dense systems given to the solver as a function, one an environment."""
+
+    def __init__(
+        self, matrices: Array, right: Array, active: Array, accuracy: float, real: Any, most: int
+    ) -> None:
+        solver = ConjugateGradient(real, len(matrices), NODES, "cpu")
+
+        def apply(running: Any, v: Any, product: Any, sums: Any) -> None:
+            for env in np.flatnonzero(running.numpy()):
+                answer = matrices[env] @ v.numpy()[env].astype(float).ravel()
+                product.numpy()[env] = answer.reshape(NODES, 3).astype(numpy_of(real))
+                sums.numpy()[env, :, 0] = 0.0
+                sums.numpy()[env, 0, 0] = answer @ v.numpy()[env].astype(float).ravel()
+
+        self.count = solver.solve(
+            oracle.integers(active),
+            oracle.vectors(right, real),
+            oracle.matrices(np.stack([_blocks(one) for one in matrices]), real),
+            apply,
+            np.full(len(matrices), accuracy),
+            most,
+        )
+        self.solution = solver.solution.numpy().astype(float).reshape(len(matrices), SIZE)
+        self.concave = solver.concave()
+
+
+def _right(count: int) -> Array:
+    return np.random.default_rng(0).normal(0, 1, (count, NODES, 3))
+
+
+@pytest.mark.parametrize(
+    ("real", "accuracy", "error"), [(wp.float64, 1e-12, 1e-9), (wp.float32, 1e-5, 1e-3)]
+)
+def test_the_solution_is_that_of_a_dense_solve(real: Any, accuracy: float, error: float) -> None:
+    matrices = np.stack([_symmetric(np.linspace(1, high, SIZE), high) for high in (5, 50)])
+    right = _right(2)
+    solved = Solved(matrices, right, np.ones(2), accuracy, real, 400)
+    for env in range(2):
+        expected = np.linalg.solve(matrices[env], right[env].ravel())
+        assert oracle.relative(solved.solution[env], expected) < error
+        rest = right[env].ravel() - matrices[env] @ solved.solution[env]
+        assert np.linalg.norm(rest) < 2 * accuracy * np.linalg.norm(right[env])
+    assert not solved.concave.any()
+    assert solved.count[0] < solved.count[1], "the better conditioned system stops first"
+
+
+def test_as_many_iterations_as_different_eigenvalues_suffice() -> None:
+    """A property of conjugate gradients; the preconditioner of a multiple of 1 changes nothing."""
+    single = 3.0 * np.eye(SIZE)
+    solved = Solved(single[None], _right(1), np.ones(1), 1e-12, wp.float64, 10)
+    assert solved.count[0] == 1
+    np.testing.assert_allclose(solved.solution[0], _right(1).ravel() / 3, rtol=1e-12)
+    # One pair of equal and opposite couplings per node pair: eigenvalues 2 and 4 on unit blocks.
+    pairs = np.kron(np.kron(np.eye(NODES // 2), np.array([[3.0, 1.0], [1.0, 3.0]])), np.eye(3))
+    solved = Solved(pairs[None], _right(1), np.ones(1), 1e-12, wp.float64, 10)
+    assert solved.count[0] == 2
+
+
+def test_an_environment_that_is_off_costs_nothing_and_a_zero_right_hand_side_ends_at_once() -> None:
+    matrices = np.stack([_symmetric(np.linspace(1, 9, SIZE), seed) for seed in (1, 2, 3)])
+    right = _right(3)
+    right[2] = 0.0
+    solved = Solved(matrices, right, np.array([1, 0, 1]), 1e-8, wp.float64, 200)
+    assert solved.count[0] > 0
+    assert solved.count[1] == solved.count[2] == 0
+    assert not solved.solution[1:].any()
+
+
+def test_a_batch_gives_each_system_what_it_gets_alone_bit_for_bit() -> None:
+    matrices = np.stack([_symmetric(np.linspace(1, high, SIZE), high) for high in (4, 40, 400)])
+    right = _right(3)
+    together = Solved(matrices, right, np.ones(3), 1e-10, wp.float64, 400)
+    for env in range(3):
+        alone = Solved(
+            matrices[env : env + 1], right[env : env + 1], np.ones(1), 1e-10, wp.float64, 400
+        )
+        np.testing.assert_array_equal(alone.solution[0], together.solution[env])
+        assert alone.count[0] == together.count[env]
+
+
+def test_a_direction_that_is_not_convex_is_said_and_ends_the_solve() -> None:
+    bad = np.linspace(1, 9, SIZE)
+    bad[0] = -5.0
+    matrices = np.stack([_symmetric(bad, 1), _symmetric(np.linspace(1, 9, SIZE), 2)])
+    solved = Solved(matrices, _right(2), np.ones(2), 1e-12, wp.float64, 400)
+    assert solved.concave.tolist() == [True, False]
+    assert np.isfinite(solved.solution).all()
+    assert _right(2)[0].ravel() @ solved.solution[0] > 0, "what was found still leads downhill"
+
+
+def test_the_most_iterations_are_kept() -> None:
+    matrices = _symmetric(np.linspace(1, 1e4, SIZE), 1)[None]
+    solved = Solved(matrices, _right(1), np.ones(1), 1e-14, wp.float64, 7)
+    assert solved.count[0] == 7

@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+from typing import Any
+
+import fem_oracles as oracle
+import numpy as np
+import pytest
+import warp as wp
+from fem_oracles import Array, Rubbing
+
+from sim.fem.contact import contact_kernels, face_rule
+from sim.fem.scalars import matrix_of, vector_of
+from sim.indenters import flat_punch, named, plane, sphere
+from sim.indenters.device import PartTable
+
+MESH = oracle.domed_mesh()
+UNIT = 3e-3
+PENALTY, STICK = 1000.0, 0.1
+INDENTERS = [sphere(2e-3), flat_punch(1.5e-3, 0.3e-3), named("triangle"), plane()]
+TIPS = np.array([[0.02, 0.05, -0.12], [0.05, -0.03, -0.1], [0.0, 0.0, -0.15], [0.1, 0.0, -0.2]])
+
+
+def _rubbing(points: int) -> list[Rubbing]:
+    """What each environment brings from the step before: some of its points stick, some slip."""
+    random = np.random.default_rng(21)
+    shape = len(MESH.faces), points
+    return [
+        Rubbing(
+            coefficient=coefficient,
+            stick=STICK,
+            tip_old=tip + random.normal(0, 0.01, 3),
+            u_old=random.normal(0, 0.01, MESH.nodes.shape),
+            traction_old=random.normal(0, 2.0, (*shape, 3)),
+            limit=random.uniform(0, 20.0, shape),
+        )
+        for coefficient, tip in zip((0.1, 0.3, 1.0, 0.4), TIPS, strict=True)
+    ]
+
+
+def _displacements() -> Array:
+    return np.random.default_rng(9).normal(0, 0.01, (len(INDENTERS), *MESH.nodes.shape))
+
+
+class Contact:
+    """The contact kernels on every indenter of `INDENTERS`, one an environment."""
+
+    def __init__(self, real: Any, friction: list[Rubbing] | None, points: int = 2) -> None:
+        self.real, self.friction = real, friction
+        self.rule = face_rule(points)
+        self._contact, self._tangent, self._diagonal = contact_kernels(real, friction is not None)
+        shape = len(INDENTERS), len(MESH.faces)
+        vec3, mat33 = vector_of(real), matrix_of(real)
+        many = (*shape, points * points)
+        none = (0, 0, 0)
+        self.out = {
+            "force": oracle.zeros((*shape, 4), vec3),
+            "touched": oracle.zeros(shape, wp.int32),
+            "pressure": oracle.zeros(many, real),
+            "normal": oracle.zeros(many, vec3),
+            "traction": oracle.zeros(none if friction is None else many, vec3),
+            "matrix": oracle.zeros(many, mat33),
+            "energy": oracle.zeros(shape, real),
+        }
+        self._table = PartTable.pack(INDENTERS, UNIT, real, "cpu").struct
+        self._active = oracle.integers(np.ones(len(INDENTERS)))
+
+    def evaluate(self, u: Array, tips: Array = TIPS) -> dict[str, Array]:
+        real, many = self.real, self.friction or []
+        old = (
+            _none()
+            if self.friction is None
+            else tuple(
+                np.stack([getattr(one, name) for one in many])
+                for name in ("tip_old", "u_old", "traction_old", "limit")
+            )
+        )
+        inputs = [
+            oracle.integers(MESH.faces),
+            oracle.scalars(MESH.face_area, real),
+            oracle.scalars(self.rule[0], real),
+            oracle.scalars(self.rule[1], real),
+            oracle.vectors(MESH.nodes, real),
+            self._table,
+            oracle.vectors(tips, real),
+            real(PENALTY),
+            oracle.scalars([one.coefficient for one in many] or np.zeros(len(u)), real),
+            real(STICK),
+            oracle.vectors(old[0], real),
+            oracle.vectors(old[1], real),
+            oracle.vectors(old[2], real),
+            oracle.scalars(old[3], real),
+            self._active,
+            oracle.vectors(u, real),
+        ]
+        shape = len(u), len(MESH.faces)
+        outputs = list(self.out.values())
+        wp.launch(self._contact, dim=shape, inputs=inputs, outputs=outputs, device="cpu")
+        return {name: array.numpy().astype(float) for name, array in self.out.items()}
+
+    def tangent(self, v: Array) -> Array:
+        """Derivative of -force along `v`, state last evaluated."""
+        shape = len(v), len(MESH.faces)
+        product = oracle.zeros((*shape, 4), vector_of(self.real))
+        inputs = [
+            oracle.integers(MESH.faces),
+            oracle.scalars(self.rule[0], self.real),
+            self._active,
+            self.out["touched"],
+            self.out["matrix"],
+            oracle.vectors(v, self.real),
+        ]
+        wp.launch(self._tangent, dim=shape, inputs=inputs, outputs=[product], device="cpu")
+        return np.asarray(product.numpy(), float)
+
+    def diagonal(self) -> Array:
+        shape = len(INDENTERS), len(MESH.faces)
+        block = oracle.zeros((*shape, 4), matrix_of(self.real))
+        inputs = [
+            oracle.scalars(self.rule[0], self.real),
+            self._active,
+            self.out["touched"],
+            self.out["matrix"],
+        ]
+        wp.launch(self._diagonal, dim=shape, inputs=inputs, outputs=[block], device="cpu")
+        return np.asarray(block.numpy(), float)
+
+
+def _none() -> tuple[Array, ...]:
+    count = len(INDENTERS)
+    nodes = np.zeros((count, *MESH.nodes.shape))
+    return np.zeros((count, 3)), nodes, np.zeros((0, 0, 0, 3)), np.zeros((0, 0, 0))
+
+
+def _expected(u: Array, friction: list[Rubbing] | None, points: int) -> list[dict[str, Array]]:
+    rule = face_rule(points)
+    return [
+        oracle.contact(
+            MESH, rule, indenter, UNIT, TIPS[env], PENALTY, u[env], friction and friction[env]
+        )
+        for env, indenter in enumerate(INDENTERS)
+    ]
+
+
+@pytest.mark.parametrize("points", [2, 3])
+@pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
+@pytest.mark.parametrize(
+    ("real", "error"),
+    [pytest.param(wp.float64, 1e-10, id="float64"), pytest.param(wp.float32, 1e-3, id="float32")],
+)
+def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
+    real: Any, error: float, rubs: bool, points: int
+) -> None:
+    friction = _rubbing(points * points) if rubs else None
+    u = _displacements()
+    found = Contact(real, friction, points).evaluate(u)
+    slips = touches = 0
+    for env, expected in enumerate(_expected(u, friction, points)):
+        assert expected["touched"].any()
+        np.testing.assert_array_equal(found["touched"][env], expected["touched"])
+        names = ("force", "pressure", "energy", "normal") + (("traction",) if rubs else ())
+        for name in names:
+            assert oracle.relative(found[name][env], expected[name]) < error, name
+        slips += int(expected["slips"].sum())
+        touches += int(expected["touched"].sum())
+    assert not rubs or 0.1 < slips / touches < 0.9, "nearly all stick, or nearly all slip"
+
+
+def test_frictionless_contact_tangent_is_the_derivative_of_the_force() -> None:
+    """Where every point stays in or out: on a sphere the normal turns, on a plane it does not."""
+    u = _displacements()
+    contact = Contact(wp.float64, None)
+    v = np.random.default_rng(1).normal(0, 1, u.shape)
+    step = 1e-7
+    slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
+        2 * step
+    )
+    state = contact.evaluate(u)
+    product = contact.tangent(v)
+    for env, name, error in ((0, "sphere", 1e-4), (3, "plane", 1e-8)):
+        touched = state["touched"][env] > 0
+        assert oracle.relative(-product[env][touched], slope[env][touched]) < error, name
+
+
+def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping() -> None:
+    """On a plane, whose normal stands still; the limit is given, as the Newton loop gives it."""
+    friction = _rubbing(4)
+    u = _displacements()
+    contact = Contact(wp.float64, friction)
+    v = np.random.default_rng(1).normal(0, 1, u.shape)
+    step = 1e-8
+    slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
+        2 * step
+    )
+    state = contact.evaluate(u)
+    product = contact.tangent(v)
+    touched = state["touched"][3] > 0
+    assert oracle.relative(-product[3][touched], slope[3][touched]) < 1e-6
+
+
+@pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
+def test_contact_force_is_the_slope_of_the_energy(rubs: bool) -> None:
+    """Normal springs and the Huber potential of friction: on a plane, whose normal stands still."""
+    u = _displacements()
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None)
+    v = np.random.default_rng(6).normal(0, 1, u.shape)
+    step = 1e-6
+    ahead = contact.evaluate(u + step * v)["energy"]
+    behind = contact.evaluate(u - step * v)["energy"]
+    force = contact.evaluate(u)["force"]
+    slope = (ahead - behind).sum(1) / (2 * step)
+    work = -np.einsum("bsai,bsai->b", force, v[:, MESH.faces])
+    assert slope[3] == pytest.approx(work[3], rel=1e-6)
+    if not rubs:
+        assert slope == pytest.approx(work, rel=1e-6)
+
+
+@pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
+def test_contact_diagonal_is_the_tangents_answer_to_each_corner_alone(rubs: bool) -> None:
+    u = _displacements()
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None)
+    state = contact.evaluate(u)
+    blocks = contact.diagonal()
+    shape, _weight = contact.rule
+    expected = np.einsum("bspij,pa->bsaij", state["matrix"], shape**2)
+    touched = state["touched"] > 0
+    assert oracle.relative(blocks[touched], expected[touched]) < 1e-12
+    face = int(np.flatnonzero(touched[0])[0])
+    node, corner = MESH.faces[face, 1], 1
+    for axis in range(3):
+        v = np.zeros_like(u)
+        v[0, node, axis] = 1.0
+        column = contact.tangent(v)[0, face, corner]
+        assert column == pytest.approx(blocks[0, face, corner][:, axis], rel=1e-12)
+
+
+def test_a_face_rule_integrates_and_a_nodal_one_sits_on_the_corners() -> None:
+    for points in (2, 3, 4):
+        shape, weight = face_rule(points)
+        assert weight.sum() == pytest.approx(4.0)
+        np.testing.assert_allclose(shape.sum(1), 1.0)
+        np.testing.assert_allclose(weight @ shape, 1.0)
+        # The integral of (N_0)^2 over -1 to 1 squared is (2/3)^2.
+        assert weight @ shape[:, 0] ** 2 == pytest.approx(4 / 9)
+    shape, weight = face_rule(2, nodal=True)
+    np.testing.assert_array_equal(shape, np.eye(4))
+    assert weight.sum() == 4.0

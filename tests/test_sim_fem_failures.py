@@ -1,0 +1,130 @@
+"""What the finite-element tier does when it cannot: it says so, and gives nothing else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim import (
+    Body,
+    Effects,
+    Friction,
+    Gravity,
+    Result,
+    Scene,
+    SceneError,
+    SimulationDiverged,
+    press,
+    press_shear_return,
+    simulate,
+    simulate_many,
+)
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+
+BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+SPACING = 4e-3 / 3
+SCENE = Scene(sphere(3e-3), press([0.5e-3]), BODY)
+CRIPPLED = Numerics(spacing=SPACING, precision="float64", newton_max=1, halvings=1)
+
+
+@pytest.fixture(autouse=True)
+def _dumps_in_a_folder_of_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+
+def test_a_crippled_solver_diverges_with_what_it_tried_and_a_dump_that_loads() -> None:
+    with pytest.raises(SimulationDiverged, match="no converged state") as caught:
+        simulate(SCENE, numerics=CRIPPLED)
+    diverged = caught.value
+    assert len(diverged.tried) == CRIPPLED.halvings + 1
+    assert all("Newton iterations, residual" in line for line in diverged.tried)
+    assert "waypoint" in str(diverged)
+    assert diverged.dump is not None
+    assert str(diverged.dump) in str(diverged)
+    with np.load(diverged.dump) as state:
+        assert state["u"].shape == state["nodes"].shape == (7 * 7 * 4, 3)
+        assert np.isfinite(state["u"]).all()
+        assert state["tip"].shape == (3,)
+        assert "sphere" in json.loads(str(state["scene"]))
+
+
+def test_one_press_that_diverges_does_not_take_the_others_with_it() -> None:
+    light = Scene(sphere(3e-3), press([2e-6]), BODY)
+    numerics = replace(CRIPPLED, newton_max=3, halvings=0)
+    alone = simulate(light, numerics=numerics)
+    fine, diverged, also_fine = simulate_many([light, SCENE, light], numerics=numerics)
+    assert isinstance(diverged, SimulationDiverged)
+    for result in (fine, also_fine):
+        assert isinstance(result, Result)
+        np.testing.assert_array_equal(result.wrench, alone.wrench)
+
+
+def test_nothing_unconverged_is_returned() -> None:
+    """Whatever the tolerance, every frame's residual is below it."""
+    slid = Scene(
+        sphere(3e-3),
+        press_shear_return(0.3e-3, 0.2e-3, steps=1),
+        BODY,
+        Effects(friction=Friction(0.4)),
+    )
+    largest = []
+    for tolerance in (3e-2, 1e-2, 1e-3):
+        numerics = Numerics(spacing=SPACING, precision="float64", tolerance=tolerance)
+        residual = simulate(slid, numerics=numerics).quality.residual
+        assert (residual <= tolerance).all()
+        largest.append(residual.max() / tolerance)
+    assert max(largest) > 0.3, "no frame came close to its tolerance: this would not see a slip"
+
+
+def test_a_body_flatter_than_allowed_is_not_returned() -> None:
+    never_flat = Numerics(spacing=SPACING, precision="float64", det_floor=0.99, halvings=2)
+    with pytest.raises(SimulationDiverged):
+        simulate(SCENE, numerics=never_flat)
+
+
+def test_float32_that_cannot_reach_the_tolerance_goes_on_in_float64_and_says_why() -> None:
+    numerics = Numerics(spacing=SPACING, tolerance=1e-9, halvings=1, newton_max=20)
+    result = simulate(SCENE, numerics=numerics)
+    assert result.record["precision"] == "float64"
+    assert "float32 did not converge" in result.record["precision_reason"]
+    assert (result.quality.residual <= 1e-9).all()
+    with pytest.raises(SimulationDiverged, match="float32"):
+        simulate(SCENE, numerics=replace(numerics, precision="float32"))
+
+
+def test_float32_that_reaches_the_tolerance_stays_and_gives_no_reason() -> None:
+    record = simulate(SCENE, numerics=Numerics(spacing=SPACING)).record
+    assert record["precision"] == "float32"
+    assert "precision_reason" not in record
+
+
+@pytest.mark.parametrize(
+    ("body", "name"),
+    [
+        (Body(size_x=9e-3, size_y=8e-3, thickness=4e-3), "size_x"),
+        (Body(size_x=8e-3, size_y=9e-3, thickness=4e-3), "size_y"),
+        (Body(size_x=8e-3, size_y=8e-3, thickness=5e-3), "thickness"),
+        (Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, dome_radius=2e-2), "dome_radius"),
+    ],
+)
+def test_bodies_of_different_shape_are_not_solved_together(body: Body, name: str) -> None:
+    other = replace(SCENE, body=body)
+    with pytest.raises(SceneError, match=rf"scenes\[1\]\.body\.{name}"):
+        simulate_many([SCENE, other], numerics=Numerics(spacing=SPACING))
+
+
+def test_different_sets_of_effects_are_not_solved_together() -> None:
+    other = replace(SCENE, effects=Effects(friction=Friction(0.3), gravity=Gravity()))
+    with pytest.raises(SceneError, match=r"scenes\[1\]\.effects.*friction"):
+        simulate_many([SCENE, other], numerics=Numerics(spacing=SPACING))
+
+
+@pytest.mark.parametrize("spacing", [2e-3, 1e-6, float("nan")])
+def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: float) -> None:
+    with pytest.raises(SceneError, match="mesh"):
+        simulate(SCENE, numerics=Numerics(spacing=spacing))

@@ -1,0 +1,65 @@
+"""Coulomb friction of the finite-element tier: what whole presses show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim import Body, Effects, Friction, Scene, press, press_shear_return, simulate
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+
+SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+COARSE = Numerics(spacing=4e-3 / 3, precision="float64")
+MU = 0.4
+
+
+def _loop(angle: float, shear: float = 0.5e-3, steps: int = 2) -> Scene:
+    motion = press_shear_return(0.4e-3, shear, angle=angle, steps=steps)
+    return Scene(sphere(3e-3), motion, SMALL, Effects(friction=Friction(MU)))
+
+
+@pytest.mark.slow
+def test_full_stick_is_stiffer_by_the_benchs_share() -> None:
+    """Full stick on the paper's gel gives 2.18 to 2.19 N at 1.5 mm, frictionless 1.956 N."""
+    scene = Scene(sphere(4e-3), press([1.5e-3]), effects=Effects(friction=Friction(10.0)))
+    result = simulate(scene, numerics=Numerics(spacing=1e-3))
+    assert -result.force[-1, 2] == pytest.approx(2.185, rel=0.02)
+    assert (result.quality.slip_excess[1:] <= 1e-6).all()
+
+
+def test_no_point_ever_carries_more_shear_than_coulomb_allows_and_the_loop_loses_energy() -> None:
+    result = simulate(_loop(0.0), numerics=COARSE)
+    quality = result.quality
+    pressing = -result.force[:, 2] > 1e-6
+    assert pressing[1:-1].all()
+    assert (quality.slip_excess[pressing] <= 1e-9).all()
+    assert (quality.balance[pressing] < 1e-3).all()
+    aside, back = result.force[4], result.force[6]
+    # The indenter drags the body along; ploughing adds a little to the friction.
+    assert 0.5 * MU < aside[0] / -aside[2] < 1.5 * MU
+    assert back[0] < 0, "friction turns round on the way back"
+    assert not result.wrench[-1].any()
+    assert quality.energy_gap[-1] > 0.05, "what was rubbed away is lost"
+    assert (quality.energy_gap > -1e-3).all()
+
+
+def test_shear_to_the_other_side_and_across_is_the_mirrored_and_the_turned_result() -> None:
+    right, left, across = (
+        simulate(_loop(angle, 0.2e-3, 1), numerics=COARSE) for angle in (0.0, np.pi, np.pi / 2)
+    )
+    size = np.abs(right.force).max()
+    # Each is solved to 1e-4 of the force in every step, on a path that remembers.
+    assert np.abs(left.force * [-1, 1, 1] - right.force).max() < 2e-3 * size
+    assert np.abs(across.force[:, [1, 0, 2]] - right.force).max() < 2e-3 * size
+
+
+def test_more_friction_holds_the_surface_more() -> None:
+    """What the surface slides outwards under the sphere falls with the coefficient."""
+    slides = []
+    for coefficient in (0.0, 0.2, 0.5, 2.0):
+        effects = Effects(friction=Friction(coefficient))
+        scene = Scene(sphere(3e-3), press([0.6e-3]), SMALL, effects)
+        result = simulate(scene, numerics=COARSE)
+        slides.append(float(result.surface[-1, 4, 3, 0]))
+    assert slides[0] > slides[1] > slides[2] > slides[3]

@@ -1,0 +1,135 @@
+"""Frictionless presses of the finite-element tier: force, surface, symmetry, batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
+from sim.fem.numerics import Numerics
+from sim.indenters import flat_punch, named, sphere
+
+SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+COARSE = Numerics(spacing=4e-3 / 3, precision="float64")
+EXACT = Numerics(spacing=4e-3 / 3, precision="float64", tolerance=1e-8)
+
+
+def _arrays(result: Result) -> dict[str, np.ndarray]:
+    """Everything measured in a result, by name."""
+    arrays = {
+        name: getattr(result, name)
+        for name in ("wrench", "surface_x", "surface_y", "surface", "traction")
+    }
+    for name in result.quality.__slots__:
+        arrays[f"quality.{name}"] = getattr(result.quality, name)
+    return arrays
+
+
+def _results(scenes: list[Scene], numerics: Numerics) -> list[Result]:
+    outcomes = simulate_many(scenes, "fem", numerics=numerics)
+    assert all(isinstance(outcome, Result) for outcome in outcomes)
+    return [outcome for outcome in outcomes if isinstance(outcome, Result)]
+
+
+def test_a_sphere_on_the_papers_gel_is_within_5_percent_of_the_fine_solution() -> None:
+    """F by two independent element families, 0.1 % apart; here elements are 1 mm."""
+    scene = Scene(sphere(4e-3), press([0.5e-3, 1.0e-3, 1.5e-3]))
+    result = simulate(scene, numerics=Numerics(spacing=1e-3))
+    assert result.record["precision"] == "float32"
+    assert -result.force[1:, 2] == pytest.approx([0.2652, 0.9197, 1.9560], rel=0.05)
+    # The surface at 6 and 8 mm from the axis, outside of the contact: out by 42.4 and 9.7 um.
+    out = result.surface[-1, :, 10, 2]
+    assert out[16] == pytest.approx(42.4e-6, abs=6e-6)
+    assert out[18] == pytest.approx(9.7e-6, abs=6e-6)
+    aside = result.surface[-1, :, 10, 0]
+    assert aside[16] == pytest.approx(139e-6, abs=10e-6)
+    assert (result.quality.residual <= 1e-4).all()
+    assert (result.quality.balance < 1e-3).all()
+    assert result.quality.det_f_min.min() > 0.3
+
+
+def test_lifting_off_returns_the_body_to_where_it_was() -> None:
+    tip = ((0.0, 0.0, 0.0), (0.0, 0.0, -0.8e-3), (0.0, 0.0, 0.5e-3))
+    result = simulate(Scene(sphere(3e-3), Motion(tip, (0.0, 0.1, 0.2)), SMALL), numerics=COARSE)
+    assert result.force[1, 2] < -0.4
+    assert not result.wrench[0].any()
+    assert not result.wrench[2].any()
+    assert not result.traction[2].any()
+    assert np.abs(result.surface[2]).max() < 1e-6 * np.abs(result.surface[1]).max()
+
+
+def test_mirrored_presses_mirror() -> None:
+    at = 1e-3, 0.5e-3
+    indenter = sphere(3e-3)
+    scenes = [
+        Scene(indenter, press([0.6e-3], at=(x, y)), SMALL)
+        for x, y in ((at[0], at[1]), (-at[0], at[1]), (at[0], -at[1]), (at[1], at[0]))
+    ]
+    here, x_mirror, y_mirror, swapped = _results(scenes, EXACT)
+    force, depth = here.force[-1], 0.6e-3
+    assert abs(force[0]) > 0.005, "beside the middle the press has a side force"
+    assert x_mirror.force[-1] == pytest.approx(force * [-1, 1, 1], rel=1e-6, abs=1e-9)
+    assert y_mirror.force[-1] == pytest.approx(force * [1, -1, 1], rel=1e-6, abs=1e-9)
+    assert swapped.force[-1] == pytest.approx(force[[1, 0, 2]], rel=1e-6, abs=1e-9)
+    surface = here.surface[-1]
+    for other in (
+        x_mirror.surface[-1, ::-1] * [-1, 1, 1],
+        y_mirror.surface[-1, :, ::-1] * [1, -1, 1],
+        swapped.surface[-1].swapaxes(0, 1)[..., [1, 0, 2]],
+    ):
+        assert np.abs(other - surface).max() < 1e-6 * depth
+
+
+@pytest.mark.parametrize("effects", [Effects(), Effects(friction=Friction(0.5))])
+def test_a_batch_gives_what_its_scenes_give_alone_bit_for_bit(effects: Effects) -> None:
+    """Different indenters, motions, lengths of motion and materials, side by side."""
+    soft = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, modulus=3e4, poisson=0.3)
+    scenes = [
+        Scene(sphere(3e-3), press([0.3e-3, 0.6e-3]), SMALL, effects),
+        Scene(flat_punch(1.5e-3, 0.6e-3), press([0.2e-3], at=(1e-3, 0.0)), soft, effects),
+        Scene(named("torus"), press([0.1e-3, 0.2e-3, 0.1e-3]), SMALL, effects),
+    ]
+    for scene, together in zip(scenes, _results(scenes, COARSE), strict=True):
+        alone = _arrays(simulate(scene, numerics=COARSE))
+        for name, array in _arrays(together).items():
+            np.testing.assert_array_equal(array, alone[name], err_msg=name)
+
+
+def test_a_run_repeats_to_the_last_bit() -> None:
+    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
+    one, two = (_arrays(simulate(scene, numerics=COARSE)) for _ in range(2))
+    for name, array in one.items():
+        np.testing.assert_array_equal(array, two[name], err_msg=name)
+
+
+def test_force_is_proportional_to_the_modulus_and_to_the_square_of_the_size() -> None:
+    def scaled(modulus: float, size: float) -> float:
+        body = Body(8e-3 * size, 8e-3 * size, 4e-3 * size, modulus=modulus)
+        scene = Scene(sphere(3e-3 * size), press([0.5e-3 * size]), body)
+        numerics = Numerics(spacing=4e-3 * size / 3, precision="float64", tolerance=1e-8)
+        return float(simulate(scene, numerics=numerics).force[-1, 2])
+
+    reference = scaled(1e5, 1.0)
+    assert scaled(1e7, 1.0) == pytest.approx(100 * reference, rel=1e-9)
+    assert scaled(1e5, 10.0) == pytest.approx(100 * reference, rel=1e-9)
+
+
+def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
+    result = simulate(Scene(sphere(3e-3), press([0.6e-3], at=(0.5e-3, 0.0)), SMALL), numerics=EXACT)
+    share = np.ones(7)
+    share[[0, -1]] = 0.5
+    area = np.outer(share, share) * (8e-3 / 6) ** 2
+    total = (result.traction[-1].astype(float) * area[..., None]).sum((0, 1))
+    assert total == pytest.approx(result.force[-1], rel=1e-5, abs=1e-8)
+    # A smooth sphere pushes through its centre, a radius above the tip.
+    torque = np.cross([0, 0, 3e-3], result.force[-1])
+    assert result.wrench[-1, 3:] == pytest.approx(torque, abs=2e-3 * np.abs(torque).max())
+
+
+def test_float32_and_float64_agree_to_the_tolerance() -> None:
+    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
+    half, full = (
+        simulate(scene, numerics=Numerics(spacing=4e-3 / 3, precision=precision)).force[-1, 2]
+        for precision in ("float32", "float64")
+    )
+    assert half == pytest.approx(full, rel=5e-4)

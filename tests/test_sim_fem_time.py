@@ -1,0 +1,132 @@
+"""What depends on time, and weight: viscosity, inertia and gravity against their references."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim import (
+    Body,
+    Effects,
+    Gravity,
+    Inertia,
+    Motion,
+    Scene,
+    Viscosity,
+    press,
+    ramp_hold,
+    simulate,
+)
+from sim.fem.numerics import Numerics
+from sim.indenters import plane, sphere
+from sim.references import compression_frequency, hereditary, layer_sag
+
+SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+SPACING = 4e-3 / 3
+COARSE = Numerics(spacing=SPACING, precision="float64")
+EXACT = Numerics(spacing=SPACING, precision="float64", tolerance=1e-7)
+GLASS = 0.5
+
+
+def _viscous(relaxes: str = "all") -> Effects:
+    return Effects(viscosity=Viscosity((GLASS,), (0.1,), relaxes=relaxes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("relaxes", ["all", "shear"])
+def test_a_fast_press_feels_the_modulus_before_relaxation(relaxes: str) -> None:
+    """Shear modulus times 1.5 and, with `all`, bulk modulus too: another elastic body, exactly."""
+    shear = SMALL.shear_modulus * (1 + GLASS)
+    bulk = SMALL.bulk_modulus * (1 + GLASS if relaxes == "all" else 1.0)
+    modulus = 9 * bulk * shear / (3 * bulk + shear)
+    poisson = (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
+    glass = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, modulus=modulus, poisson=poisson)
+    # The contact springs are given in moduli: the same springs, then, for both.
+    same_springs = Numerics(
+        spacing=SPACING,
+        precision="float64",
+        tolerance=1e-7,
+        penalty=1000.0 * SMALL.modulus / modulus,
+    )
+    expected = simulate(Scene(sphere(3e-3), press([0.5e-3]), glass), numerics=same_springs)
+    motion = press([0.5e-3], speed=1e3)
+    found = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous(relaxes)), numerics=EXACT)
+    assert found.force[-1, 2] == pytest.approx(expected.force[-1, 2], rel=1e-5)
+
+
+def test_a_slow_press_feels_the_modulus_at_rest() -> None:
+    elastic = simulate(Scene(sphere(3e-3), press([0.5e-3]), SMALL), numerics=EXACT)
+    motion = press([0.5e-3], speed=1e-6)
+    slow = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics=EXACT)
+    assert slow.force[-1, 2] == pytest.approx(elastic.force[-1, 2], rel=5e-4)
+
+
+def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
+    """Force of the elastic press of the same mesh, remembered through the hereditary integral."""
+    motion = ramp_hold(0.15e-3, ramp=0.1, hold=0.4, steps=4)
+    numerics = Numerics(spacing=4e-3 / 5, precision="float64")
+    elastic = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=numerics)
+    viscous = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics=numerics)
+    expected = hereditary(motion.time, -elastic.force[:, 2], (GLASS,), (0.1,))
+    found = -viscous.force[:, 2]
+    # On the ramp the force of the elastic press is not straight between frames; small strain.
+    assert found[1:5] == pytest.approx(expected[1:5], rel=0.02)
+    assert found[5:] == pytest.approx(expected[5:], rel=5e-3)
+    assert (np.diff(found[4:]) < 0).all(), "it relaxes all the while"
+    assert viscous.quality.energy_gap[-1] > elastic.quality.energy_gap[-1]
+
+
+def test_gravity_sags_a_wide_layer_by_the_closed_form() -> None:
+    """12 thicknesses wide, and nu = 0.3, so that the edges are not felt in the middle."""
+    wide = Body(size_x=48e-3, size_y=48e-3, thickness=4e-3, poisson=0.3)
+    acceleration = 30.0, 0.0, -50.0
+    away = Motion(((0.0, 0.0, 1e-3),), (0.0,))
+    scene = Scene(sphere(3e-3), away, wide, Effects(gravity=Gravity(acceleration)))
+    result = simulate(scene, numerics=COARSE)
+    expected = layer_sag(0.0, acceleration, 4e-3, wide.density, wide.modulus, wide.poisson)
+    assert result.surface[0, 18, 18] == pytest.approx(expected, rel=0.005, abs=1e-12)
+    assert not result.wrench.any()
+    assert result.quality.balance[0] < 1e-4, "the base carries the weight"
+
+
+def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
+    """Pressed evenly, then free: the middle moves up and down before the sides are heard of.
+
+    Backward Euler with 48 steps a period swings 0.6 % too slowly and damps.
+    """
+    wide = Body(size_x=32e-3, size_y=32e-3, thickness=4e-3, poisson=0.3)
+    period = 1 / compression_frequency(4e-3, wide.density, wide.modulus, wide.poisson)
+    step = period / 48
+    away = 1e-3
+    tip = [(0.0, 0.0, 0.0), (0.0, 0.0, -40e-6), (0.0, 0.0, away)]
+    time = [0.0, 1.0, 1.0 + 1e-7]
+    for index in range(42):
+        tip.append((0.0, 0.0, away + 1e-9 * (index + 1)))
+        time.append(time[-1] + step)
+    scene = Scene(plane(), Motion(tuple(tip), tuple(time)), wide, Effects(inertia=Inertia()))
+    result = simulate(scene, numerics=COARSE)
+    height = result.surface[2:, 12, 12, 2].astype(float)
+    assert height[0] < -35e-6, "let go, it has not moved yet"
+    before = np.flatnonzero(height[:-1] * height[1:] < 0)
+    crossings = [i + height[i] / (height[i] - height[i + 1]) for i in before]
+    assert len(crossings) == 2
+    assert (crossings[1] - crossings[0]) * step == pytest.approx(period / 2, rel=0.04)
+    assert crossings[0] * step == pytest.approx(period / 4, rel=0.06)
+    assert 0.3 < height.max() / 40e-6 < 1.0, "it swings to the other side, damped"
+
+
+def test_a_slow_press_with_mass_is_the_press_without() -> None:
+    motion = press([0.3e-3, 0.6e-3], speed=1e-3)
+    exact = Numerics(spacing=SPACING, precision="float64", tolerance=1e-8)
+    still = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=exact)
+    heavy = simulate(Scene(sphere(3e-3), motion, SMALL, Effects(inertia=Inertia())), numerics=exact)
+    assert heavy.force[1:, 2] == pytest.approx(still.force[1:, 2], rel=1e-5)
+
+
+def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
+    """10 m/s is 0.4 of the speed of pressure waves: the body cannot give way."""
+    effects = Effects(inertia=Inertia())
+    slow, fast = (
+        simulate(Scene(sphere(3e-3), press([0.6e-3], speed=speed), SMALL, effects), numerics=COARSE)
+        for speed in (1e-3, 10.0)
+    )
+    assert -fast.force[-1, 2] > 1.1 * -slow.force[-1, 2]
