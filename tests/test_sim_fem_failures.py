@@ -126,5 +126,28 @@ def test_different_sets_of_effects_are_not_solved_together() -> None:
 
 @pytest.mark.parametrize("spacing", [2e-3, 1e-6, float("nan")])
 def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: float) -> None:
-    with pytest.raises(SceneError, match="mesh"):
+    with pytest.raises(SceneError, match="mesh|spacing"):
         simulate(SCENE, numerics=Numerics(spacing=spacing))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("spacing", 0.0),
+        ("precision", "half"),
+        ("tolerance", float("nan")),
+        ("penalty", -1.0),
+        ("contact_points", 0),
+        ("newton_max", 0),
+        ("halvings", -1),
+        ("step_travel", 0.0),
+    ],
+)
+def test_numerics_that_mean_nothing_are_refused(name: str, value: object) -> None:
+    with pytest.raises(SceneError, match=rf"numerics\.{name}"):
+        Numerics(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_device_that_is_not_there_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"device: 'cuda:77'.*cpu"):
+        simulate(SCENE, numerics=Numerics(spacing=SPACING), device="cuda:77")

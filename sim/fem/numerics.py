@@ -71,7 +71,7 @@ class Numerics:
         check_range("numerics", "tolerance", self.tolerance, 1e-10, 0.1)
         check_range("numerics", "penalty", self.penalty, 1.0, 1e6)
         check_range("numerics", "stick", self.stick, 1e-6, 1.0)
-        check_range("numerics", "det_floor", self.det_floor, 0.0, 0.9)
+        check_range("numerics", "det_floor", self.det_floor, 0.0, 1.0)
         check_range("numerics", "contact_points", self.contact_points, 1, 6)
         check_range("numerics", "newton_max", self.newton_max, 1, 10_000)
         check_range("numerics", "cg_max", self.cg_max, 1, 1_000_000)
