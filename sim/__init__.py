@@ -8,7 +8,6 @@ from sim.motion import Motion, from_target, press, press_shear_return, ramp_hold
 from sim.result import Quality, Result
 from sim.scene import Scene
 from sim.simulate import simulate, simulate_many
-from sim.store import load_result, save_results
 
 __all__ = [
     "Body",
@@ -25,11 +24,9 @@ __all__ = [
     "SimulationDiverged",
     "Viscosity",
     "from_target",
-    "load_result",
     "press",
     "press_shear_return",
     "ramp_hold",
-    "save_results",
     "simulate",
     "simulate_many",
 ]
