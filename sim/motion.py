@@ -118,6 +118,9 @@ def through(points: Sequence[Point], *, speed: float) -> Motion:
     """
     if not (math.isfinite(speed) and speed > 0):
         raise SceneError(f"motion.speed: {speed!r} m/s; allowed: above 0")
+    for index, point in enumerate(points):
+        if len(point) != 3 or not all(math.isfinite(value) for value in point):
+            raise SceneError(f"motion.tip[{index}]: {point!r}; allowed: 3 finite numbers [m]")
     lengths = np.linalg.norm(np.diff(np.asarray(points, float), axis=0), axis=1)
     time = np.concatenate([[0.0], np.cumsum(lengths) / speed])
     return Motion(tip=tuple(points), time=tuple(float(value) for value in time))

@@ -52,8 +52,9 @@ class Numerics:
     det_floor: float = 0.05
     """Smallest determinant of the deformation gradient that is accepted."""
     step_travel: float | None = None
-    """Longest step of the tip [m]; None: half the edge radius, with friction at most a fortieth of
-    the thickness as well."""
+    """Longest step of the tip [m], but never more than half the sharpest radius of the indenter (or
+    a fiftieth of the thickness): a longer one may put skin on the wrong side of an edge. None: with
+    friction a fortieth of the thickness at most."""
     halvings: int = 12
     """How often a step is cut in half before the solver gives up."""
     planted: Planted = field(default_factory=Planted)
@@ -68,7 +69,7 @@ class Numerics:
             value = getattr(self, name)
             if value is not None:
                 check_range("numerics", name, value, 0.0, 1.0, unit="m", open_low=True)
-        check_range("numerics", "tolerance", self.tolerance, 1e-10, 0.1)
+        check_range("numerics", "tolerance", self.tolerance, 1e-15, 0.1)
         check_range("numerics", "penalty", self.penalty, 1.0, 1e6)
         check_range("numerics", "stick", self.stick, 1e-6, 1.0)
         check_range("numerics", "det_floor", self.det_floor, 0.0, 1.0)

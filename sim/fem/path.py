@@ -118,11 +118,11 @@ def path_of(scene: Scene, numerics: Numerics) -> Path:
     tip = np.asarray(scene.motion.tip) / unit
     start = tip[0].copy()
     start[2] = max(start[2], 0.0)
-    longest = numerics.step_travel
-    if longest is None:
-        longest = max(sharpest(scene.indenter) / 2, unit / 50)
-        if scene.effects.friction is not None:
-            longest = min(longest, unit / 40)
+    longest = max(sharpest(scene.indenter) / 2, unit / 50)
+    if numerics.step_travel is not None:
+        longest = min(longest, numerics.step_travel)
+    elif scene.effects.friction is not None:
+        longest = min(longest, unit / 40)
     shortest = np.inf
     if scene.effects.viscosity is not None:
         shortest = min(scene.effects.viscosity.times)

@@ -50,8 +50,10 @@ class Indenter:
                 f"indenter {self.name}.parts[0].join: {self.parts[0].join!r}; allowed: 'union', "
                 "there is nothing before it"
             )
-        limit = self.edge_radius_max
         owner = f"indenter {self.name}"
+        if not self.narrowest > 0:
+            raise SceneError(f"{owner}.narrowest: {self.narrowest!r} m; allowed: above 0, or inf")
+        limit = self.edge_radius_max
         check_range(owner, "edge_radius", self.edge_radius, 0.0, limit, unit="m")
         tip = self.bounds[2][0]
         if math.isfinite(tip) and abs(tip) > 1e-9:
