@@ -77,6 +77,8 @@ def press_shear_return(
 
     Each phase is cut into `steps` equal parts: 4 `steps` + 1 frames.
     """
+    if not math.isfinite(angle):
+        raise SceneError(f"motion.tip: sheared at an angle of {angle!r} rad; allowed: finite")
     low = (at[0], at[1], -depth)
     aside = (at[0] + shear * math.cos(angle), at[1] + shear * math.sin(angle), -depth)
     corners = [(at[0], at[1], 0.0), low, aside, low, (at[0], at[1], 0.0)]
