@@ -32,6 +32,7 @@ VENDORS = {
     "mcap": {"recorder/export", "rig/recording_cost/stores"},
     "torch": {"learning", "rig/recording_cost/stores"},
     "warp": {"sim"},
+    "scipy": {"sim"},
     "mcap_protobuf": {"recorder/export"},
     "foxglove_schemas_protobuf": {"recorder/export"},
     "pyarrow": {"recorder/export"},
