@@ -68,6 +68,8 @@ class Newton:
         rubbing = "friction" in assembly.effects and not numerics.planted.lagged_friction
         running = chosen.copy()
         active = self._mask(running)
+        if "friction" in assembly.effects and numerics.planted.lagged_friction:
+            state.settle_limit(active)
         sums = assembly.evaluate(active, state.u, self._cg.solution)
         for iteration in range(numerics.newton_max + 1):
             if rubbing:

@@ -27,6 +27,8 @@ from sim.scene import Scene
 Progress = Callable[[float], None]
 Outcome = Result | SimulationDiverged
 
+POISSON_FLOAT32 = 0.4995
+"""Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""
 SPACING_SHARE = 6
 """Elements through the thickness when no spacing is given."""
 
@@ -59,19 +61,46 @@ def simulate_fem(
     began = time.perf_counter()
     mesh = build_mesh(body, spacing)
     meshed = time.perf_counter() - began
-    wanted = numerics.precision
-    first = "float64" if wanted == "float64" else "float32"
+    first, reason = _first_precision(scenes, numerics)
     outcomes = _Batch(scenes, mesh, numerics, first, device, meshed, progress).run()
+    if numerics.precision != "auto":
+        return outcomes
+    if first == "float64":
+        return [_with_reason(outcome, reason) for outcome in outcomes]
     again = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, SimulationDiverged)]
-    if again and wanted == "auto":
+    if again:
         batch = [scenes[i] for i in again]
         retried = _Batch(batch, mesh, numerics, "float64", device, meshed, progress).run()
         for i, outcome in zip(again, retried, strict=True):
-            if isinstance(outcome, Result):
-                said = f"float32 did not converge: {outcomes[i]}"
-                outcome = replace(outcome, record={**outcome.record, "precision_reason": said})
-            outcomes[i] = outcome
+            _forget_dump(outcomes[i].dump)
+            outcomes[i] = _with_reason(outcome, f"float32 did not converge: {outcomes[i]}")
     return outcomes
+
+
+def _first_precision(scenes: Sequence[Scene], numerics: Numerics) -> tuple[str, str]:
+    """The precision to begin with, and why."""
+    if numerics.precision != "auto":
+        return numerics.precision, "asked for"
+    poisson = max(scene.body.poisson for scene in scenes)
+    if poisson > POISSON_FLOAT32:
+        return "float64", (
+            f"Poisson's ratio {poisson:g} is above {POISSON_FLOAT32:g}, where float32 seldom "
+            "reaches the tolerance"
+        )
+    return "float32", ""
+
+
+def _with_reason(outcome: Outcome, reason: str) -> Outcome:
+    if isinstance(outcome, SimulationDiverged):
+        return outcome
+    return replace(outcome, record={**outcome.record, "precision_reason": reason})
+
+
+def _forget_dump(dump: File | None) -> None:
+    """Remove what a failed attempt left, now that another one followed it."""
+    if dump is not None:
+        dump.unlink(missing_ok=True)
+        dump.parent.rmdir()
 
 
 def _check_device(device: str) -> None:

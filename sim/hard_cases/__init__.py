@@ -1,0 +1,1 @@
+"""Hard cases: scenes that break simulators, each held to laws of mechanics."""
