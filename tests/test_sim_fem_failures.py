@@ -126,7 +126,7 @@ def test_different_sets_of_effects_are_not_solved_together() -> None:
 
 @pytest.mark.parametrize("spacing", [2e-3, 1e-6, float("nan")])
 def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: float) -> None:
-    with pytest.raises(SceneError, match="mesh|spacing"):
+    with pytest.raises(SceneError, match=r"mesh|spacing"):
         simulate(SCENE, numerics=Numerics(spacing=spacing))
 
 

@@ -21,6 +21,7 @@ class Friction:
         Memory("traction", "contact point", 3),
         Memory("_traction_old", "contact point", 3),
         Memory("limit", "contact point", 1),
+        Memory("_limit_relaxed", "contact point", 1),
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.contact", "contact_kernels", "friction"),
