@@ -29,12 +29,12 @@ TRIALS = 12
 
 LENGTH_GOOD = 0.2
 """Below this share of a full step, or where the tangent is not convex, the next is damped."""
-RELAX_AFTER, RELAX_SHARE = 4, 0.5
-"""Friction's limit follows the pressure at once for the first iterations, later half of the way:
-the two may answer each other with equal and opposite changes for ever."""
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
+RELAX_AFTER, RELAX_SHARE = 4, 0.5
+"""Friction's limit follows the pressure at once for the first iterations, later half of the way:
+the two may answer each other with equal and opposite changes for ever."""
 
 
 @dataclass(frozen=True, slots=True)
