@@ -73,7 +73,7 @@ hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators, write docs/stabili
 refine: $(VENV)/.sim  ## Force and surface from coarse to fine meshes, all 18 shapes, write docs/refinement.md: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md] (hours on a CPU)
 	@$(PY) -m sim refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
 
-test: $(VENV)/.dev  ## Run the default tests (about 4 minutes on 2 cores)
+test: $(VENV)/.dev  ## Run the default tests (about 7 minutes on 2 cores)
 	@$(PY) -m pytest -q
 
 test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
