@@ -36,9 +36,7 @@ class Motion:
                 f"motion: {len(self.tip)} positions and {len(self.time)} times; allowed: as many "
                 "of both, at least one"
             )
-        for index, point in enumerate(self.tip):
-            if len(point) != 3 or not all(math.isfinite(value) for value in point):
-                raise SceneError(f"motion.tip[{index}]: {point!r}; allowed: 3 finite numbers [m]")
+        _check_points(self.tip)
         rising = all(a < b for a, b in pairwise(self.time))
         if self.time[0] != 0 or not rising or not math.isfinite(self.time[-1]):
             raise SceneError(
@@ -120,12 +118,16 @@ def through(points: Sequence[Point], *, speed: float) -> Motion:
     """
     if not (math.isfinite(speed) and speed > 0):
         raise SceneError(f"motion.speed: {speed!r} m/s; allowed: above 0")
-    for index, point in enumerate(points):
-        if len(point) != 3 or not all(math.isfinite(value) for value in point):
-            raise SceneError(f"motion.tip[{index}]: {point!r}; allowed: 3 finite numbers [m]")
+    _check_points(points)
     lengths = np.linalg.norm(np.diff(np.asarray(points, float), axis=0), axis=1)
     time = np.concatenate([[0.0], np.cumsum(lengths) / speed])
     return Motion(tip=tuple(points), time=tuple(float(value) for value in time))
+
+
+def _check_points(points: Sequence[Point]) -> None:
+    for index, point in enumerate(points):
+        if len(point) != 3 or not all(math.isfinite(value) for value in point):
+            raise SceneError(f"motion.tip[{index}]: {point!r}; allowed: 3 finite numbers [m]")
 
 
 def _subdivided(corners: Sequence[Point], steps: int) -> list[Point]:

@@ -102,18 +102,11 @@ class Assembly:
 
     def evaluate(self, active, u, direction) -> np.ndarray:
         """Forces at displacement `u`; |r|^2, |applied|^2 and -r.direction by environment (B, 3)."""
-        state = self.state
         wp.launch(
             self._element[0],
             dim=(self.environments, len(self.mesh.elements)),
             inputs=[
-                self._elements,
-                self._inverse,
-                self._weight,
-                GAUSS_POINTS,
-                self._shear,
-                self._bulk,
-                *state.viscous,
+                *self._element_inputs(),
                 active,
                 u,
             ],
@@ -230,13 +223,7 @@ class Assembly:
                 self._element[1],
                 dim=(self.environments, len(self.mesh.elements)),
                 inputs=[
-                    self._elements,
-                    self._inverse,
-                    self._weight,
-                    GAUSS_POINTS,
-                    self._shear,
-                    self._bulk,
-                    *self.state.viscous,
+                    *self._element_inputs(),
                     active,
                     u,
                     v,
@@ -307,6 +294,11 @@ class Assembly:
         self._gather(everyone, u, nothing, self._all_free, held)
         base = held.numpy()[:, self.mesh.base].sum(axis=1, dtype=float)
         return -base
+
+    def _element_inputs(self) -> tuple:
+        """Mesh and material: the first arguments of both element kernels."""
+        mesh = (self._elements, self._inverse, self._weight, GAUSS_POINTS)
+        return (*mesh, self._shear, self._bulk, *self.state.viscous)
 
     def _array(self, values, dtype):
         scalar = {wp.int32: np.int32}.get(dtype, numpy_of(self.real))

@@ -26,6 +26,16 @@ def _kernels(real):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
 
+    @wp.func
+    def products(sums: wp.array3d(dtype=wp.float64), env: int):
+        """r.z and r.r of one environment, from the shares of its runs."""
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        for run in range(sums.shape[1]):
+            rz += sums[env, run, 1]
+            rr += sums[env, run, 2]
+        return rz, rr
+
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         # In:
@@ -68,11 +78,7 @@ def _kernels(real):
         count_out[env] = 0
         if active[env] == 0:
             return
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for run in range(sums.shape[1]):
-            rz += sums[env, run, 1]
-            rr += sums[env, run, 2]
+        rz, rr = products(sums, env)
         scalars_out[env, 0] = rz
         scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
         if rr == wp.float64(0.0):
@@ -146,11 +152,7 @@ def _kernels(real):
         env = wp.tid()
         if active[env] == 0:
             return
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for run in range(sums.shape[1]):
-            rz += sums[env, run, 1]
-            rr += sums[env, run, 2]
+        rz, rr = products(sums, env)
         scalars_out[env, 3] = rz / scalars_out[env, 0]
         scalars_out[env, 0] = rz
         if not (rr > scalars_out[env, 1]):

@@ -57,9 +57,7 @@ class State:
         self.limit = zeros(rubbing, real)
         """Pressure that limits friction (B, S, P)."""
         self._limit_relaxed = zeros(rubbing, real)
-        self._coefficient = self._array(
-            [getattr(scene.effects.friction, "coefficient", 0.0) for scene in scenes], real
-        )
+        self._coefficient = self._array(assembly.coefficients, real)
 
         self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
         ones = wp.ones(count, dtype=real, device=device)

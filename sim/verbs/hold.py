@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 from typing import TYPE_CHECKING
 
-from sim.errors import SceneError
 from sim.motion import ramp_hold
 from sim.verbs.numbers import metres
-from sim.verbs.options import add_scene_options
+from sim.verbs.options import add_scene_options, check_motion
 
 if TYPE_CHECKING:
     from sim.verbs.options import Verbs
@@ -55,12 +53,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from sim.verbs.running import run_motion
 
-    for name, unit in (("depth", "mm"), ("ramp", "s"), ("hold", "s")):
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value > 0):
-            raise SceneError(f"--{name}: {value!r} {unit}; allowed: above 0")
-    if not 1 <= options.steps <= 1000:
-        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
+    check_motion(options, {"depth": "mm", "ramp": "s", "hold": "s"})
     motion = ramp_hold(
         metres(options.depth),
         ramp=options.ramp,

@@ -6,10 +6,9 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from sim.errors import SceneError
 from sim.motion import press_shear_return
 from sim.verbs.numbers import metres
-from sim.verbs.options import add_scene_options
+from sim.verbs.options import add_scene_options, add_speed, check_motion
 
 if TYPE_CHECKING:
     from sim.verbs.options import Verbs
@@ -43,13 +42,7 @@ def add_to(verbs: Verbs) -> None:
         metavar="N",
         help="frames of each of the 4 phases (%(default)s)",
     )
-    group.add_argument(
-        "--speed",
-        type=float,
-        default=10.0,
-        metavar="MM/S",
-        help="speed of the tip, felt by viscosity and inertia only [mm/s] (%(default)s)",
-    )
+    add_speed(group)
     add_scene_options(parser, friction=0.5)
     parser.set_defaults(run=run)
 
@@ -62,12 +55,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from sim.verbs.running import run_motion
 
-    for name in ("depth", "shear"):
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value > 0):
-            raise SceneError(f"--{name}: {value!r} mm; allowed: above 0")
-    if not 1 <= options.steps <= 1000:
-        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
+    check_motion(options, {"depth": "mm", "shear": "mm"})
     motion = press_shear_return(
         metres(options.depth),
         metres(options.shear),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,31 @@ def add_scene_options(
     _add_effect_options(parser, friction, viscosity)
     _add_solver_options(parser)
     _add_output_options(parser)
+
+
+def add_speed(group: argparse._ArgumentGroup) -> None:
+    """The option of verbs whose tip moves at one speed."""
+    group.add_argument(
+        "--speed",
+        type=float,
+        default=10.0,
+        metavar="MM/S",
+        help="speed of the tip, felt by viscosity and inertia only [mm/s] (%(default)s)",
+    )
+
+
+def check_motion(options: argparse.Namespace, units: dict[str, str]) -> None:
+    """Refuse measures of a motion, named with their units, that are not above 0; and its steps.
+
+    Raises:
+        SceneError: Names the option, what was given and what is allowed.
+    """
+    for name, unit in units.items():
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0):
+            raise SceneError(f"--{name}: {value!r} {unit}; allowed: above 0")
+    if not 1 <= options.steps <= 1000:
+        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
 
 
 def body_of(options: argparse.Namespace) -> Body:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sim.errors import SceneError
 from sim.motion import press
 from sim.verbs.numbers import metres, numbers
-from sim.verbs.options import add_scene_options
+from sim.verbs.options import add_scene_options, add_speed
 
 if TYPE_CHECKING:
     from sim.verbs.options import Verbs
@@ -25,13 +25,7 @@ def add_to(verbs: Verbs) -> None:
         metavar="MM,...",
         help="depths to go to in turn, from the touched surface [mm] (0.5,1,1.5)",
     )
-    group.add_argument(
-        "--speed",
-        type=float,
-        default=10.0,
-        metavar="MM/S",
-        help="speed of the tip, felt by viscosity and inertia only [mm/s] (%(default)s)",
-    )
+    add_speed(group)
     add_scene_options(parser)
     parser.set_defaults(run=run)
 
