@@ -10,7 +10,7 @@ SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAX
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -72,6 +72,12 @@ hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators, write docs/stabili
 
 refine: $(VENV)/.sim  ## Force and surface from coarse to fine meshes, all 18 shapes, write docs/refinement.md: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md] (hours on a CPU)
 	@$(PY) -m sim refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+
+accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh, write docs/accuracy.md: [ONLY=measure|page] [DEVICE=cuda:0] [OUT=docs/accuracy] [ARGS="--case sphere --smoke"] (15 minutes)
+	@$(PY) -m sim accuracy $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...), write docs/cost-table.md: [ARGS="--validate | --seconds | --page | --take DIR"] [DEVICE=cuda:0] [OUT=page.md] (an hour)
+	@$(PY) -m sim cost-table $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 test: $(VENV)/.dev  ## Run the default tests (about 7 minutes on 2 cores)
 	@$(PY) -m pytest -q

@@ -50,7 +50,7 @@ class Result:
     scene: Scene
     """What was simulated."""
     tier: str
-    """`layer` or `fem`."""
+    """`layer`, `fem` or `mpm`."""
     wrench: Array
     """Force and torque of the indenter on the body (F, 6) [N, N m], torque about the tip; pressing
     is negative Fz."""

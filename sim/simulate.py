@@ -11,17 +11,21 @@ from sim.scene import Scene
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
+    from sim.mpm import MpmNumerics
 
-Tier = Literal["layer", "fem"]
-TIERS: tuple[Tier, ...] = ("layer", "fem")
-"""From fast to exact: `layer` is linear and takes milliseconds, `fem` takes seconds to minutes."""
+Tier = Literal["layer", "fem", "mpm"]
+TIERS: tuple[Tier, ...] = ("layer", "fem", "mpm")
+"""`layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
+the paper's method, dearer and less exact than `fem`, to compare with and to see waves."""
 
 
 def simulate(
     scene: Scene,
-    tier: Tier = "fem",
+    tier: Tier | None = None,
     *,
-    numerics: Numerics | None = None,
+    tolerance: str | None = None,
+    error_bar: bool = False,
+    numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Result:
@@ -29,19 +33,43 @@ def simulate(
 
     Args:
         scene: What is simulated.
-        tier: `layer`: spectral bonded layer, small strain, no free sides; `fem`: finite elements,
-            large strain.
-        numerics: Mesh, precision and tolerances of `fem`; `layer` has none to choose.
-        device: Where `fem` runs, `cpu` or `cuda:0` and the like; `layer` runs on the CPU.
+        tier: `fem` unless given. `layer`: spectral bonded layer, small strain, no free sides;
+            `fem`: finite elements, large strain; `mpm`: explicit material points.
+        numerics: `Numerics` of `fem`, `MpmNumerics` of `mpm`; `layer` has none to choose.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: the cheapest
+            way to it, told in `record["plan"]` (docs/cost-table.md).
+        error_bar: Solve a coarser mesh as well, and add `record["error_bar"]`.
+        device: Where `fem` and `mpm` run, `cpu` or `cuda:0` and the like; `layer` runs on the CPU.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: A tier that is not there, or that does not know what the scene asks for.
+        SceneError: A tier that is not there, or that does not know what the scene asks for; a
+            tolerance that nothing reaches.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
-    outcome = simulate_many([scene], tier, numerics=numerics, device=device, progress=progress)[0]
+    if tolerance is not None:
+        if tier is not None or numerics is not None:
+            raise SceneError(
+                f"tolerance: {tolerance!r} with a tier or numerics; allowed: either the one or the "
+                "other"
+            )
+        from sim.planner import simulate_within
+
+        return simulate_within(
+            scene, tolerance, device=device, error_bar=error_bar, progress=progress
+        )
+    outcome = simulate_many(
+        [scene], tier or "fem", numerics=numerics, device=device, progress=progress
+    )[0]
     if isinstance(outcome, SimulationDiverged):
         raise outcome
+    if error_bar:
+        from sim.fem.numerics import Numerics
+        from sim.planner import with_error_bar
+
+        if not (numerics is None or isinstance(numerics, Numerics)):
+            raise _unfit(numerics, "fem", "Numerics, for an error bar")
+        return with_error_bar(outcome, device=device, numerics=numerics)
     return outcome
 
 
@@ -49,23 +77,25 @@ def simulate_many(
     scenes: Sequence[Scene],
     tier: Tier = "fem",
     *,
-    numerics: Numerics | None = None,
+    numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> list[Result | SimulationDiverged]:
     """Simulate scenes side by side; each gives its result, or the reason why there is none.
 
-    `fem` solves them in one launch: same size of the body and same set of effects; indenters,
-    motions, moduli and the parameters of the effects may differ. Arguments as for `simulate`.
+    `fem` and `mpm` solve them together in one launch where they are alike enough. Arguments as for
+    `simulate`.
 
     Raises:
-        SceneError: As `simulate`; scenes that cannot be solved together.
+        SceneError: As `simulate`.
     """
     if tier not in TIERS:
         raise SceneError(f"tier: {tier!r}; allowed: {', '.join(TIERS)}")
     if not scenes:
         return []
     if tier == "layer":
+        if numerics is not None:
+            raise _unfit(numerics, tier, "None")
         from sim.layer import simulate_layer
 
         outcomes: list[Result | SimulationDiverged] = []
@@ -78,9 +108,22 @@ def simulate_many(
             except SimulationDiverged as diverged:
                 outcomes.append(diverged)
         return outcomes
+    if tier == "mpm":
+        from sim.mpm import MpmNumerics, simulate_mpm
+
+        if numerics is not None and not isinstance(numerics, MpmNumerics):
+            raise _unfit(numerics, tier, "MpmNumerics")
+        return simulate_mpm(scenes, numerics, device=device, progress=progress)
+    from sim.fem.numerics import Numerics
     from sim.fem.solver import simulate_fem
 
+    if numerics is not None and not isinstance(numerics, Numerics):
+        raise _unfit(numerics, tier, "Numerics")
     return simulate_fem(scenes, numerics, device=device, progress=progress)
+
+
+def _unfit(numerics: Numerics | MpmNumerics, tier: Tier, allowed: str) -> SceneError:
+    return SceneError(f"numerics: {type(numerics).__name__}; allowed with tier {tier!r}: {allowed}")
 
 
 def _part(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:

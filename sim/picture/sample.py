@@ -79,7 +79,8 @@ def surface_of(result: Result, frame: int) -> Surface:
     body = result.scene.body
     fine_x, fine_y = _refined(x), _refined(y)
     moved = _values_between(x, y, result.surface[frame], fine_x, fine_y)
-    pressure = np.maximum(-result.traction[frame, :, :, 2].astype(np.float64), 0.0)
+    traction = np.nan_to_num(result.traction[frame, :, :, 2].astype(np.float64))
+    pressure = np.maximum(-traction, 0.0)
     rest = np.array([[body.height(float(a), float(b)) for b in fine_y] for a in fine_x])
     shift = moved[..., :2] * (result.tier != "layer")
     drawn = _values_between(x, y, pressure, fine_x, fine_y)

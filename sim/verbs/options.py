@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
-from sim.simulate import TIERS
 from sim.verbs.indenter_options import add_indenter_options
 from sim.verbs.numbers import branches, metres, numbers
 
@@ -98,11 +97,18 @@ def effects_of(options: argparse.Namespace) -> Effects:
 
 
 def numerics_of(options: argparse.Namespace) -> Numerics | None:
-    """The numerics of tier `fem` that the options ask for; None for `layer`.
+    """The numerics of tier `fem` that the options ask for; None for `layer` or a tolerance.
 
     Raises:
-        SceneError: An option that tier `layer` does not have, or a device that is not there.
+        SceneError: An option that tier `layer` or a tolerance does not have.
     """
+    if options.tolerance is not None:
+        for name, default in (("tier", None), ("mesh", None), ("precision", "auto")):
+            if getattr(options, name) != default:
+                raise SceneError(
+                    f"--{name}: {getattr(options, name)!r} with --tolerance; allowed: either"
+                )
+        return None
     if options.tier == "layer":
         for name, default in (("mesh", None), ("precision", "auto"), ("device", "cpu")):
             if getattr(options, name) != default:
@@ -198,10 +204,17 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("solver")
     group.add_argument(
         "--tier",
-        choices=TIERS,
-        default="fem",
-        help="layer: linear, milliseconds a step; fem: large strain, seconds to minutes "
-        "(%(default)s)",
+        choices=("layer", "fem"),
+        help="layer: linear, milliseconds a step; fem: large strain, seconds to minutes (fem)",
+    )
+    group.add_argument(
+        "--tolerance",
+        metavar="ERROR",
+        help='the error that is accepted, "2 %%", "0.05 N" or "0.5 px": in place of --tier, '
+        "--mesh and --precision, the cheapest that keeps it",
+    )
+    group.add_argument(
+        "--error-bar", action="store_true", help="solve a coarser mesh too, and tell the error"
     )
     group.add_argument(
         "--mesh",

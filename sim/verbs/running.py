@@ -67,13 +67,19 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
 def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
     numerics = numerics_of(options)
     kernels = None
-    if options.tier == "fem":
+    if options.tier != "layer":
         from sim.verbs.device import ready_device
 
         kernels = ready_device(options.device)
     with Progress(options.verb, sys.stderr, kernels=kernels) as progress:
         return simulate(
-            scene, options.tier, numerics=numerics, device=options.device, progress=progress
+            scene,
+            options.tier,
+            tolerance=options.tolerance,
+            error_bar=options.error_bar,
+            numerics=numerics,
+            device=options.device,
+            progress=progress,
         )
 
 

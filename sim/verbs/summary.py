@@ -48,6 +48,8 @@ def as_json(result: Result, *, first: int, seconds: float) -> dict[str, Any]:
         "mesh": result.record["mesh"],
         "precision": result.record["precision"],
         "device": result.record["device"],
+        "plan": result.record.get("plan"),
+        "error_bar": result.record.get("error_bar"),
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
@@ -129,6 +131,14 @@ def notes(result: Result) -> list[str]:
                 f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "
                 f"{size * 1e3:.3g} mm: the force still depends on --mesh"
             )
+    if "plan" in result.record:
+        said += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
+    if "error_bar" in result.record:
+        bar = result.record["error_bar"]
+        said.append(
+            f"error bar: {100 * bar['force_share']:.2g} % of the force, {bar['force']:.2g} N, "
+            f"markers {bar['marker_rms']:.2g} px"
+        )
     if "precision_reason" in result.record:
         said.append(result.record["precision_reason"])
     return said

@@ -1,0 +1,93 @@
+"""What is simulated to see what accuracy costs: seven cases, each a list of scenes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sim.body import Body
+from sim.effects import Effects, Friction, Viscosity
+from sim.indenters import NAMES, Indenter, flat_punch, named, rounded_cone, sphere, tube
+from sim.motion import press, press_shear_return, ramp_hold
+from sim.scene import Scene
+
+MM = 1e-3
+DEPTHS = (0.5 * MM, 1.0 * MM, 1.5 * MM)
+"""Depths of the plain presses [m]."""
+EDGE = 0.5 * MM
+"""Edge radius of shapes that have room for it [m]; sharper edges ask for finer elements only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A row of the page: one scene, or several whose errors are averaged."""
+
+    name: str
+    title: str
+    """What the chart says."""
+    scenes: tuple[Scene, ...]
+    """One body and one set of effects, so that a launch can solve them all."""
+
+
+def _edged(name: str) -> Indenter:
+    own = named(name)
+    return named(name, min(EDGE, own.edge_radius_max)) if own.edge_radius else own
+
+
+_BODY = Body()
+_BALL = sphere(4 * MM)
+CASES: tuple[Case, ...] = (
+    Case("sphere", "sphere R 4 mm", (Scene(_BALL, press(DEPTHS), body=_BODY),)),
+    Case("punch", "punch R 3, edge 0.5 mm", (Scene(flat_punch(3 * MM, EDGE), press(DEPTHS)),)),
+    Case(
+        "cone",
+        "cone 45 deg, tip R 0.5 mm",
+        (Scene(rounded_cone(math.radians(45), EDGE), press(DEPTHS)),),
+    ),
+    Case(
+        "tube",
+        "tube 3.5 / 2.5, edge 0.4 mm",
+        (Scene(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS)),),
+    ),
+    Case(
+        "indenters",
+        "the 18 indenters, mean",
+        tuple(Scene(_edged(name), press((0.5 * MM, 1.0 * MM))) for name in NAMES),
+    ),
+    Case(
+        "loop",
+        "press, shear, return; friction",
+        (
+            Scene(
+                _BALL,
+                press_shear_return(1.0 * MM, 1.0 * MM, steps=2),
+                effects=Effects(friction=Friction(0.5)),
+            ),
+        ),
+    ),
+    Case(
+        "hold",
+        "viscous: ramp and hold",
+        (
+            Scene(
+                _BALL,
+                ramp_hold(1.0 * MM, ramp=0.1, hold=1.0, steps=4),
+                effects=Effects(viscosity=Viscosity((0.5,), (0.2,))),
+            ),
+        ),
+    ),
+)
+"""Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45."""
+
+
+def chosen(names: tuple[str, ...]) -> tuple[Case, ...]:
+    """The cases of those names, all when there is none.
+
+    Raises:
+        ValueError: No such case.
+    """
+    known = {case.name: case for case in CASES}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{name!r}; allowed: {', '.join(known)}")
+    return tuple(known[name] for name in names) or CASES

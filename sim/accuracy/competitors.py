@@ -1,0 +1,118 @@
+"""What competes on the accuracy page: the one list of tiers, meshes and precisions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sim.errors import SceneError, SimulationDiverged
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate_many
+
+Outcomes = list[Result | SimulationDiverged]
+
+FEM_SPACINGS = (1.25e-3, 1.0e-3, 0.8e-3, 0.6667e-3, 0.5e-3, 0.4e-3)
+"""Edges of an element of `fem` in float32 [m], coarse to fine."""
+FEM_DOUBLE_SPACINGS = (1.0e-3, 0.6667e-3, 0.5e-3)
+"""The same in float64: enough to see that it moves nothing."""
+MPM_CELLS = (1.0e-3, 0.8e-3, 0.5e-3, 0.4e-3)
+"""Cells of `mpm` [m], coarse to fine; two particles a cell and dimension."""
+
+
+@dataclass(frozen=True, slots=True)
+class Competitor:
+    """One way to an answer."""
+
+    ladder: str
+    """Those of one ladder differ in fineness only, and are joined by a line."""
+    label: str
+    """Its step on the ladder."""
+    fineness: float
+    """Rises from coarse to fine."""
+    solve: Callable[[Sequence[Scene], str], Outcomes]
+    """From scenes and a device to their outcomes."""
+    cpu_only: bool = False
+    cpu_cases: tuple[str, ...] | None = None
+    """Cases that are measured on a CPU; None: all. Others would take hours there."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What was chosen, for the record."""
+
+    @property
+    def name(self) -> str:
+        """Ladder and step."""
+        return f"{self.ladder} {self.label}".strip()
+
+
+def _layer(scenes: Sequence[Scene], _device: str) -> Outcomes:
+    return simulate_many(scenes, "layer")
+
+
+def _fem(spacing: float, precision: str) -> Callable[[Sequence[Scene], str], Outcomes]:
+    def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
+        from sim.fem.numerics import Numerics
+
+        numerics = Numerics(spacing=spacing, precision=precision)  # type: ignore[arg-type]
+        return simulate_many(scenes, "fem", numerics=numerics, device=device)
+
+    return solve
+
+
+def _mpm(cell: float | None) -> Callable[[Sequence[Scene], str], Outcomes]:
+    def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
+        from sim.mpm import MpmNumerics, simulate_mpm
+
+        numerics = MpmNumerics.authors() if cell is None else MpmNumerics(cell=cell)
+        return simulate_mpm(scenes, numerics, device=device)
+
+    return solve
+
+
+def competitors() -> list[Competitor]:
+    """All of them; each ladder from coarse to fine."""
+    found = [Competitor("layer", "", 0.0, _layer, cpu_only=True)]
+    for precision, spacings in (("float32", FEM_SPACINGS), ("float64", FEM_DOUBLE_SPACINGS)):
+        for spacing in spacings:
+            found.append(
+                Competitor(
+                    f"fem {precision}",
+                    f"{spacing * 1e3:.3g} mm",
+                    1 / spacing,
+                    _fem(spacing, precision),
+                    settings={"spacing_mm": round(spacing * 1e3, 4), "precision": precision},
+                )
+            )
+    for cell in MPM_CELLS:
+        found.append(
+            Competitor(
+                "mpm",
+                f"{cell * 1e3:.3g} mm",
+                1 / cell,
+                _mpm(cell),
+                settings={"cell_mm": cell * 1e3, "per_cell": 2},
+            )
+        )
+    found.append(
+        Competitor(
+            "mpm as published",
+            "",
+            0.0,
+            _mpm(None),
+            cpu_cases=("sphere",),
+            settings={"preset": "MpmNumerics.authors()"},
+        )
+    )
+    return found
+
+
+def by_name(name: str) -> Competitor:
+    """The competitor of that name.
+
+    Raises:
+        SceneError: There is none.
+    """
+    known = {one.name: one for one in competitors()}
+    if name not in known:
+        raise SceneError(f"competitor: {name!r}; allowed: {', '.join(known)}")
+    return known[name]

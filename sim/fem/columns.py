@@ -1,0 +1,163 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""Preconditioner: the tangent without its couplings between vertical columns, solved exactly.
+
+The nodes of a column make a block-tridiagonal system, factored as L D L^T with one 3x3 pivot a node
+(Golub & Van Loan, Matrix Computations, 4th ed., section 4.5.1). The blocks are those of the state:
+made of the undeformed body's, columns need more iterations than single nodes do.
+
+Where the tangent is not convex, a pivot may have eigenvalues that are zero or negative. Those are
+lifted, to their absolute values at least; L D L^T with positive pivots is positive definite
+whatever L is.
+"""
+
+import functools
+
+import numpy as np
+import warp as wp
+
+from sim.fem.grid import CENTRE
+from sim.fem.mesh import Mesh
+from sim.fem.scalars import matrix_of, vector_of
+
+ABOVE = CENTRE + 1
+"""Slot of the node above."""
+PIVOT_LEAST = 1e-5
+"""Least eigenvalue of a pivot over the mean diagonal of its block. Shear against bulk modulus at
+nu = 0.4999 makes 1e-4 of it; below 1e-6 float32 has no digits left."""
+
+
+@functools.cache
+def _kernels(real):
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    half, third, least = real(0.5), real(1.0 / 3.0), real(PIVOT_LEAST)
+
+    @wp.func
+    def positive(a: mat33):
+        """Whether a symmetric matrix is positive definite, by its leading minors."""
+        return (
+            a[0, 0] > real(0.0)
+            and a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0] > real(0.0)
+            and wp.determinant(a) > real(0.0)
+        )
+
+    @wp.func
+    def lifted(a: mat33, floor: real):
+        """The symmetric matrix with every eigenvalue at least `floor` and its absolute value."""
+        vectors, values = wp.eig3(a)
+        for i in range(3):
+            values[i] = wp.max(wp.abs(values[i]), floor)
+        return vectors * wp.diag(values) * wp.transpose(vectors)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def factor(
+        # Mesh:
+        free: wp.array(dtype=wp.int32),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        # Out: inverse pivots, and each times the coupling to the node above (B, columns, levels)
+        pivot_out: wp.array3d(dtype=mat33),
+        upper_out: wp.array3d(dtype=mat33),
+    ):
+        env, column = wp.tid()
+        if active[env] == 0:
+            return
+        levels = pivot_out.shape[2]
+        below = mat33()
+        for k in range(levels):
+            n = column * levels + k
+            inverse = mat33()
+            upper = mat33()
+            if free[n] == 1:
+                block = matrix[env, n, CENTRE]
+                size = wp.abs(block[0, 0]) + wp.abs(block[1, 1]) + wp.abs(block[2, 2])
+                floor = least * third * size
+                pivot = block - below
+                pivot = (pivot + wp.transpose(pivot)) * half
+                if not positive(pivot - wp.identity(n=3, dtype=real) * floor):
+                    pivot = lifted(pivot, floor)
+                inverse = wp.inverse(pivot)
+                coupling = matrix[env, n, ABOVE]
+                upper = inverse * coupling
+                below = wp.transpose(coupling) * upper
+            pivot_out[env, column, k] = inverse
+            upper_out[env, column, k] = upper
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def solve(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        pivot: wp.array3d(dtype=mat33),
+        upper: wp.array3d(dtype=mat33),
+        r: wp.array2d(dtype=vec3),
+        # Out:
+        z_out: wp.array2d(dtype=vec3),
+    ):
+        env, column = wp.tid()
+        if active[env] == 0:
+            return
+        levels = pivot.shape[2]
+        first = column * levels
+        carried = vec3()
+        for k in range(levels):
+            y = r[env, first + k] - carried
+            z_out[env, first + k] = y
+            carried = wp.transpose(upper[env, column, k]) * y
+        z = vec3()
+        for j in range(levels):
+            k = levels - 1 - j
+            z = pivot[env, column, k] * z_out[env, first + k] - upper[env, column, k] * z
+            z_out[env, first + k] = z
+
+    return factor, solve
+
+
+class Columns:
+    """The preconditioner of B environments on one grid; owns its factors."""
+
+    def __init__(
+        self, mesh: Mesh, real, environments: int, device: str, *, parallel: bool | None = None
+    ) -> None:
+        """Make room for the factors: 72 bytes for each node and environment in float32.
+
+        Args:
+            mesh: Grid, and which nodes are held.
+            real: Warp's scalar type.
+            environments: How many, B.
+            device: Where.
+            parallel: Whether column numbers run fastest in memory. On a GPU, when not said.
+        """
+        self._device = device
+        self._factor, self._solve = _kernels(real)
+        levels = mesh.cells[2] + 1
+        columns = len(mesh.nodes) // levels
+        self._launched = (environments, columns)
+        if wp.get_device(device).is_cuda if parallel is None else parallel:
+            stored = wp.zeros((2, environments, levels, columns), matrix_of(real), device=device)
+            stored = stored.transpose((0, 1, 3, 2))
+        else:
+            stored = wp.zeros((2, environments, columns, levels), matrix_of(real), device=device)
+        self._pivot, self._upper = stored[0], stored[1]
+        self._free = wp.array(mesh.free.astype(np.int32), dtype=wp.int32, device=device)
+
+    def factor(self, active, matrix) -> None:
+        """Factor the columns of active environments, from the blocks (B, N, 27) of a `Stencil`."""
+        wp.launch(
+            self._factor,
+            dim=self._launched,
+            inputs=[self._free, active, matrix],
+            outputs=[self._pivot, self._upper],
+            device=self._device,
+        )
+
+    def apply(self, active, r, z) -> None:
+        """Write the preconditioner times `r` (B, N) into `z` (B, N), for active environments."""
+        wp.launch(
+            self._solve,
+            dim=self._launched,
+            inputs=[active, self._pivot, self._upper, r],
+            outputs=[z],
+            device=self._device,
+        )

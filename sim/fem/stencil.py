@@ -1,0 +1,282 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""The tangent assembled on the 27-point stencil of the grid of nodes, and its product with vectors.
+
+`matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s (`fem.grid`).
+Where the grid ends, and in rows and columns of held nodes, blocks are zero. Assembling, once per
+Newton iteration, costs about as much as 3 products without a matrix; each product is then some ten
+times cheaper on a CPU.
+
+Nothing is added atomically: `begin` writes what belongs to a node, then elements add theirs, on a
+GPU one colour of eight after the other, so that no two at a time share a node.
+"""
+
+import functools
+from itertools import pairwise
+
+import numpy as np
+import warp as wp
+
+from sim.fem.element_blocks import element_blocks_kernel
+from sim.fem.grid import CENTRE, SLOTS, colour_order, face_slots, slot_offsets
+from sim.fem.mesh import CORNERS, Mesh
+from sim.fem.nodes import RUN
+from sim.fem.scalars import matrix_of, vector_of
+
+
+@functools.cache
+def _kernels(real):
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def begin(
+        # Mesh:
+        faces: wp.array2d(dtype=wp.int32),
+        node_faces: wp.array2d(dtype=wp.int32),
+        slots: wp.array3d(dtype=wp.int32),
+        free: wp.array(dtype=wp.int32),
+        node_mass: wp.array2d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
+        # Contact: shape functions, which faces, stiffness of their points
+        shape: wp.array2d(dtype=real),
+        touched: wp.array2d(dtype=wp.int32),
+        contact: wp.array3d(dtype=mat33),
+        # Stiffness of a unit volume against any motion, by environment
+        shift: wp.array(dtype=real),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        # Out:
+        matrix_out: wp.array3d(dtype=mat33),
+    ):
+        env, n = wp.tid()
+        if active[env] == 0:
+            return
+        for slot in range(matrix_out.shape[2]):
+            matrix_out[env, n, slot] = mat33()
+        if free[n] == 0:
+            return
+        own = shift[env] * node_mass[variant[env], n]
+        matrix_out[env, n, CENTRE] = wp.identity(n=3, dtype=real) * own
+        for k in range(node_faces.shape[1]):
+            place = node_faces[n, k]
+            if place >= 0:
+                s = place // 4
+                a = place % 4
+                if touched[env, s] > 0:
+                    for b in range(slots.shape[2]):
+                        if free[faces[s, b]] == 1:
+                            block = mat33()
+                            for p in range(shape.shape[0]):
+                                block += contact[env, s, p] * (shape[p, a] * shape[p, b])
+                            slot = slots[s, a, b]
+                            matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
+
+    @wp.func
+    def row(
+        offsets: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        v: wp.array2d(dtype=vec3),
+        env: int,
+        n: int,
+    ):
+        """One row of the matrix times v; past the ends blocks are zero and any node will do."""
+        last = v.shape[1] - 1
+        total = vec3()
+        for near in range(9):
+            for k in range(3):
+                slot = 3 * near + k
+                other = wp.clamp(n + offsets[slot], 0, last)
+                total += matrix[env, n, slot] * v[env, other]
+        return total
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def product(
+        # Mesh:
+        offsets: wp.array(dtype=wp.int32),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        v: wp.array2d(dtype=vec3),
+        # Out: matrix times v, and v . (matrix v) of each run of nodes
+        product_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        env, run = wp.tid()
+        if active[env] == 0:
+            return
+        curvature = wp.float64(0.0)
+        for n in range(run * RUN, wp.min((run + 1) * RUN, v.shape[1])):
+            total = row(offsets, matrix, v, env, n)
+            product_out[env, n] = total
+            curvature += wp.float64(wp.dot(total, v[env, n]))
+        sums_out[env, run, 0] = curvature
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def multiply(
+        # Mesh:
+        offsets: wp.array(dtype=wp.int32),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        v: wp.array2d(dtype=vec3),
+        # Out:
+        product_out: wp.array2d(dtype=vec3),
+    ):
+        env, n = wp.tid()
+        if active[env] == 0:
+            return
+        product_out[env, n] = row(offsets, matrix, v, env, n)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def add_up(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        v: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        # Out: v . product of each run of nodes
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        env, run = wp.tid()
+        if active[env] == 0:
+            return
+        curvature = wp.float64(0.0)
+        for n in range(run * RUN, wp.min((run + 1) * RUN, v.shape[1])):
+            curvature += wp.float64(wp.dot(product[env, n], v[env, n]))
+        sums_out[env, run, 0] = curvature
+
+    return begin, product, multiply, add_up
+
+
+class Stencil:
+    """The tangents of B environments on one grid; owns the matrix."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        real,
+        environments: int,
+        device: str,
+        *,
+        viscous: bool = False,
+        full_integration: bool = False,
+        parallel: bool | None = None,
+    ) -> None:
+        """Make room for the matrix: 972 bytes for each node and environment in float32.
+
+        Args:
+            mesh: Grid and what is around each node; its geometry is given with every assembly.
+            real: Warp's scalar type.
+            environments: How many, B.
+            device: Where.
+            viscous: Whether stresses have a history.
+            full_integration: The planted mistake of `element_kernels`.
+            parallel: Whether threads run at once: colour by colour, and node numbers fastest in
+                memory. On a GPU, when not said.
+        """
+        count = len(mesh.nodes)
+        mat33 = matrix_of(real)
+        self._device = device
+        self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
+        self._elements_kernel = element_blocks_kernel(real, viscous, full_integration)
+        self._begin, self._product, self._multiply, self._add_up = _kernels(real)
+        self._environments, self._nodes = environments, count
+        self._runs = -(-count // RUN)
+        if self._parallel:
+            order, self._begins = colour_order(mesh.cells)
+            stored = wp.zeros((environments, SLOTS, count), dtype=mat33, device=device)
+            stored = stored.transpose((0, 2, 1))
+        else:
+            order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
+            stored = wp.zeros((environments, count, SLOTS), dtype=mat33, device=device)
+        self.matrix = stored
+        """Blocks (B, N, 27) of the state last assembled."""
+        self._order = self._integers(order)
+        self._elements = self._integers(mesh.elements)
+        self._faces = self._integers(mesh.faces)
+        self._node_faces = self._integers(mesh.node_faces)
+        self._slots = self._integers(face_slots(mesh))
+        self._offsets = self._integers(slot_offsets(mesh.cells))
+        self._free = self._integers(mesh.free)
+
+    def assemble(self, active, u, geometry, material, contact, shift) -> None:
+        """Fill `matrix` of active environments with the tangent at `u`.
+
+        Args:
+            active: Which environments, int32 (B,).
+            u: Displacement (B, N).
+            geometry: Of M meshes: inverse Jacobians (M, E, 8), weights (M, E, 8) and node volumes
+                (M, N); and which of them each environment has, int32 (B,).
+            material: Shear and bulk modulus (B,), factor, bulk factor, history and bulk history,
+                as the element kernels take them.
+            contact: Shape functions (P, 4), how many points of a face touch (B, S) and the
+                stiffness of each (B, S, P), as the contact kernel gives them.
+            shift: Stiffness of a unit volume against any motion (B,).
+        """
+        inverse, weight, node_mass, variant = geometry
+        wp.launch(
+            self._begin,
+            dim=(self._environments, self._nodes),
+            inputs=[
+                self._faces,
+                self._node_faces,
+                self._slots,
+                self._free,
+                node_mass,
+                variant,
+                *contact,
+                shift,
+                active,
+            ],
+            outputs=[self.matrix],
+            device=self._device,
+        )
+        for first, past in pairwise(self._begins):
+            wp.launch(
+                self._elements_kernel,
+                dim=(self._environments, past - first),
+                inputs=[
+                    self._elements,
+                    inverse,
+                    weight,
+                    variant,
+                    self._order,
+                    first,
+                    self._free,
+                    len(CORNERS),
+                    *material,
+                    active,
+                    u,
+                ],
+                outputs=[self.matrix],
+                device=self._device,
+            )
+
+    def product(self, active, v, product, sums) -> None:
+        """Write matrix times `v` and its partial sums: what `ConjugateGradient.solve` applies."""
+        inputs = [self._offsets, active, self.matrix, v]
+        runs = (self._environments, self._runs)
+        if not self._parallel:
+            wp.launch(
+                self._product, dim=runs, inputs=inputs, outputs=[product, sums], device=self._device
+            )
+            return
+        wp.launch(
+            self._multiply,
+            dim=(self._environments, self._nodes),
+            inputs=inputs,
+            outputs=[product],
+            device=self._device,
+        )
+        wp.launch(
+            self._add_up,
+            dim=runs,
+            inputs=[active, v, product],
+            outputs=[sums],
+            device=self._device,
+        )
+
+    def _integers(self, values) -> wp.array:
+        return wp.array(
+            np.ascontiguousarray(values, dtype=np.int32), dtype=wp.int32, device=self._device
+        )

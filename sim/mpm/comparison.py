@@ -1,0 +1,193 @@
+"""The method beside the finite elements and the authors' settings, on one sphere press."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from sim.body import Body
+from sim.errors import SimulationDiverged
+from sim.indenters import sphere
+from sim.motion import press
+from sim.mpm.numerics import AUTHORS_CELL, MpmNumerics
+from sim.mpm.solver import simulate_mpm
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+RADIUS = 4e-3
+DEPTHS = (0.5e-3, 1.0e-3, 1.5e-3)
+FORCE = (0.2652, 0.9197, 1.9560)
+"""Force at `DEPTHS` on the paper's gel, frictionless [N]; two element families agree to 0.1 %."""
+FORCE_RELEASED = (0.2405, 0.7894, 1.618)
+"""The same on the body that the released parameters make, by elements of 0.5 mm [N]."""
+FORCE_STICKING = 2.185
+"""At the last depth when nothing slips [N]."""
+RADII = (4e-3, 5e-3, 6e-3, 8e-3)
+UP = (0.0001e-3, 0.0439e-3, 0.0424e-3, 0.0097e-3)
+"""Height of the surface at `RADII` around the deepest press [m], from the same elements."""
+SPEED = 10e-3
+SPEED_RELEASED = 40e-3
+"""Speed of the tip in the paper, and in GenForce's released parameters [m/s]."""
+BODY_RELEASED = Body(size_x=25e-3, size_y=25e-3, thickness=5e-3)
+"""The body that the released parameters really make."""
+SPACINGS = {"authors": 0.2e-3, "authors, as released": 0.25e-3}
+"""Between the particles of the authors' presets [m]."""
+ANGLES = np.arange(4) * np.pi / 2
+"""Where `UP` holds: along the axes. The free sides let the diagonals move more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One way to press the sphere, what came out, and what it cost."""
+
+    name: str
+    force: tuple[float, ...]
+    """At `DEPTHS`, pushing is positive [N]."""
+    reference: tuple[float, ...]
+    """What it should be, frictionless [N]."""
+    force_rescaled: tuple[float, ...]
+    """The same, had the volume of a particle been right [N]."""
+    up: tuple[float, ...]
+    """Height of the surface at `RADII` at the last depth [m]."""
+    outward: tuple[float, ...]
+    """How far it moved outwards there [m]."""
+    particles: int
+    """0 for finite elements."""
+    steps: int
+    """0 for finite elements."""
+    seconds: float
+    """Wall time, kernels compiled before."""
+    cpu_seconds: float
+    """Processor time of this process."""
+    bytes: int
+    """Of all arrays on the device; 0 where it is not counted."""
+    device: str
+    warnings: tuple[str, ...] = ()
+
+
+def sphere_scene(body: Body | None = None, *, speed: float = SPEED) -> Scene:
+    """The press that all rows share, frictionless; `speed` in [m/s]."""
+    return Scene(sphere(RADIUS), press(DEPTHS, speed=speed), body=body or Body())
+
+
+def choices(*, fine: bool = False) -> dict[str, tuple[Scene, MpmNumerics]]:
+    """What is compared, by name: the authors' two presets, then ours from coarse to fine."""
+    paper = sphere_scene()
+    found = {
+        "authors": (paper, MpmNumerics.authors()),
+        "authors, as released": (
+            sphere_scene(BODY_RELEASED, speed=SPEED_RELEASED),
+            MpmNumerics.authors_released(),
+        ),
+    }
+    cells = (0.5e-3, 0.4e-3, 0.25e-3) if fine else (0.5e-3, 0.4e-3)
+    for cell in cells:
+        for reach in (0.0, 0.25, 0.5):
+            name = f"cell {cell * 1e3:g} mm, reach {reach:g}"
+            found[name] = paper, MpmNumerics(cell=cell, reach=reach)
+    found["cell 0.4 mm, sticky"] = paper, MpmNumerics(cell=0.4e-3, contact="sticky")
+    return found
+
+
+def measure(
+    name: str,
+    scene: Scene,
+    numerics: MpmNumerics,
+    *,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Row:
+    """The row of one choice.
+
+    Raises:
+        SimulationDiverged: There is none.
+    """
+    # The same kernels on a handful of particles, so that none is compiled while time is taken.
+    tiny = Scene(sphere(RADIUS), press([1e-6], speed=SPEED), body=Body(4e-3, 4e-3, 4e-3))
+    simulate_mpm([tiny], _coarse(numerics), device=device)
+    wall, cpu = time.perf_counter(), time.process_time()
+    outcome = simulate_mpm([scene], numerics, device=device, progress=progress)[0]
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    if isinstance(outcome, SimulationDiverged):
+        raise outcome
+    record = outcome.record
+    volume = 1.0
+    if numerics.particle_volume is not None:
+        # What a particle of the lattice stands for, over what it was given.
+        volume = (AUTHORS_CELL / numerics.per_cell) ** 3 / numerics.particle_volume
+    return _row(
+        name,
+        outcome,
+        volume=volume,
+        particles=record["particles"],
+        steps=record["steps"],
+        seconds=wall,
+        cpu_seconds=cpu,
+        bytes=record["bytes"],
+        device=record["device"],
+        warnings=tuple(record["warnings"]),
+    )
+
+
+def measure_elements(*, device: str = "cpu", progress: Progress | None = None) -> Row:
+    """The row of the finite elements, with their own settings."""
+    scene = sphere_scene()
+    simulate(Scene(sphere(RADIUS), press([1e-6]), body=Body(4e-3, 4e-3, 4e-3)), device=device)
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = simulate(scene, "fem", device=device, progress=progress)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return _row(
+        "finite elements",
+        result,
+        volume=1.0,
+        particles=0,
+        steps=0,
+        seconds=wall,
+        cpu_seconds=cpu,
+        bytes=0,
+        device=device,
+        warnings=tuple(result.record["warnings"]),
+    )
+
+
+def around(result: Result, radius: float) -> tuple[float, float]:
+    """Height and outward way of the surface at this distance [m], last frame, mean over 4 sides."""
+    axes = (result.surface_x, result.surface_y)
+    field = RegularGridInterpolator(axes, result.surface[-1].astype(float))
+    spokes = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+    moved = field(radius * spokes)
+    return float(moved[:, 2].mean()), float((moved[:, :2] * spokes).sum(axis=1).mean())
+
+
+def _row(name: str, result: Result, *, volume: float, **cost: object) -> Row:
+    force = -result.force[1:, 2]
+    places = [around(result, radius) for radius in RADII]
+    return Row(
+        name=name,
+        force=tuple(float(value) for value in force),
+        reference=FORCE_RELEASED if result.scene.body == BODY_RELEASED else FORCE,
+        force_rescaled=tuple(float(value) * volume for value in force),
+        up=tuple(up for up, _ in places),
+        outward=tuple(outward for _, outward in places),
+        **cost,  # type: ignore[arg-type]
+    )
+
+
+def _coarse(numerics: MpmNumerics) -> MpmNumerics:
+    """The same kernels on the coarsest grid."""
+    return MpmNumerics(
+        cell=1e-3,
+        contact=numerics.contact,
+        base=numerics.base,
+        reach=numerics.reach,
+        precision=numerics.precision,
+    )

@@ -1,0 +1,210 @@
+"""The cheapest way to an answer within a tolerance, and why it is that one."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from sim.errors import SceneError
+from sim.planner import seconds as seconds_file
+from sim.planner import table as table_file
+from sim.planner.choices import Choice, all_choices
+from sim.planner.features import WHAT, Probe, probe
+from sim.planner.measure import conditions_text
+from sim.planner.model import PROMISED, Model, fit
+from sim.planner.seconds import SecondsModel, fit_seconds
+from sim.planner.tolerance import Kind, Tolerance, said, tolerance_of
+from sim.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Planner:
+    """What plans are made from."""
+
+    errors: Model
+    seconds: SecondsModel
+    numerics: str
+    """The settings of `fem` that the table was measured with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """A choice, and what is predicted of it."""
+
+    choice: Choice
+    error: float
+    """That `PROMISED` of scenes like it stay below, in the tolerance's unit; inf where none is
+    known."""
+    seconds: float
+    """Of the press alone, kernels compiled."""
+    kind: Kind
+
+    def __str__(self) -> str:
+        """In words."""
+        error = "no error known" if math.isinf(self.error) else said(self.kind, self.error)
+        return f"{self.choice}: {error}, {self.seconds:.2g} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is chosen for a scene."""
+
+    tolerance: Tolerance
+    device: str
+    chosen: Offer
+    cheaper: Offer | None
+    """The dearest of those that are cheaper and miss the tolerance; None where none is cheaper."""
+    dearer: Offer | None
+    """The cheapest of those that take longer and miss less; None where nothing does."""
+    offers: tuple[Offer, ...]
+    """All of them, from cheap to dear."""
+    group: str
+    """Kind of scene whose spread of errors was added."""
+    looked: Probe
+    """The run of `layer` that the plan is read from."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def within(self) -> list[Offer]:
+        """Offers within the tolerance, from cheap to dear."""
+        return [offer for offer in self.offers if offer.error <= self.tolerance.value]
+
+    @property
+    def why(self) -> str:
+        """The choice, in a sentence or two."""
+        share = f"{100 * PROMISED:g} of 100 scenes like this ({self.group})"
+        text = f"{self.chosen}; {share} stay below that, and {self.tolerance} is asked for"
+        if self.cheaper is not None:
+            text += f". Cheaper is {self.cheaper}"
+        if self.dearer is not None:
+            text += f". Dearer is {self.dearer}"
+        return text
+
+    def record(self) -> dict[str, Any]:
+        """What is kept with the result, as plain values."""
+        return {
+            "tolerance": str(self.tolerance),
+            "chosen": str(self.chosen),
+            "cheaper": None if self.cheaper is None else str(self.cheaper),
+            "dearer": None if self.dearer is None else str(self.dearer),
+            "group": self.group,
+            "why": self.why,
+            "notes": list(self.notes),
+        }
+
+
+def plan(
+    scene: Scene, tolerance: str, device: str = "cpu", *, planner: Planner | None = None
+) -> Plan:
+    """The cheapest choice whose predicted error is within `tolerance`.
+
+    Args:
+        scene: What is to be simulated. One run of `layer` looks at it first.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `Tolerance`.
+        device: Where `fem` would run.
+        planner: What to plan with; the stored table unless given.
+
+    Raises:
+        SceneError: No tolerance, a scene beyond what the table covers, or a tolerance that nothing
+            reaches: it names the best that is reached.
+        SimulationDiverged: `layer` found no contact.
+    """
+    wanted = tolerance_of(tolerance)
+    _check_effects(scene)
+    planner = planner or stored()
+    looked = probe(scene)
+    _check_inside(planner.errors, looked)
+    offers = _offers(planner, looked, wanted.kind, device)
+    good = [offer for offer in offers if offer.error <= wanted.value]
+    if not good:
+        best = min(offers, key=lambda offer: (offer.error, offer.seconds))
+        allowed = (
+            "no tolerance for scenes of this kind"
+            if math.isinf(best.error)
+            else f"{said(wanted.kind, 1.001 * best.error)} or more"
+        )
+        raise SceneError(f"tolerance: {tolerance!r}; the best is {best}; allowed: {allowed}")
+    chosen = good[0]
+    place = offers.index(chosen)
+    cheaper = offers[place - 1] if place else None
+    more = [offer for offer in offers[place + 1 :] if offer.error < chosen.error]
+    notes = []
+    if planner.numerics != conditions_text():
+        notes.append(
+            "the cost table was measured with other settings of fem than today's: `python -m sim "
+            "cost-table` measures it anew"
+        )
+    return Plan(
+        tolerance=wanted,
+        device=device,
+        chosen=chosen,
+        cheaper=cheaper,
+        dearer=more[0] if more else None,
+        offers=tuple(offers),
+        group=looked.features.group,
+        looked=looked,
+        notes=tuple(notes),
+    )
+
+
+@functools.cache
+def stored() -> Planner:
+    """The planner of the stored table.
+
+    Raises:
+        SceneError: There is none.
+    """
+    for path in (table_file.TRAINING, seconds_file.STORED):
+        if not path.exists():
+            raise SceneError(
+                f"tolerance: no cost table to plan with, {path} is not there; allowed: once "
+                "`python -m sim cost-table` has made it"
+            )
+    table = table_file.read(table_file.TRAINING)
+    return Planner(
+        fit(table), fit_seconds(table, seconds_file.read()), table.conditions["numerics"]
+    )
+
+
+def _check_effects(scene: Scene) -> None:
+    for name in ("inertia", "gravity"):
+        if getattr(scene.effects, name) is not None:
+            raise SceneError(
+                f"effects.{name}: {getattr(scene.effects, name)!r}; allowed with a tolerance: None "
+                "(the cost table covers friction and viscosity)"
+            )
+
+
+def _check_inside(model: Model, looked: Probe) -> None:
+    outside = model.outside(looked.features)
+    if outside:
+        said_ = "; ".join(
+            f"{WHAT[name]} is {value:.3g}, allowed: {low:.3g} to {high:.3g}"
+            for name, value, low, high in outside
+        )
+        raise SceneError(
+            f"tolerance: this scene lies outside of what the cost table covers: {said_}; or choose "
+            "tier and mesh yourself"
+        )
+
+
+def _offers(planner: Planner, looked: Probe, kind: Kind, device: str) -> list[Offer]:
+    """Every choice with its predictions, from cheap to dear."""
+    scale = looked.scales[kind]
+    features = looked.features
+    known = planner.errors.choices()
+    offers = []
+    for choice in all_choices():
+        if Choice(choice.tier, choice.cells) not in known:
+            continue
+        offers.append(
+            Offer(
+                choice=choice,
+                error=scale * planner.errors.error(features, choice, kind),
+                seconds=planner.seconds(features, choice, device),
+                kind=kind,
+            )
+        )
+    return sorted(offers, key=lambda offer: (offer.seconds, offer.error))

@@ -1,0 +1,152 @@
+"""Error measures: force, surface and markers of one outcome against another."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.accuracy.markers import DISTANCE, FOCAL, marker_places, seen
+from sim.accuracy.measure import POINTS, WEAK, compare, marker_pixels
+from sim.accuracy.outcome import Outcome, load, outcome_of, save
+from sim.body import Body
+from sim.indenters import sphere
+from sim.layer import simulate_layer
+from sim.motion import press
+from sim.scene import Scene
+
+BODY = Body()
+
+
+def dent(x, y, frames=2):
+    """A smooth field: deeper frame by frame, outwards beside the dent."""
+    near = np.exp(-(x[:, None] ** 2 + y[None, :] ** 2) / (4e-3) ** 2)
+    field = np.stack([0.2 * x[:, None] * near, 0.2 * y[None, :] * near, -1e-3 * near], axis=-1)
+    return np.stack([field * (frame + 1) / frames for frame in range(frames)])
+
+
+def outcome(x, y, force=((0, 0, -0.5), (0, 0, -2.0)), touched_within=2e-3):
+    near = np.hypot(x[:, None], y[None, :]) < touched_within
+    return Outcome(
+        force=np.array(force, float),
+        surface_x=x,
+        surface_y=y,
+        surface=dent(x, y, len(force)).astype(np.float32),
+        touched=np.stack([near] * len(force)),
+    )
+
+
+def even(points):
+    return np.linspace(-10e-3, 10e-3, points)
+
+
+def graded(points):
+    """Dense in the middle."""
+    share = np.linspace(-1, 1, points)
+    return 10e-3 * (0.3 * share + 0.7 * share**3)
+
+
+def test_an_outcome_is_no_distance_from_itself():
+    one = outcome(even(41), even(31))
+    errors = compare(one, one, BODY)
+    assert all(value == 0 for value in errors.worst().values())
+    assert errors.force.shape == errors.force_share.shape == (2, 3)
+    assert errors.surface.shape == errors.marker.shape == (2,)
+
+
+def test_points_may_be_spaced_as_they_like():
+    fine = outcome(even(201), even(201))
+    for x in (even(61), graded(61)):
+        errors = compare(outcome(x, x), fine, BODY)
+        assert 0 < errors.surface[-1] < 0.5e-6
+    coarse = compare(outcome(even(7), even(7)), fine, BODY)
+    assert coarse.surface[-1] > 10e-6
+
+
+def test_a_shift_of_the_surface_is_found_in_metres_and_in_pixels():
+    x = even(41)
+    one = outcome(x, x)
+    flat = replace(one, surface=np.zeros_like(one.surface))
+    shift = np.array([3e-6, -4e-6, 0.0])
+    moved = replace(flat, surface=flat.surface + shift.astype(np.float32))
+    errors = compare(moved, flat, BODY)
+    assert errors.surface == pytest.approx([5e-6, 5e-6], rel=1e-5)
+    assert errors.surface_rms == pytest.approx([5e-6, 5e-6], rel=1e-5)
+    assert errors.marker == pytest.approx(2 * [5e-6 * FOCAL / DISTANCE], rel=1e-4)
+
+
+def test_a_pixel_sees_33_9_micrometres_and_what_is_nearer_looks_larger():
+    places = np.array([[33.93e-6, 0, 0], [1e-3, 0, 0], [1e-3, 0, -1e-3]])
+    pixels = seen(places)
+    assert pixels[0, 0] == pytest.approx(1, rel=1e-3)
+    assert pixels[2, 0] / pixels[1, 0] == pytest.approx(DISTANCE / (DISTANCE - 1e-3))
+
+
+def test_markers_are_a_regular_grid_over_the_body():
+    x, y = marker_places(Body(size_y=10e-3))
+    assert len(x) == len(y) == 14
+    assert np.ptp(x) == pytest.approx(20e-3 * 13 / 14)
+    assert np.ptp(y) == pytest.approx(10e-3 * 13 / 14)
+    still = outcome(even(21), even(21))
+    still = replace(still, surface=np.zeros_like(still.surface))
+    pixels = marker_pixels(still, BODY)
+    assert pixels.shape == (2, 14, 14, 2)
+    step = np.diff(pixels[0, :, 0, 0])
+    assert step == pytest.approx(np.full(13, 20e-3 / 14 * FOCAL / DISTANCE))
+
+
+def test_a_weak_frame_is_measured_by_a_tenth_of_the_strongest():
+    x = even(21)
+    true = outcome(x, x, force=((0, 0, -0.01), (0, 0, -2.0)))
+    found = replace(true, force=true.force + np.array([0.002, 0.0, 0.02]))
+    errors = compare(found, true, BODY)
+    assert errors.force[0] == pytest.approx([0.002, 0, 0.02])
+    assert errors.force_share[0] == pytest.approx([0.002 / (WEAK * 2), 0, 0.02 / (WEAK * 2)])
+    assert errors.force_share[1] == pytest.approx([0.001, 0, 0.01])
+    assert errors.worst()["force_share"] == pytest.approx(0.1)
+    assert errors.worst()["force_last"] == pytest.approx(0.01)
+
+
+def test_beside_the_contact_what_happens_under_it_does_not_count():
+    x = even(101)
+    true = outcome(x, x)
+    wrong = true.surface.copy()
+    wrong[:, true.touched[0]] += 1e-4
+    errors = compare(replace(true, surface=wrong), true, BODY)
+    assert errors.surface[0] > 1.7e-4
+    assert errors.outside[0] < 0.2 * errors.surface[0]
+
+
+def test_a_body_touched_everywhere_has_nothing_beside_the_contact():
+    x = even(21)
+    errors = compare(outcome(x, x, touched_within=1.0), outcome(x, x, touched_within=1.0), BODY)
+    assert np.isnan(errors.outside).all()
+    assert math.isnan(errors.worst()["outside"])
+
+
+def test_outcomes_that_do_not_belong_together_are_refused():
+    x = even(21)
+    one = outcome(x, x)
+    with pytest.raises(ValueError, match="2 frames against 1"):
+        compare(one, one.frames([1]), BODY)
+    with pytest.raises(ValueError, match="on a body of"):
+        compare(one, one, Body(size_x=10e-3, size_y=10e-3))
+
+
+def test_an_outcome_comes_back_from_its_file(tmp_path):
+    one = outcome_of(simulate_layer(Scene(sphere(4e-3), press([0.5e-3])), grid=32))
+    save(tmp_path / "kept.npz", {"a": one, "b-fine": one.frames([1])})
+    again = load(tmp_path / "kept.npz")
+    assert set(again) == {"a", "b-fine"}
+    assert compare(again["a"], one, BODY).worst()["surface"] == 0
+    assert again["b-fine"].force == pytest.approx(one.force[1:])
+
+
+def test_a_coarse_grid_of_the_layer_is_near_its_fine_one():
+    scene = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
+    coarse, fine = (outcome_of(simulate_layer(scene, grid=grid)) for grid in (48, 128))
+    worst = compare(coarse, fine, scene.body).worst()
+    assert 0 < worst["force_share"] < 0.01
+    assert 0 < worst["marker_rms"] < 0.05
+    assert worst["surface_rms"] < worst["surface"]
+    assert POINTS > 100

@@ -1,0 +1,172 @@
+"""The accuracy page: what competes, what it is held against, what is kept and drawn."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sim.accuracy import campaign
+from sim.accuracy.campaign import CLOSED_FORM, Plan, measure, measure_here
+from sim.accuracy.cases import CASES, chosen
+from sim.accuracy.chart import Scale
+from sim.accuracy.closed_form import closed_form
+from sim.accuracy.competitors import by_name, competitors
+from sim.accuracy.outcome import outcome_of
+from sim.accuracy.page import COLOURS, write_page
+from sim.accuracy.reference import Reference, finer, solve_references
+from sim.accuracy.row import MEASURES, Measured, Row, append, begin, read
+from sim.accuracy.spent import spent_by
+from sim.errors import SceneError
+from sim.layer import simulate_layer
+from sim.motion import press, ramp_hold
+from sim.references import hertz
+
+SPHERE = chosen(("sphere",))[0]
+
+
+def row(case="sphere", ladder="fem float32", label="1 mm", error=0.02, **others):
+    errors = dict.fromkeys(MEASURES, error)
+    given = {"wall": 1.0, "cpu": 0.9, "memory": 2**28, "elements": 1600, "axes": (0.0, 0.0, error)}
+    fineness = 1000.0 if label else 0.0
+    return Row(case, ladder, label, fineness, "cpu", mean=errors, worst=errors, **(given | others))
+
+
+def test_every_named_kind_of_press_is_a_case():
+    names = [case.name for case in CASES]
+    assert names == ["sphere", "punch", "cone", "tube", "indenters", "loop", "hold"]
+    assert len(chosen(("indenters",))[0].scenes) == 18
+    for case in CASES:
+        assert len({scene.effects.key for scene in case.scenes}) == 1
+        assert len({scene.body for scene in case.scenes}) == 1
+    with pytest.raises(ValueError, match="sphere, punch"):
+        chosen(("ball",))
+
+
+def test_every_competitor_has_a_colour_and_a_name_of_its_own():
+    known = competitors()
+    assert len({one.name for one in known}) == len(known)
+    assert {one.ladder for one in known} <= set(COLOURS)
+    assert by_name("layer").cpu_only
+    with pytest.raises(SceneError, match="layer"):
+        by_name("nothing")
+    for ladder in {one.ladder for one in known}:
+        fineness = [one.fineness for one in known if one.ladder == ladder]
+        assert fineness == sorted(fineness)
+
+
+def test_closed_forms_press_and_friction_stays_within_coulomb():
+    force = closed_form("sphere", SPHERE.scenes[0])
+    assert force[-1, 2] == pytest.approx(-hertz(1.5e-3, 4e-3, 0.145e6, 0.45))
+    loop = chosen(("loop",))[0].scenes[0]
+    force = closed_form("loop", loop)
+    assert (np.abs(force[:, 0]) <= 0.5 * -force[:, 2] + 1e-12).all()
+    assert force[:, 0].max() > 0 > force[:, 0].min()
+    hold = closed_form("hold", chosen(("hold",))[0].scenes[0])
+    assert hold[4, 2] < hold[-1, 2] < 0
+    assert closed_form("tube", chosen(("tube",))[0].scenes[0]) is None
+
+
+def test_a_finer_motion_keeps_its_waypoints():
+    motion = ramp_hold(1e-3, ramp=0.1, hold=1.0, steps=3)
+    cut = finer(motion, 4)
+    assert len(cut) == 4 * (len(motion) - 1) + 1
+    assert cut.tip[::4] == motion.tip
+    assert cut.time[::4] == motion.time
+    assert finer(motion, 1) == motion
+
+
+def test_memory_and_time_of_a_computation_are_seen():
+    def work():
+        return float(np.ones(2**25).sum())
+
+    small = spent_by(lambda: 0, "cpu")[1]
+    value, spent = spent_by(work, "cpu")
+    assert value == 2**25
+    assert spent.memory > small.memory + 2**27
+    assert spent.wall > 0
+    assert spent.cpu > 0
+
+
+def test_rows_and_floors_come_back_from_their_file(tmp_path):
+    path = tmp_path / "cpu.jsonl"
+    begin(path, "a machine", "cpu", "fem")
+    kept = row(note="half of it", failed=1)
+    append(path, {"case": "sphere", "floor": {"force": 0.001, "outside": math.nan}})
+    append(path, kept)
+    append(path, replace(kept, label="0.5 mm", mean={}, worst={}, axes=(), wall=math.nan))
+    begin(path, "another", "cpu", "fem")
+    again = read(path)
+    assert again.machine == "a machine"
+    assert again.rows[0] == kept
+    assert math.isnan(again.rows[1].wall)
+    assert again.floors["sphere"]["force"] == 0.001
+    assert math.isnan(again.floors["sphere"]["outside"])
+    (tmp_path / "other.jsonl").write_text("{}\n")
+    with pytest.raises(ValueError, match="no measurements"):
+        read(tmp_path / "other.jsonl")
+
+
+def test_the_page_names_the_cheapest_within_each_error(tmp_path):
+    rows = (
+        row(ladder="layer", label="", error=0.05, wall=0.01),
+        row(label="1 mm", error=0.02, wall=1.0),
+        replace(row(label="0.5 mm", error=0.002, wall=9.0), fineness=2000.0),
+        replace(row(ladder=CLOSED_FORM, label="", error=0.5), device="none", wall=0.0, memory=0),
+        replace(row(label="1 mm", error=0.02, wall=0.1), device="cuda:0"),
+        replace(row(case="hold", ladder="mpm"), mean={}, note="refused: viscosity"),
+    )
+    floors = {"sphere": dict.fromkeys(MEASURES, 0.0005)}
+    page = tmp_path / "accuracy.md"
+    write_page(page, tmp_path / "accuracy", [Measured("one core", "cpu", "fem", floors, rows)])
+    text = page.read_text()
+    assert "| sphere R 4 mm | CPU | 0.010, layer | 1.00, fem float32 1 mm | 9.00, fem" in text
+    assert "| sphere R 4 mm | GPU | 0.10, fem float32 1 mm |" in text
+    assert "refused: viscosity" in text
+    assert max(map(len, text.splitlines())) < 400
+    for name in ("accuracy", "accuracy-surface", "accuracy-markers", "accuracy-memory"):
+        with Image.open(tmp_path / "images" / f"{name}.png") as picture:
+            assert picture.width > 1000
+            assert len(picture.getcolors(2**16) or range(300)) > 20
+
+
+def test_a_scale_is_logarithmic_and_ends_at_its_ends():
+    scale = Scale(0.1, 10, 100, 300)
+    assert [scale(value) for value in (0.01, 0.1, 1, 10, 99)] == [100, 100, 200, 300, 300]
+
+
+def test_a_measurement_says_what_it_took_and_missed():
+    case = replace(SPHERE, scenes=(replace(SPHERE.scenes[0], motion=press([0.4e-3])),))
+    true = solve_references(case.scenes, 1.0e-3, "cpu")[0]
+    found = measure_here(case, by_name("fem float32 1.25 mm"), "cpu", [Reference(true, {})])
+    assert 0 < found.mean["force_share"] < 0.5
+    assert found.wall > 0
+    assert found.elements == 16 * 16 * 3
+    layer = measure_here(case, by_name("layer"), "cpu", [Reference(true, {})])
+    assert layer.elements == 128**2
+    assert layer.wall < found.wall
+
+
+def test_what_is_expected_to_take_too_long_is_left_out_and_nothing_is_measured_twice(
+    tmp_path, monkeypatch
+):
+    known = Reference(outcome_of(simulate_layer(SPHERE.scenes[0], grid=32)), {"force": 0.001})
+    made = []
+
+    def pretend(case, one, device, truth):
+        made.append(one.name)
+        return row(case.name, one.ladder, one.label, wall=1.0)
+
+    monkeypatch.setattr(campaign, "references", lambda *_: [known])
+    monkeypatch.setattr(campaign, "_measured", pretend)
+    steps = tuple(by_name(f"fem float32 {size} mm") for size in ("1.25", "1", "0.5"))
+    plan = Plan("cpu", (SPHERE,), steps, 1e-3, 5.0, tmp_path)
+    lines = []
+    for _ in range(2):
+        measure(plan, tmp_path / "cpu.jsonl", lines.append)
+    assert made == ["fem float32 1.25 mm", "fem float32 1 mm"]
+    kept = read(tmp_path / "cpu.jsonl")
+    assert [one.name for one in kept.rows] == [CLOSED_FORM, *made]
+    assert kept.floors["sphere"]["force"] == 0.001
+    assert "sphere done" in lines[-1]

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import fem_oracles as oracle
+import numpy as np
+import pytest
+import warp as wp
+from fem_oracles import Array
+from fem_tangents import COUNT, FILLED, GRID, Tangents, spread_out
+
+from sim.fem.grid import SLOTS, colour_order, face_slots, neighbours
+from sim.fem.nodes import RUN
+from sim.fem.scalars import vector_of
+
+RUNS = -(-COUNT // RUN)
+REALS = [
+    pytest.param(wp.float64, 1e-12, id="float64"),
+    pytest.param(wp.float32, 2e-5, id="float32"),
+]
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+@pytest.mark.parametrize(
+    ("variant", "real", "error"),
+    [
+        ("elastic", wp.float64, 1e-12),
+        ("elastic", wp.float32, 2e-5),
+        ("viscous", wp.float64, 1e-12),
+        ("full_integration", wp.float64, 1e-12),
+    ],
+)
+def test_the_matrix_is_the_derivative_of_the_forces(
+    variant: str, real: Any, error: float, parallel: bool
+) -> None:
+    tangents = Tangents(variant)
+    matrix = tangents.stencil(real, parallel=parallel).matrix.numpy()
+    assert matrix.shape == (3, COUNT, SLOTS, 3, 3)
+    for env in np.flatnonzero(tangents.active):
+        found, expected = spread_out(matrix[env]), tangents.dense(env)
+        assert oracle.relative(found, expected) < error
+        there = neighbours(GRID.cells) >= 0
+        assert not matrix[env][~there].any(), "blocks past the end of the grid are zero"
+        asymmetry = np.abs(found - np.transpose(found, (2, 3, 0, 1))).max()
+        assert asymmetry < error / 10 * np.abs(found).max()
+    assert (matrix[2] == FILLED).all(), "an environment that is off is left alone"
+
+
+def test_a_node_of_the_base_has_neither_row_nor_column() -> None:
+    matrix = Tangents().stencil(wp.float64).matrix.numpy()
+    dense = spread_out(matrix[0])
+    assert not dense[~GRID.free].any()
+    assert not dense[:, :, ~GRID.free].any()
+    own = np.einsum("ninj->nij", dense)[GRID.free]
+    assert (np.abs(own).max(axis=(1, 2)) > 0).all()
+
+
+def test_assembling_again_gives_the_same_bits() -> None:
+    tangents = Tangents()
+    first = tangents.stencil(wp.float32).matrix.numpy()
+    np.testing.assert_array_equal(first, tangents.stencil(wp.float32).matrix.numpy())
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+@pytest.mark.parametrize(("real", "error"), REALS)
+def test_the_product_is_that_of_the_dense_matrix(real: Any, error: float, parallel: bool) -> None:
+    tangents = Tangents()
+    stencil = tangents.stencil(real, parallel=parallel)
+    v = np.random.default_rng(2).normal(0, 1, (3, COUNT, 3))
+    product = oracle.vectors(np.full((3, COUNT, 3), FILLED), real)
+    sums = oracle.zeros((3, RUNS, 3), wp.float64)
+    stencil.product(oracle.integers(tangents.active), oracle.vectors(v, real), product, sums)
+    assert product.dtype == vector_of(real)
+    for env in np.flatnonzero(tangents.active):
+        expected = np.einsum("nimj,mj->ni", tangents.dense(env), v[env])
+        assert oracle.relative(product.numpy()[env], expected) < error
+        padded = np.zeros(RUNS * RUN)
+        padded[:COUNT] = (expected * v[env]).sum(axis=1)
+        by_run = padded.reshape(RUNS, RUN).sum(axis=1)
+        assert oracle.relative(sums.numpy()[env, :, 0], by_run) < error
+    assert (product.numpy()[2] == FILLED).all()
+    assert not sums.numpy()[2].any()
+    assert not sums.numpy()[..., 1:].any(), "the other sums are somebody else's"
+
+
+def test_neighbours_are_one_step_of_the_grid_away() -> None:
+    cells = (3, 4, 5)
+    place = np.stack(np.unravel_index(np.arange(120), (4, 5, 6)), axis=-1)
+    near = neighbours(cells)
+    for slot in range(SLOTS):
+        step = np.array([slot // 9, slot // 3 % 3, slot % 3]) - 1
+        rows = near[:, slot] >= 0
+        np.testing.assert_array_equal(place[near[rows, slot]], (place + step)[rows])
+        outside = ((place + step < 0) | (place + step > np.array(cells))).any(axis=1)
+        np.testing.assert_array_equal(outside, ~rows)
+
+
+def test_slots_of_a_face_lead_to_its_corners() -> None:
+    near, slots = neighbours(GRID.cells), face_slots(GRID)
+    for a in range(4):
+        for b in range(4):
+            found = near[GRID.faces[:, a], slots[:, a, b]]
+            np.testing.assert_array_equal(found, GRID.faces[:, b])
+
+
+def test_elements_of_one_colour_share_no_node() -> None:
+    order, begins = colour_order(GRID.cells)
+    assert sorted(order) == list(range(len(GRID.elements)))
+    assert begins[0] == 0
+    assert begins[-1] == len(order)
+    for first, past in pairwise(begins):
+        nodes: Array = GRID.elements[order[first:past]].ravel()
+        assert len(np.unique(nodes)) == len(nodes)
