@@ -30,10 +30,20 @@ def domed_mesh() -> Mesh:
     return moved(build_mesh(body, 1e-3), 0.03)
 
 
-def moved(mesh: Mesh, by: float) -> Mesh:
+def domed_meshes() -> list[Mesh]:
+    """`domed_mesh` and one of its topology that has no node, volume or area in common with it."""
+    body = Body(size_x=4.3e-3, size_y=3.9e-3, thickness=3e-3, dome_radius=7e-3)
+    return [domed_mesh(), moved(build_mesh(body, 1e-3), 0.02, seed=4)]
+
+
+def moved(mesh: Mesh, by: float, seed: int = 3) -> Mesh:
     """The mesh with its free nodes moved by up to `by` thicknesses, and what follows from that."""
-    shift = np.random.default_rng(3).uniform(-by, by, mesh.nodes.shape) * mesh.free[:, None]
-    nodes = mesh.nodes + shift
+    shift = np.random.default_rng(seed).uniform(-by, by, mesh.nodes.shape) * mesh.free[:, None]
+    return with_nodes(mesh, mesh.nodes + shift)
+
+
+def with_nodes(mesh: Mesh, nodes: Array) -> Mesh:
+    """The mesh with nodes in other places: elements as they follow, faces and masses as before."""
     jacobian = np.einsum("eai,qaj->eqij", nodes[mesh.elements], local_gradients())
     return replace(
         mesh, nodes=nodes, inverse=np.linalg.inv(jacobian), weight=np.linalg.det(jacobian)
@@ -156,18 +166,21 @@ def contact(
     unit: float,
     tip: Array,
     penalty: float,
+    carried: Array,
     u: Array,
     rubbing: Rubbing | None,
 ) -> dict[str, Array]:
-    """Contact by the host's signed distance and a return map: everything the kernel writes."""
+    """Contact by the host's signed distance and a return map: everything the kernel writes, and
+    the gap. `carried` (S, P) is the pressure that needs no penetration.
+    """
     shape, weight = rule
     corners = (mesh.nodes + u)[mesh.faces]
     place = np.einsum("pa,saj->spj", shape, corners) - tip
     gap, normal = indenter.distance(place * unit)
     gap = gap / unit
-    touched = gap < 0
+    pressure = np.maximum(carried - penalty * gap, 0.0)
+    touched = pressure > 0
     area = weight * mesh.face_area[:, None]
-    pressure = np.where(touched, -penalty * gap, 0.0)
     traction = np.zeros_like(place)
     energy = pressure**2 / penalty / 2
     slips = np.zeros_like(touched)
@@ -193,6 +206,7 @@ def contact(
         "energy": (energy * area).sum(1),
         "normal": np.where(touched[..., None], normal, 0.0),
         "slips": slips,
+        "gap": gap,
     }
 
 
@@ -219,6 +233,15 @@ def integers(values: Any) -> Any:
 def zeros(shape: tuple[int, ...], dtype: Any) -> Any:
     """An array of zeros of a Warp type."""
     return wp.zeros(shape, dtype=dtype, device=CPU)
+
+
+def geometry(meshes: list[Mesh], variant: list[int], real: Any) -> tuple[Any, Any, Any]:
+    """Inverse, weight and mesh of each environment, as the kernels of the elements take them."""
+    return (
+        matrices([mesh.inverse for mesh in meshes], real),
+        scalars([mesh.weight for mesh in meshes], real),
+        integers(variant),
+    )
 
 
 def relative(found: Array, expected: Array) -> float:

@@ -9,7 +9,6 @@ import warp as wp
 from fem_oracles import Array
 
 from sim.fem.cg import ConjugateGradient
-from sim.fem.scalars import numpy_of
 
 NODES = 40
 SIZE = 3 * NODES
@@ -20,35 +19,62 @@ def _symmetric(eigenvalues: Array, seed: int) -> Array:
     return np.asarray((basis * eigenvalues) @ basis.T)
 
 
-def _blocks(matrix: Array) -> Array:
-    return np.linalg.inv(np.einsum("ninj->nij", matrix.reshape(NODES, 3, NODES, 3)))
+class Dense:
+    """Dense matrices, one an environment, in place of a `Stencil`."""
+
+    parts = 3
+
+    def __init__(self, matrices: Array) -> None:
+        self._matrices = matrices
+
+    def product(self, active: Any, v: Any, product: Any, sums: Any) -> None:
+        for env in np.flatnonzero(active.numpy()):
+            along = v.numpy()[env].astype(float).ravel()
+            answer = self._matrices[env] @ along
+            product.numpy()[env] = answer.reshape(NODES, 3)
+            _share(sums.numpy()[env, :, 0], answer * along)
+
+
+class Blocks:
+    """The diagonal blocks of dense matrices, inverted, in place of `Columns`."""
+
+    parts = 4
+
+    def __init__(self, matrices: Array) -> None:
+        blocks = np.einsum("bninj->bnij", matrices.reshape(-1, NODES, 3, NODES, 3))
+        self._inverse = np.linalg.inv(blocks)
+
+    def advance(self, active: Any, scalars: Any, along: Any, vectors: Any, sums: Any) -> None:
+        p, product = (each.numpy() for each in along)
+        solution, r, z = (each.numpy() for each in vectors)
+        for env in np.flatnonzero(active.numpy()):
+            step = scalars.numpy()[env, 2]
+            solution[env] += step * p[env]
+            r[env] -= step * product[env]
+            z[env] = np.einsum("nij,nj->ni", self._inverse[env], r[env])
+            exact = r[env].astype(float)
+            _share(sums.numpy()[env, :, 0], (exact * z[env]).ravel())
+            _share(sums.numpy()[env, :, 1], (exact**2).ravel())
+
+
+def _share(sums: Array, terms: Array) -> None:
+    """Write the sum of the terms in as many shares as there is room for."""
+    sums[:] = [part.sum() for part in np.array_split(terms, len(sums))]
 
 
 class Solved:
-    """Dense systems given to the solver as a function, one an environment."""
+    """What the solver makes of dense systems, one an environment."""
 
     def __init__(
         self, matrices: Array, right: Array, active: Array, accuracy: float, real: Any, most: int
     ) -> None:
-        solver = ConjugateGradient(real, len(matrices), NODES, "cpu")
-
-        def apply(running: Any, v: Any, product: Any, sums: Any) -> None:
-            for env in np.flatnonzero(running.numpy()):
-                answer = matrices[env] @ v.numpy()[env].astype(float).ravel()
-                product.numpy()[env] = answer.reshape(NODES, 3).astype(numpy_of(real))
-                sums.numpy()[env, :, 0] = 0.0
-                sums.numpy()[env, 0, 0] = answer @ v.numpy()[env].astype(float).ravel()
-
+        count = len(matrices)
+        solver = ConjugateGradient(real, count, NODES, "cpu", Dense(matrices), Blocks(matrices))
         self.count = solver.solve(
-            oracle.integers(active),
-            oracle.vectors(right, real),
-            oracle.matrices(np.stack([_blocks(one) for one in matrices]), real),
-            apply,
-            np.full(len(matrices), accuracy),
-            most,
+            oracle.integers(active), oracle.vectors(right, real), np.full(count, accuracy), most
         )
-        self.solution = solver.solution.numpy().astype(float).reshape(len(matrices), SIZE)
-        self.concave = solver.concave()
+        self.solution = solver.solution.numpy().astype(float).reshape(count, SIZE)
+        self.slope, self.concave = solver.verdict()
 
 
 def _right(count: int) -> Array:
@@ -69,6 +95,36 @@ def test_the_solution_is_that_of_a_dense_solve(real: Any, accuracy: float, error
         assert np.linalg.norm(rest) < 2 * accuracy * np.linalg.norm(right[env])
     assert not solved.concave.any()
     assert solved.count[0] < solved.count[1], "the better conditioned system stops first"
+
+
+@pytest.mark.parametrize(("real", "error"), [(wp.float64, 1e-6), (wp.float32, 1e-4)])
+@pytest.mark.parametrize("most", [1, 7, 400])
+def test_the_slope_is_that_of_the_right_hand_side_along_the_solution(
+    real: Any, error: float, most: int
+) -> None:
+    """Whether the solve was cut short, ended where it is not convex, or reached its accuracy."""
+    concave = np.linspace(1, 9, SIZE)
+    concave[0] = -5.0
+    spread = (np.linspace(1, 5, SIZE), np.geomspace(1, 1e3, SIZE), concave, np.full(SIZE, -1.0))
+    matrices = np.stack([_symmetric(values, seed) for seed, values in enumerate(spread)])
+    right = _right(len(spread))
+    solved = Solved(matrices, right, np.ones(len(spread)), 1e-5, real, most)
+    expected = -(right.reshape(len(spread), SIZE) * solved.solution).sum(1)
+    assert solved.slope == pytest.approx(expected, rel=error)
+    # The last one leads along the preconditioned right-hand side; its inverse blocks are -1.
+    assert (solved.slope[:3] < 0).all()
+    assert solved.concave[3]
+    assert solved.concave[2] or most < 400
+
+
+def test_the_slope_of_a_zero_right_hand_side_is_zero() -> None:
+    matrices = np.stack([_symmetric(np.linspace(1, 9, SIZE), seed) for seed in (1, 2)])
+    right = _right(2)
+    right[1] = 0.0
+    solved = Solved(matrices, right, np.ones(2), 1e-8, wp.float64, 200)
+    assert solved.slope[0] < 0
+    assert solved.slope[1] == 0
+    assert not solved.concave.any()
 
 
 def test_as_many_iterations_as_different_eigenvalues_suffice() -> None:

@@ -19,17 +19,26 @@ REALS = [
 ]
 
 
+def _apply(columns: Columns, active: Any, r: Array, real: Any) -> Array:
+    """The preconditioner times r (B, N, 3), from a step of no length along nothing."""
+    count = len(r)
+    nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
+    scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
+    sums = wp.zeros((count, columns.parts, 2), dtype=wp.float64, device="cpu")
+    residual = oracle.vectors(r, real)
+    columns.advance(active, scalars, (nothing, nothing), (nothing, residual, z), sums)
+    return np.array(z.numpy())
+
+
 def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
     """The preconditioner as a dense matrix, from what it makes of unit vectors."""
     columns = Columns(GRID, real, 3, "cpu")
     active = oracle.integers(tangents.active)
     columns.factor(active, tangents.stencil(real).matrix)
-    z = oracle.vectors(np.zeros((3, COUNT, 3)), real)
     dense = np.empty((3 * COUNT, 3 * COUNT))
     for unit, row in zip(np.eye(3 * COUNT), dense, strict=True):
         r = np.broadcast_to(unit.reshape(COUNT, 3), (3, COUNT, 3))
-        columns.apply(active, oracle.vectors(r, real), z)
-        row[:] = z.numpy()[env].ravel()
+        row[:] = _apply(columns, active, r, real)[env].ravel()
     return dense.T
 
 
@@ -44,15 +53,14 @@ def test_columns_are_solved_as_a_dense_matrix_would_be(
     active = oracle.integers(tangents.active)
     columns.factor(active, stencil.matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
-    z = oracle.vectors(np.full((3, COUNT, 3), FILLED), real)
-    columns.apply(active, oracle.vectors(r, real), z)
+    z = _apply(columns, active, r, real)
     for env in np.flatnonzero(tangents.active):
         kept = columns_of(tangents.dense(env))
         assert np.linalg.eigvalsh(kept).min() > 0
         expected = np.linalg.solve(kept, np.where(FREE, r[env].ravel(), 0.0))
-        assert oracle.relative(z.numpy()[env].ravel(), expected) < error
-        assert not z.numpy()[env][~GRID.free].any(), "held nodes do not move"
-    assert (z.numpy()[2] == FILLED).all(), "an environment that is off is left alone"
+        assert oracle.relative(z[env].ravel(), expected) < error
+        assert not z[env][~GRID.free].any(), "held nodes do not move"
+    assert (z[2] == FILLED).all(), "an environment that is off is left alone"
 
 
 @pytest.mark.parametrize("real", [wp.float64, wp.float32])
@@ -84,10 +92,9 @@ def test_lifting_a_pivot_keeps_its_size() -> None:
     r = np.zeros((3, COUNT, 3))
     r[0, :levels] = np.random.default_rng(4).normal(0, 1, (levels, 3))
     r[0, 0] = 0.0
-    z = oracle.vectors(r, wp.float64)
-    columns.apply(active, oracle.vectors(r, wp.float64), z)
+    z = _apply(columns, active, r, wp.float64)
     expected = np.linalg.solve(kept, r[0, :levels].ravel())
-    assert oracle.relative(z.numpy()[0, :levels].ravel(), expected) < 1e-9
+    assert oracle.relative(z[0, :levels].ravel(), expected) < 1e-9
 
 
 def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> None:
@@ -99,14 +106,34 @@ def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> N
     dense = spread_out(stencil.matrix.numpy()[0])
     nodes = np.zeros((COUNT, 3, 3))
     nodes[GRID.free] = np.linalg.inv(np.einsum("ninj->nij", dense)[GRID.free])
-    z = oracle.vectors(np.zeros((1, COUNT, 3)), wp.float64)
 
     def along(r: Array) -> Array:
-        columns.apply(active, oracle.vectors(r[None], wp.float64), z)
-        return np.array(z.numpy()[0])
+        return np.array(_apply(columns, active, r[None], wp.float64)[0])
 
     by_node = _iterations(dense, lambda r: np.einsum("nij,nj->ni", nodes, r))
     assert _iterations(dense, along) < 0.5 * by_node
+
+
+def test_a_step_moves_solution_and_residual_and_adds_up_the_products() -> None:
+    tangents = Tangents(strain=0.005, contact=0.0)
+    columns = Columns(GRID, wp.float64, 3, "cpu")
+    active = oracle.integers(tangents.active)
+    columns.factor(active, tangents.stencil(wp.float64).matrix)
+    p, product, solution, r = np.random.default_rng(7).normal(0, 1, (4, 3, COUNT, 3))
+    length = np.array([0.5, -2.0, 3.0])
+    scalars = wp.array(np.outer(length, [0, 0, 1.0]), dtype=wp.float64, device="cpu")
+    sums = wp.zeros((3, columns.parts, 2), dtype=wp.float64, device="cpu")
+    along = oracle.vectors(p, wp.float64), oracle.vectors(product, wp.float64)
+    vectors = [oracle.vectors(each, wp.float64) for each in (solution, r, np.zeros_like(r))]
+    columns.advance(active, scalars, along, vectors, sums)
+    on = tangents.active.astype(bool)
+    step = np.where(on, length, 0.0)[:, None, None]
+    found, left, z = (each.numpy() for each in vectors)
+    np.testing.assert_allclose(found, solution + step * p, rtol=1e-12)
+    np.testing.assert_allclose(left, r - step * product, rtol=1e-12, atol=1e-12)
+    totals = np.stack([(left * z).sum((1, 2)), (left**2).sum((1, 2))], axis=1)
+    np.testing.assert_allclose(sums.numpy().sum(1)[on], totals[on], rtol=1e-12)
+    assert not sums.numpy()[~on].any()
 
 
 def _iterations(dense: Array, precondition: Callable[[Array], Array]) -> int:

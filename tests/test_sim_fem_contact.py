@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import fem_oracles as oracle
@@ -13,10 +14,15 @@ from sim.fem.scalars import matrix_of, vector_of
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.indenters.device import PartTable
 
-MESH = oracle.domed_mesh()
+MESHES = oracle.domed_meshes()
+MESH = MESHES[0]
+"""Their topology is the same."""
+VARIANT = [1, 0, 1, 0]
+PLACED = [MESHES[variant] for variant in VARIANT]
 UNIT = 3e-3
 PENALTY, STICK = 1000.0, 0.1
 INDENTERS = [sphere(2e-3), flat_punch(1.5e-3, 0.3e-3), named("triangle"), plane()]
+"""One an environment."""
 TIPS = np.array([[0.02, 0.05, -0.12], [0.05, -0.03, -0.1], [0.0, 0.0, -0.15], [0.1, 0.0, -0.2]])
 
 
@@ -37,6 +43,12 @@ def _rubbing(points: int) -> list[Rubbing]:
     ]
 
 
+def _carried(points: int) -> Array:
+    """Pressure (B, S, P) that bridges gaps of up to 0.03 thicknesses; none at half the points."""
+    shape = len(INDENTERS), len(MESH.faces), points
+    return np.maximum(np.random.default_rng(17).uniform(-30, 30, shape), 0.0)
+
+
 def _displacements() -> Array:
     return np.random.default_rng(9).normal(0, 0.01, (len(INDENTERS), *MESH.nodes.shape))
 
@@ -44,10 +56,17 @@ def _displacements() -> Array:
 class Contact:
     """The contact kernels on every indenter of `INDENTERS`, one an environment."""
 
-    def __init__(self, real: Any, friction: list[Rubbing] | None, points: int = 2) -> None:
-        self.real, self.friction = real, friction
+    def __init__(
+        self,
+        real: Any,
+        friction: list[Rubbing] | None,
+        points: int = 2,
+        carried: Array | None = None,
+        variant: list[int] = VARIANT,
+    ) -> None:
+        self.real, self.friction, self.variant = real, friction, variant
         self.rule = face_rule(points)
-        self._contact, self._tangent, self._diagonal = contact_kernels(real, friction is not None)
+        self._contact, self._tangent = contact_kernels(real, friction is not None)
         shape = len(INDENTERS), len(MESH.faces)
         vec3, mat33 = vector_of(real), matrix_of(real)
         many = (*shape, points * points)
@@ -61,6 +80,7 @@ class Contact:
             "matrix": oracle.zeros(many, mat33),
             "energy": oracle.zeros(shape, real),
         }
+        self.carried = np.zeros(many) if carried is None else carried
         self._table = PartTable.pack(INDENTERS, UNIT, real, "cpu").struct
         self._active = oracle.integers(np.ones(len(INDENTERS)))
 
@@ -76,13 +96,15 @@ class Contact:
         )
         inputs = [
             oracle.integers(MESH.faces),
-            oracle.scalars(MESH.face_area, real),
+            oracle.scalars([mesh.face_area for mesh in MESHES], real),
             oracle.scalars(self.rule[0], real),
             oracle.scalars(self.rule[1], real),
-            oracle.vectors(MESH.nodes, real),
+            oracle.vectors([mesh.nodes for mesh in MESHES], real),
+            oracle.integers(self.variant),
             self._table,
             oracle.vectors(tips, real),
             real(PENALTY),
+            oracle.scalars(self.carried, real),
             oracle.scalars([one.coefficient for one in many] or np.zeros(len(u)), real),
             real(STICK),
             oracle.vectors(old[0], real),
@@ -112,18 +134,6 @@ class Contact:
         wp.launch(self._tangent, dim=shape, inputs=inputs, outputs=[product], device="cpu")
         return np.asarray(product.numpy(), float)
 
-    def diagonal(self) -> Array:
-        shape = len(INDENTERS), len(MESH.faces)
-        block = oracle.zeros((*shape, 4), matrix_of(self.real))
-        inputs = [
-            oracle.scalars(self.rule[0], self.real),
-            self._active,
-            self.out["touched"],
-            self.out["matrix"],
-        ]
-        wp.launch(self._diagonal, dim=shape, inputs=inputs, outputs=[block], device="cpu")
-        return np.asarray(block.numpy(), float)
-
 
 def _none() -> tuple[Array, ...]:
     count = len(INDENTERS)
@@ -131,31 +141,49 @@ def _none() -> tuple[Array, ...]:
     return np.zeros((count, 3)), nodes, np.zeros((0, 0, 0, 3)), np.zeros((0, 0, 0))
 
 
-def _expected(u: Array, friction: list[Rubbing] | None, points: int) -> list[dict[str, Array]]:
+def _expected(
+    u: Array, friction: list[Rubbing] | None, points: int, carried: Array
+) -> list[dict[str, Array]]:
     rule = face_rule(points)
     return [
         oracle.contact(
-            MESH, rule, indenter, UNIT, TIPS[env], PENALTY, u[env], friction and friction[env]
+            PLACED[env],
+            rule,
+            indenter,
+            UNIT,
+            TIPS[env],
+            PENALTY,
+            carried[env],
+            u[env],
+            friction[env] if friction else None,
         )
         for env, indenter in enumerate(INDENTERS)
     ]
 
 
+CARRIES = pytest.mark.parametrize("carries", [False, True], ids=["penalty", "carried"])
+RUBS = pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
+
+
+@CARRIES
 @pytest.mark.parametrize("points", [2, 3])
-@pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
+@RUBS
 @pytest.mark.parametrize(
     ("real", "error"),
     [pytest.param(wp.float64, 1e-10, id="float64"), pytest.param(wp.float32, 1e-3, id="float32")],
 )
 def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
-    real: Any, error: float, rubs: bool, points: int
+    real: Any, error: float, rubs: bool, points: int, carries: bool
 ) -> None:
     friction = _rubbing(points * points) if rubs else None
+    carried = _carried(points * points) * carries
     u = _displacements()
-    found = Contact(real, friction, points).evaluate(u)
+    found = Contact(real, friction, points, carried).evaluate(u)
     slips = touches = 0
-    for env, expected in enumerate(_expected(u, friction, points)):
+    for env, expected in enumerate(_expected(u, friction, points, carried)):
         assert expected["touched"].any()
+        bridged = (expected["gap"] > 0) & (expected["pressure"] > 0)
+        assert bridged.any() == carries, "a gap is bridged by pressure that was carried, only"
         np.testing.assert_array_equal(found["touched"][env], expected["touched"])
         names = ("force", "pressure", "energy", "normal") + (("traction",) if rubs else ())
         for name in names:
@@ -165,10 +193,11 @@ def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
     assert not rubs or 0.1 < slips / touches < 0.9, "nearly all stick, or nearly all slip"
 
 
-def test_frictionless_contact_tangent_is_the_derivative_of_the_force() -> None:
+@CARRIES
+def test_frictionless_contact_tangent_is_the_derivative_of_the_force(carries: bool) -> None:
     """Where every point stays in or out: on a sphere the normal turns, on a plane it does not."""
     u = _displacements()
-    contact = Contact(wp.float64, None)
+    contact = Contact(wp.float64, None, carried=_carried(4) * carries)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
     step = 1e-7
     slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
@@ -181,11 +210,14 @@ def test_frictionless_contact_tangent_is_the_derivative_of_the_force() -> None:
         assert oracle.relative(-product[env][touched], slope[env][touched]) < error, name
 
 
-def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping() -> None:
+@CARRIES
+def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
+    carries: bool,
+) -> None:
     """On a plane, whose normal stands still; the limit is given, as the Newton loop gives it."""
     friction = _rubbing(4)
     u = _displacements()
-    contact = Contact(wp.float64, friction)
+    contact = Contact(wp.float64, friction, carried=_carried(4) * carries)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
     step = 1e-8
     slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
@@ -197,11 +229,12 @@ def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping()
     assert oracle.relative(-product[3][touched], slope[3][touched]) < 1e-6
 
 
-@pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
-def test_contact_force_is_the_slope_of_the_energy(rubs: bool) -> None:
+@CARRIES
+@RUBS
+def test_contact_force_is_the_slope_of_the_energy(rubs: bool, carries: bool) -> None:
     """Normal springs and the Huber potential of friction: on a plane, whose normal stands still."""
     u = _displacements()
-    contact = Contact(wp.float64, _rubbing(4) if rubs else None)
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4) * carries)
     v = np.random.default_rng(6).normal(0, 1, u.shape)
     step = 1e-6
     ahead = contact.evaluate(u + step * v)["energy"]
@@ -214,23 +247,43 @@ def test_contact_force_is_the_slope_of_the_energy(rubs: bool) -> None:
         assert slope == pytest.approx(work, rel=1e-6)
 
 
-@pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
-def test_contact_diagonal_is_the_tangents_answer_to_each_corner_alone(rubs: bool) -> None:
+def test_a_gap_is_bridged_up_to_the_pressure_carried_over_the_penalty_and_then_let_go() -> None:
+    """Under a plane over the undeformed body: pressure = carried - penalty * gap, or none."""
+    most = 25.0
+    shape = len(INDENTERS), len(MESH.faces), 4
+    contact = Contact(wp.float64, None, carried=np.full(shape, most))
+    rest = np.zeros((len(INDENTERS), *MESH.nodes.shape))
+    top = np.einsum("pa,sa->sp", contact.rule[0], PLACED[3].nodes[MESH.faces][..., 2]).max()
+    reach = most / PENALTY
+    for gap, touches in ((-0.5 * reach, True), (0.5 * reach, True), (1.001 * reach, False)):
+        state = contact.evaluate(rest, np.tile([0.0, 0.0, top + gap], (len(INDENTERS), 1)))
+        assert state["touched"][3].any() == touches
+        assert state["pressure"][3].max() == pytest.approx(max(most - PENALTY * gap, 0.0))
+        assert np.abs(state["force"][3]).max() > 0 or not touches
+
+
+@RUBS
+def test_contact_that_is_lifted_off_leaves_nothing_behind(rubs: bool) -> None:
+    """Further than the pressure carried can bridge, in the same arrays as the contact before."""
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4))
+    assert contact.evaluate(_displacements())["touched"].any(axis=1).all()
+    state = contact.evaluate(_displacements(), TIPS + np.array([0, 0, 1.0]))
+    for name in ("touched", "pressure", "force", "traction", "matrix", "energy"):
+        assert not state[name].any(), name
+
+
+@RUBS
+def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(rubs: bool) -> None:
+    """Bit for bit; on the other mesh it gets something else."""
+    friction = _rubbing(4) if rubs else None
     u = _displacements()
-    contact = Contact(wp.float64, _rubbing(4) if rubs else None)
-    state = contact.evaluate(u)
-    blocks = contact.diagonal()
-    shape, _weight = contact.rule
-    expected = np.einsum("bspij,pa->bsaij", state["matrix"], shape**2)
-    touched = state["touched"] > 0
-    assert oracle.relative(blocks[touched], expected[touched]) < 1e-12
-    face = int(np.flatnonzero(touched[0])[0])
-    node, corner = MESH.faces[face, 1], 1
-    for axis in range(3):
-        v = np.zeros_like(u)
-        v[0, node, axis] = 1.0
-        column = contact.tangent(v)[0, face, corner]
-        assert column == pytest.approx(blocks[0, face, corner][:, axis], rel=1e-12)
+    together = Contact(wp.float64, friction, carried=_carried(4)).evaluate(u)
+    for mesh in (0, 1):
+        one = [mesh] * len(INDENTERS)
+        alone = Contact(wp.float64, friction, carried=_carried(4), variant=one).evaluate(u)
+        for env, name in itertools.product(range(len(INDENTERS)), ("force", "pressure", "energy")):
+            same = np.array_equal(alone[name][env], together[name][env])
+            assert same == (VARIANT[env] == mesh), name
 
 
 def test_a_face_rule_integrates_and_a_nodal_one_sits_on_the_corners() -> None:

@@ -9,31 +9,35 @@ import warp as wp
 from fem_oracles import Array, Material
 
 from sim.fem.element import GAUSS_POINTS, element_kernels
-from sim.fem.mesh import Mesh
 from sim.fem.scalars import vector_of
 
-MESH = oracle.domed_mesh()
+MESHES = oracle.domed_meshes()
+VARIANT = [1, 0]
+"""Mesh of each environment: not in their order."""
+PLACED = [MESHES[variant] for variant in VARIANT]
+ELEMENTS = MESHES[0].elements
+NODES = len(MESHES[0].nodes)
 PRECISIONS = [
     pytest.param(wp.float64, 1e-12, id="float64"),
     pytest.param(wp.float32, 3e-5, id="float32"),
 ]
-VARIANTS = ["elastic", "viscous", "full_integration"]
+KINDS = ["elastic", "viscous", "full_integration"]
 
 
 def _states(count: int) -> Array:
     """Displacements (B, N, 3) with strains of some 20 %, of the base too."""
-    return np.random.default_rng(11).normal(0, 0.02, (count, len(MESH.nodes), 3))
+    return np.random.default_rng(11).normal(0, 0.02, (count, NODES, 3))
 
 
-def _materials(variant: str) -> list[Material]:
+def _materials(kind: str) -> list[Material]:
     random = np.random.default_rng(5)
     materials = []
     for shear, bulk in ((0.345, 3.3), (0.4, 0.5)):
-        if variant != "viscous":
-            everywhere = variant == "full_integration"
+        if kind != "viscous":
+            everywhere = kind == "full_integration"
             materials.append(Material(shear, bulk, everywhere=everywhere))
             continue
-        history = random.normal(0, 0.1, (len(MESH.elements), GAUSS_POINTS, 3, 3))
+        history = random.normal(0, 0.1, (len(ELEMENTS), GAUSS_POINTS, 3, 3))
         history = history + np.swapaxes(history, 2, 3)
         materials.append(
             Material(
@@ -42,21 +46,22 @@ def _materials(variant: str) -> list[Material]:
                 factor=1.6 - shear,
                 bulk_factor=1.2 + shear,
                 history=history,
-                bulk_history=random.normal(0, 0.1, len(MESH.elements)),
+                bulk_history=random.normal(0, 0.1, len(ELEMENTS)),
             )
         )
     return materials
 
 
-def _inputs(mesh: Mesh, materials: list[Material], active: Array, u: Array, real: Any) -> list[Any]:
+def _inputs(
+    materials: list[Material], active: Array, u: Array, real: Any, variant: list[int]
+) -> list[Any]:
     viscous = materials[0].history is not None
     empty = np.zeros((0, 0, 0, 3, 3)), np.zeros((0, 0))
     history = [one.history for one in materials] if viscous else empty[0]
     bulk_history = [one.bulk_history for one in materials] if viscous else empty[1]
     return [
-        oracle.integers(mesh.elements),
-        oracle.matrices(mesh.inverse, real),
-        oracle.scalars(mesh.weight, real),
+        oracle.integers(ELEMENTS),
+        *oracle.geometry(MESHES, variant, real),
         GAUSS_POINTS,
         oracle.scalars([one.shear for one in materials], real),
         oracle.scalars([one.bulk for one in materials], real),
@@ -70,54 +75,37 @@ def _inputs(mesh: Mesh, materials: list[Material], active: Array, u: Array, real
 
 
 def _residual(
-    materials: list[Material], u: Array, real: Any, variant: str, active: Array | None = None
+    materials: list[Material],
+    u: Array,
+    real: Any,
+    kind: str,
+    active: Array | None = None,
+    variant: list[int] = VARIANT,
 ) -> tuple[Array, Array, Array]:
-    kernel = element_kernels(real, variant == "viscous", variant == "full_integration")[0]
-    shape = len(u), len(MESH.elements)
+    kernel = element_kernels(real, kind == "viscous", kind == "full_integration")
+    shape = len(u), len(ELEMENTS)
     outputs = [
         oracle.zeros((*shape, 8), vector_of(real)),
         oracle.zeros(shape, real),
         oracle.zeros(shape, real),
     ]
     active = np.ones(len(u)) if active is None else active
-    inputs = _inputs(MESH, materials, active, u, real)
+    inputs = _inputs(materials, active, u, real, variant)
     wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device="cpu")
     force, energy, det = (output.numpy().astype(float) for output in outputs)
     return force, energy, det
 
 
-def _tangent(materials: list[Material], u: Array, v: Array, real: Any, variant: str) -> Array:
-    kernel = element_kernels(real, variant == "viscous", variant == "full_integration")[1]
-    shape = len(u), len(MESH.elements)
-    output = oracle.zeros((*shape, 8), vector_of(real))
-    inputs = [*_inputs(MESH, materials, np.ones(len(u)), u, real), oracle.vectors(v, real)]
-    wp.launch(kernel, dim=shape, inputs=inputs, outputs=[output], device="cpu")
-    return np.asarray(output.numpy(), float)
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("real", "error"), PRECISIONS)
 def test_element_forces_are_those_of_plain_shape_functions(
-    real: Any, error: float, variant: str
+    real: Any, error: float, kind: str
 ) -> None:
-    materials, u = _materials(variant), _states(2)
-    force, _energy, _det = _residual(materials, u, real, variant)
+    materials, u = _materials(kind), _states(2)
+    force, _energy, _det = _residual(materials, u, real, kind)
     for env, material in enumerate(materials):
-        expected = oracle.element_force(MESH, u[env], material)
+        expected = oracle.element_force(PLACED[env], u[env], material)
         assert oracle.relative(force[env], expected) < error
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize(("real", "error"), PRECISIONS)
-def test_element_tangent_is_the_derivative_of_the_force(
-    real: Any, error: float, variant: str
-) -> None:
-    materials, u = _materials(variant), _states(2)
-    v = np.random.default_rng(2).normal(0, 1, u.shape)
-    product = _tangent(materials, u, v, real, variant)
-    for env, material in enumerate(materials):
-        expected = oracle.element_tangent(MESH, u[env], v[env], material)
-        assert oracle.relative(product[env], expected) < error
 
 
 def test_element_force_is_the_slope_of_the_energy_by_central_differences() -> None:
@@ -128,7 +116,7 @@ def test_element_force_is_the_slope_of_the_energy_by_central_differences() -> No
     _, ahead, _ = _residual(materials, u + step * v, wp.float64, "elastic")
     _, behind, _ = _residual(materials, u - step * v, wp.float64, "elastic")
     slope = (ahead - behind) / (2 * step)
-    expected = np.einsum("beai,beai->be", force, v[:, MESH.elements])
+    expected = np.einsum("beai,beai->be", force, v[:, ELEMENTS])
     assert oracle.relative(slope, expected) < 1e-7
 
 
@@ -137,30 +125,36 @@ def test_element_energy_and_least_det_are_the_oracles(real: Any, error: float) -
     materials, u = _materials("elastic"), _states(2)
     _force, energy, det = _residual(materials, u, real, "elastic")
     for env, material in enumerate(materials):
-        expected = oracle.element_energy(MESH, u[env], material)
+        expected = oracle.element_energy(PLACED[env], u[env], material)
         assert oracle.relative(energy[env], expected) < error
-        f, _slopes, _weight = oracle.deformation(MESH, u[env])
+        f, _slopes, _weight = oracle.deformation(PLACED[env], u[env])
         assert oracle.relative(det[env], np.linalg.det(f).min(axis=1)) < error
 
 
-def test_tangent_is_symmetric_and_knows_no_force_from_rigid_motion() -> None:
-    materials, u = _materials("elastic"), _states(2)
-    random = np.random.default_rng(4)
-    v, w = random.normal(0, 1, (2, *u.shape))
-    one = _tangent(materials, u, v, wp.float64, "elastic")
-    two = _tangent(materials, u, w, wp.float64, "elastic")
-    along = np.einsum("beai,beai->b", one, w[:, MESH.elements])
-    across = np.einsum("beai,beai->b", two, v[:, MESH.elements])
-    assert along == pytest.approx(across, rel=1e-12)
+def test_rigid_motion_has_no_force_and_no_energy() -> None:
+    materials = _materials("elastic")
     angle = 0.7
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )
-    rigid = np.stack([MESH.nodes @ turn.T - MESH.nodes + 0.3] * 2)
+    rigid = np.stack([mesh.nodes @ turn.T - mesh.nodes + 0.3 for mesh in PLACED])
     force, energy, det = _residual(materials, rigid, wp.float64, "elastic")
     assert np.abs(force).max() < 1e-14
     assert np.abs(energy).max() < 1e-14
     assert det == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: str) -> None:
+    """Bit for bit; on the other mesh it gets something else."""
+    materials, u = _materials(kind), _states(2)
+    together = _residual(materials, u, wp.float64, kind)
+    for env in range(2):
+        of = slice(env, env + 1)
+        for variant in (0, 1):
+            alone = _residual(materials[of], u[of], wp.float64, kind, variant=[variant])
+            for one, two in zip(together, alone, strict=True):
+                assert np.array_equal(one[env], two[0]) == (variant == VARIANT[env])
 
 
 def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> None:
@@ -170,7 +164,7 @@ def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> No
         u = _states(2) * scale
         force, _energy, _det = _residual(materials, u, wp.float32, "elastic")
         for env, material in enumerate(materials):
-            expected = oracle.element_force(MESH, u[env], material)
+            expected = oracle.element_force(PLACED[env], u[env], material)
             face = (1e-3 / 3e-3) ** 2
             size = np.abs(expected).max() + material.shear * face
             assert np.abs(force[env] - expected).max() < 2e-7 * size

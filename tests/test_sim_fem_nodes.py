@@ -6,14 +6,24 @@ import fem_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fem_oracles import Array, Material
+from fem_oracles import Array
 
-from sim.fem.nodes import RUN, jacobi_kernel, reduce_kernel, residual_kernel, tangent_kernel
-from sim.fem.rest_blocks import rest_blocks
-from sim.fem.scalars import matrix_of, vector_of
-from sim.fem.vectors import copy_active, extrapolate, walk
+from sim.fem.nodes import (
+    RUN,
+    SUMS,
+    push_kernel,
+    reduce_kernel,
+    residual_kernel,
+)
+from sim.fem.scalars import vector_of
+from sim.fem.sums import Sums
+from sim.fem.vectors import blend, copy_active, extrapolate, fill, walk
 
-MESH = oracle.domed_mesh()
+MESHES = oracle.domed_meshes()
+MESH = MESHES[0]
+"""Their topology is the same."""
+VARIANT = [1, 0, 1]
+MASS = np.stack([MESHES[variant].node_volume for variant in VARIANT])[:, :, None]
 COUNT = len(MESH.nodes)
 RUNS = -(-COUNT // RUN)
 REALS = [
@@ -36,7 +46,8 @@ def _mesh_inputs(real: Any) -> list[Any]:
         oracle.integers(MESH.node_elements),
         oracle.integers(MESH.node_faces),
         oracle.integers(MESH.free),
-        oracle.scalars(MESH.node_volume, real),
+        oracle.scalars([mesh.node_volume for mesh in MESHES], real),
+        oracle.integers(VARIANT),
     ]
 
 
@@ -47,15 +58,15 @@ def _at_nodes(cells: Array, values: Array) -> Array:
 @pytest.mark.parametrize("inertia", [False, True])
 @pytest.mark.parametrize("gravity", [False, True])
 @pytest.mark.parametrize(("real", "error"), REALS)
-def test_residual_gathers_every_share_once(
+def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     real: Any, error: float, gravity: bool, inertia: bool
 ) -> None:
     elements, faces = _random(3, len(MESH.elements), 8, 3), _random(3, len(MESH.faces), 4, 3)
     u, direction, predicted = _random(3, COUNT, 3), _random(3, COUNT, 3) + 1, _random(3, COUNT, 3)
     rate, weight = np.array([3.0, 5.0, 7.0]), _random(3, 3)
-    touched = _touched()
+    det, touched = _random(3, len(MESH.elements)), _touched()
     residual = oracle.zeros((3, COUNT), vector_of(real))
-    sums = oracle.zeros((3, RUNS, 3), wp.float64)
+    sums = oracle.zeros((3, RUNS, SUMS), wp.float64)
     inputs = [
         *_mesh_inputs(real),
         oracle.scalars(rate, real),
@@ -63,6 +74,7 @@ def test_residual_gathers_every_share_once(
         oracle.vectors(weight, real),
         oracle.integers(ACTIVE),
         oracle.vectors(elements, real),
+        oracle.scalars(det, real),
         oracle.integers(touched),
         oracle.vectors(faces, real),
         oracle.vectors(u, real),
@@ -70,98 +82,92 @@ def test_residual_gathers_every_share_once(
     ]
     kernel = residual_kernel(real, inertia, gravity)
     wp.launch(kernel, dim=(3, RUNS), inputs=inputs, outputs=[residual, sums], device="cpu")
-    applied = _at_nodes(MESH.faces, faces * touched[:, :, None, None])
-    inner = _at_nodes(MESH.elements, elements)
-    mass = MESH.node_volume[None, :, None]
+    running = ACTIVE[:, None]
+    applied = _at_nodes(MESH.faces, faces * touched[:, :, None, None]) * running[..., None]
+    pushed = applied.sum(1)
+    inner = _at_nodes(MESH.elements, elements) * running[..., None]
     if gravity:
-        applied = applied + weight[:, None] * mass
+        applied = applied + weight[:, None] * MASS * running[..., None]
     if inertia:
-        inner = inner + rate[:, None, None] * mass * (u - predicted)
-    expected = (applied - inner) * MESH.free[:, None] * ACTIVE[:, None, None]
+        inner = inner + rate[:, None, None] * MASS * (u - predicted) * running[..., None]
+    held = ((inner - applied) * ~MESH.free[:, None]).sum(1)
+    expected = (applied - inner) * MESH.free[:, None]
     assert oracle.relative(residual.numpy(), expected) < error
-    applied = applied * MESH.free[:, None] * ACTIVE[:, None, None]
-    totals = np.stack(
-        [
-            (expected**2).sum((1, 2)),
-            (applied**2).sum((1, 2)),
-            -(expected * direction).sum((1, 2)),
-        ],
-        axis=1,
+    totals = Sums(_reduced(sums))
+    square, applied_square = (
+        ((each * MESH.free[:, None]) ** 2).sum((1, 2)) for each in (expected, applied)
     )
-    assert oracle.relative(sums.numpy().sum(1), totals) < error
+    assert oracle.relative(totals.square, square) < error
+    assert oracle.relative(totals.applied, applied_square) < error
+    assert oracle.relative(totals.slope, -(expected * direction).sum((1, 2))) < error
+    assert oracle.relative(totals.det, det.min(1) * ACTIVE) < error
+    assert oracle.relative(totals.contact, pushed) < error
+    assert oracle.relative(totals.base, held) < error
+
+
+def _reduced(sums: Any) -> Array:
+    totals = oracle.zeros((3, SUMS), wp.float64)
+    inputs = [oracle.integers(ACTIVE), sums]
+    wp.launch(reduce_kernel(), dim=(3, SUMS), inputs=inputs, outputs=[totals], device="cpu")
+    return np.asarray(totals.numpy())
+
+
+def test_a_run_knows_the_least_determinant_around_its_own_nodes() -> None:
+    """So that every element is looked at, whichever run its nodes are in."""
+    runs = np.arange(COUNT) // RUN
+    for element in (0, len(MESH.elements) // 2, len(MESH.elements) - 1):
+        det = np.ones((3, len(MESH.elements)))
+        det[:, element] = -0.25
+        residual = oracle.zeros((3, COUNT), vector_of(wp.float64))
+        sums = oracle.zeros((3, RUNS, SUMS), wp.float64)
+        nothing = np.zeros((3, COUNT, 3))
+        inputs = [
+            *_mesh_inputs(wp.float64),
+            oracle.scalars(np.zeros(0), wp.float64),
+            oracle.vectors(np.zeros((0, 0, 3)), wp.float64),
+            oracle.vectors(np.zeros((0, 3)), wp.float64),
+            oracle.integers(ACTIVE),
+            oracle.vectors(np.zeros((3, len(MESH.elements), 8, 3)), wp.float64),
+            oracle.scalars(det, wp.float64),
+            oracle.integers(np.zeros((3, len(MESH.faces)))),
+            oracle.vectors(np.zeros((3, len(MESH.faces), 4, 3)), wp.float64),
+            oracle.vectors(nothing, wp.float64),
+            oracle.vectors(nothing, wp.float64),
+        ]
+        kernel = residual_kernel(wp.float64, False, False)
+        wp.launch(kernel, dim=(3, RUNS), inputs=inputs, outputs=[residual, sums], device="cpu")
+        expected = np.ones(RUNS)
+        expected[runs[MESH.elements[element]]] = -0.25
+        np.testing.assert_array_equal(sums.numpy()[0, :, 3], expected)
+        assert _reduced(sums)[:, 3].tolist() == [-0.25, 0.0, -0.25]
 
 
 @pytest.mark.parametrize(("real", "error"), REALS)
-def test_tangent_product_gathers_every_share_once(real: Any, error: float) -> None:
-    elements, faces = _random(3, len(MESH.elements), 8, 3), _random(3, len(MESH.faces), 4, 3)
-    v, shift, touched = _random(3, COUNT, 3), np.array([0.0, 2.0, 4.0]), _touched()
-    product = oracle.zeros((3, COUNT), vector_of(real))
-    sums = oracle.zeros((3, RUNS, 3), wp.float64)
-    inputs = [
-        *_mesh_inputs(real),
-        oracle.scalars(shift, real),
-        oracle.integers(ACTIVE),
-        oracle.vectors(elements, real),
-        oracle.integers(touched),
-        oracle.vectors(faces, real),
-        oracle.vectors(v, real),
-    ]
-    outputs = [product, sums]
-    wp.launch(tangent_kernel(real), dim=(3, RUNS), inputs=inputs, outputs=outputs, device="cpu")
-    total = _at_nodes(MESH.elements, elements)
-    total += _at_nodes(MESH.faces, faces * touched[:, :, None, None])
-    total += v * shift[:, None, None] * MESH.node_volume[None, :, None]
-    expected = total * MESH.free[:, None] * ACTIVE[:, None, None]
-    assert oracle.relative(product.numpy(), expected) < error
-    curvature = (expected * v).sum((1, 2))
-    assert oracle.relative(sums.numpy()[:, :, 0].sum(1), curvature) < error
-
-
-def test_reduce_adds_the_runs_of_active_environments() -> None:
-    partial = _random(3, 7, 3)
-    totals = oracle.zeros((3, 3), wp.float64)
-    inputs = [oracle.integers(ACTIVE), wp.array(partial, dtype=wp.float64, device="cpu")]
-    wp.launch(reduce_kernel(), dim=(3, 3), inputs=inputs, outputs=[totals], device="cpu")
-    np.testing.assert_allclose(totals.numpy(), partial.sum(1) * ACTIVE[:, None], rtol=1e-14)
-
-
-def test_rest_blocks_are_the_diagonal_of_the_undeformed_stiffness() -> None:
-    rest = np.zeros((COUNT, 3))
-    shear_block, bulk_block = rest_blocks(MESH)
-    for block, material in ((shear_block, Material(1.0, 0.0)), (bulk_block, Material(0.0, 1.0))):
-        dense = oracle.stiffness(MESH, rest, material)
-        expected = np.einsum("ninj->nij", dense)
-        assert oracle.relative(block, expected) < 1e-12
-
-
-@pytest.mark.parametrize(("real", "error"), REALS)
-def test_jacobi_inverts_the_diagonal_blocks(real: Any, error: float) -> None:
-    shear_block, bulk_block = rest_blocks(MESH)
-    shear, bulk = np.array([0.3, 0.4, 0.5]), np.array([3.0, 2.0, 1.0])
-    factor, bulk_factor = np.array([1.0, 1.5, 2.0]), np.array([1.0, 1.2, 1.4])
-    shift, touched = np.array([0.0, 10.0, 20.0]), _touched()
-    root = _random(3, len(MESH.faces), 4, 3, 3)
-    faces = root @ np.swapaxes(root, 3, 4)
-    inverse = oracle.zeros((3, COUNT), matrix_of(real))
+def test_push_gathers_the_faces_that_are_touched_at_nodes_that_move(
+    real: Any, error: float
+) -> None:
+    faces, touched = _random(3, len(MESH.faces), 4, 3), _touched()
+    before = _random(3, COUNT, 3)
+    pushed = oracle.vectors(before, real)
     inputs = [
         oracle.integers(MESH.node_faces),
         oracle.integers(MESH.free),
-        oracle.scalars(MESH.node_volume, real),
-        oracle.matrices(shear_block, real),
-        oracle.matrices(bulk_block, real),
-        *(oracle.scalars(one, real) for one in (shear, bulk, factor, bulk_factor, shift)),
         oracle.integers(ACTIVE),
         oracle.integers(touched),
-        oracle.matrices(faces, real),
+        oracle.vectors(faces, real),
     ]
-    kernel = jacobi_kernel(real)
-    wp.launch(kernel, dim=(3, COUNT), inputs=inputs, outputs=[inverse], device="cpu")
-    blocks = shear_block * (shear * factor)[:, None, None, None]
-    blocks = blocks + bulk_block * (bulk * bulk_factor)[:, None, None, None]
-    blocks += _at_nodes(MESH.faces, faces * touched[:, :, None, None, None])
-    blocks += np.eye(3) * (shift[:, None, None] * MESH.node_volume[None, :, None])[..., None]
-    expected = np.linalg.inv(blocks) * MESH.free[:, None, None] * ACTIVE[:, None, None, None]
-    assert oracle.relative(inverse.numpy(), expected) < 10 * error
+    wp.launch(push_kernel(real), dim=(3, COUNT), inputs=inputs, outputs=[pushed], device="cpu")
+    expected = _at_nodes(MESH.faces, faces * touched[:, :, None, None]) * MESH.free[:, None]
+    expected = np.where(ACTIVE[:, None, None] > 0, expected, before)
+    assert oracle.relative(pushed.numpy(), expected) < error
+
+
+def test_reduce_adds_the_runs_of_active_environments_and_takes_the_least_determinant() -> None:
+    partial = _random(3, 7, SUMS)
+    expected = partial.sum(1)
+    expected[:, 3] = partial[:, :, 3].min(1)
+    found = _reduced(wp.array(partial, dtype=wp.float64, device="cpu"))
+    np.testing.assert_allclose(found, expected * ACTIVE[:, None], rtol=1e-13)
 
 
 @pytest.mark.parametrize("real", [wp.float64, wp.float32])
@@ -187,10 +193,21 @@ def test_vector_operations_touch_active_environments_only(real: Any) -> None:
     expected = np.where(ACTIVE[:, None, None] > 0, stepped, before)
     np.testing.assert_allclose(target.numpy(), expected, rtol=1e-5, atol=1e-6)
 
-    target = oracle.zeros((3, 5), vector_of(real))
+    target = oracle.vectors(direction, real)
     old, new = oracle.vectors(before, real), oracle.vectors(now, real)
-    extrapolate(oracle.scalars(lengths, real), new, old, target)
-    expected = now + lengths[:, None, None] * (now - before)
+    extrapolate(active, oracle.scalars(lengths, real), new, old, target)
+    ahead = now + lengths[:, None, None] * (now - before)
+    expected = np.where(ACTIVE[:, None, None] > 0, ahead, direction)
+    np.testing.assert_allclose(target.numpy(), expected, rtol=1e-5, atol=1e-6)
+
+    target = oracle.vectors(before, real)
+    fill(active, oracle.vectors(now[:, 0], real), target)
+    expected = np.where(ACTIVE[:, None, None] > 0, now[:, :1], before)
+    np.testing.assert_allclose(target.numpy(), expected, rtol=1e-6)
+
+    target = oracle.scalars(before, real)
+    blend(active, 0.25, oracle.scalars(now, real), target)
+    expected = np.where(ACTIVE[:, None, None] > 0, 0.75 * before + 0.25 * now, before)
     np.testing.assert_allclose(target.numpy(), expected, rtol=1e-5, atol=1e-6)
 
 

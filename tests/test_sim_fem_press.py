@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
 from sim.fem.numerics import Numerics
@@ -38,11 +39,9 @@ def test_a_sphere_on_the_papers_gel_is_within_5_percent_of_the_fine_solution() -
     assert result.record["precision"] == "float32"
     assert -result.force[1:, 2] == pytest.approx([0.2652, 0.9197, 1.9560], rel=0.05)
     # The surface at 6 and 8 mm from the axis, outside of the contact: out by 42.4 and 9.7 um.
-    out = result.surface[-1, :, 10, 2]
-    assert out[16] == pytest.approx(42.4e-6, abs=6e-6)
-    assert out[18] == pytest.approx(9.7e-6, abs=6e-6)
-    aside = result.surface[-1, :, 10, 0]
-    assert aside[16] == pytest.approx(139e-6, abs=10e-6)
+    along = CubicSpline(result.surface_x, result.surface[-1, :, len(result.surface_y) // 2])
+    assert along([6e-3, 8e-3])[:, 2] == pytest.approx([42.4e-6, 9.7e-6], abs=6e-6)
+    assert along(6e-3)[0] == pytest.approx(139e-6, abs=10e-6)
     assert (result.quality.residual <= 1e-4).all()
     assert (result.quality.balance < 1e-3).all()
     assert result.quality.det_f_min.min() > 0.3
@@ -67,7 +66,7 @@ def test_mirrored_presses_mirror() -> None:
     ]
     here, x_mirror, y_mirror, swapped = _results(scenes, EXACT)
     force, depth = here.force[-1], 0.6e-3
-    assert abs(force[0]) > 0.005, "beside the middle the press has a side force"
+    assert abs(force[0]) > 0.001, "beside the middle the press has a side force"
     assert x_mirror.force[-1] == pytest.approx(force * [-1, 1, 1], rel=1e-6, abs=1e-9)
     assert y_mirror.force[-1] == pytest.approx(force * [1, -1, 1], rel=1e-6, abs=1e-9)
     assert swapped.force[-1] == pytest.approx(force[[1, 0, 2]], rel=1e-6, abs=1e-9)
@@ -116,9 +115,10 @@ def test_force_is_proportional_to_the_modulus_and_to_the_square_of_the_size() ->
 
 def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
     result = simulate(Scene(sphere(3e-3), press([0.6e-3], at=(0.5e-3, 0.0)), SMALL), numerics=EXACT)
-    share = np.ones(7)
-    share[[0, -1]] = 0.5
-    area = np.outer(share, share) * (8e-3 / 6) ** 2
+    sides = [
+        np.convolve(np.diff(axis), [0.5, 0.5]) for axis in (result.surface_x, result.surface_y)
+    ]
+    area = np.outer(*sides)
     total = (result.traction[-1].astype(float) * area[..., None]).sum((0, 1))
     assert total == pytest.approx(result.force[-1], rel=1e-5, abs=1e-8)
     # A smooth sphere pushes through its centre, a radius above the tip.

@@ -89,8 +89,8 @@ def test_effects_that_mean_nothing_are_refused(make: object, said: str) -> None:
 
 
 def test_a_tier_that_is_not_there_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"^tier: 'mpm'; allowed: layer, fem$"):
-        simulate(Scene(sphere(4e-3), press([1e-3])), "mpm")
+    with pytest.raises(SceneError, match=r"^tier: 'mesh'; allowed: layer, fem, mpm$"):
+        simulate(Scene(sphere(4e-3), press([1e-3])), "mesh")
 
 
 def test_many_scenes_give_many_results_in_their_order() -> None:

@@ -37,3 +37,5 @@ class Snippet:
     """Name of the factory."""
     flag: str
     """The factory's argument that compiles them in."""
+    user: str = "sim.fem.assembly"
+    """Module that calls the factory."""

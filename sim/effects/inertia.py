@@ -19,7 +19,6 @@ class Inertia:
 
     STATE: ClassVar[tuple[Memory, ...]] = (
         Memory("predicted", "node", 3),
-        Memory("_velocity", "node", 3),
         Memory("inertia_rate", "environment", 1),
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (

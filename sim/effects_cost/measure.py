@@ -151,7 +151,7 @@ def _same_code(snippet: Snippet) -> bool:
 
 def _assembly(*names: str) -> Assembly:
     mesh = build_mesh(BODY, NUMERICS.spacing or BODY.thickness)
-    return Assembly(mesh, [scene(*names)], NUMERICS, "float64", "cpu")
+    return Assembly([mesh], [scene(*names)], NUMERICS, "float64", "cpu")
 
 
 def _limits(name: str) -> tuple[float, ...]:

@@ -13,7 +13,9 @@ from sim.scene import Scene
 
 BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
 NUMERICS = Numerics(spacing=1e-3, precision="float64")
-EXACT = Numerics(spacing=1e-3, precision="float64", tolerance=1e-10)
+EXACT = Numerics(
+    spacing=1e-3, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10
+)
 """For differences far below the usual tolerance."""
 MOTION = Motion(
     ((0.0, 0.0, 0.0), (0.0, 0.0, -0.5e-3), (0.15e-3, 0.0, -0.5e-3)), (0.0, 0.5e-3, 1e-3)

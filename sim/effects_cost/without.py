@@ -64,12 +64,14 @@ def cut_factory(snippet: Snippet) -> Callable[..., Any]:
 @contextmanager
 def built_without(effect: str) -> Iterator[None]:
     """While it is open, every batch is solved by kernels that never had `effect`."""
-    assembly = importlib.import_module("sim.fem.assembly")
-    kept = {snippet: getattr(assembly, snippet.factory) for snippet in EFFECTS[effect].KERNELS}
+    snippets = [
+        (snippet, importlib.import_module(snippet.user)) for snippet in EFFECTS[effect].KERNELS
+    ]
+    kept = [getattr(user, snippet.factory) for snippet, user in snippets]
     try:
-        for snippet in kept:
-            setattr(assembly, snippet.factory, cut_factory(snippet))
+        for snippet, user in snippets:
+            setattr(user, snippet.factory, cut_factory(snippet))
         yield
     finally:
-        for snippet, factory in kept.items():
-            setattr(assembly, snippet.factory, factory)
+        for (snippet, user), factory in zip(snippets, kept, strict=True):
+            setattr(user, snippet.factory, factory)

@@ -2,8 +2,9 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """Preconditioned conjugate gradients on all environments at once, each stopping on its own.
 
-No number leaves the device but the count of environments still running, looked at every
-`LOOK` iterations. Dot products are float64 whatever the precision of the vectors.
+No number leaves the device but whether any environment is still running, looked at every `LOOK`
+iterations; on a GPU the iterations between are one graph, recorded once. Dot products are float64
+whatever the precision of the vectors.
 """
 
 import functools
@@ -11,65 +12,54 @@ import functools
 import numpy as np
 import warp as wp
 
-from sim.fem.nodes import RUN
-from sim.fem.scalars import matrix_of, vector_of
+from sim.fem.scalars import vector_of
 
-LOOK = {"cpu": 1, "cuda": 16}
+LOOK = {"cpu": 1, "cuda": 8}
 """Iterations between looks at who is still running: free on the CPU, a stop on a GPU."""
 
 CONCAVE = 1e300
 """Mark in place of the accuracy to reach: stop here, the tangent is not convex."""
+SCALARS = 5
+"""Numbers of each environment: r.z, r.r to reach, step, change of direction, slope."""
 
 
 @functools.cache
 def _kernels(real):
     vec3 = vector_of(real)
-    mat33 = matrix_of(real)
 
     @wp.func
-    def products(sums: wp.array3d(dtype=wp.float64), env: int):
-        """r.z and r.r of one environment, from the shares of its runs."""
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for run in range(sums.shape[1]):
-            rz += sums[env, run, 1]
-            rr += sums[env, run, 2]
-        return rz, rr
+    def total(sums: wp.array3d(dtype=wp.float64), env: int, which: int):
+        """The whole of a dot product, from its shares."""
+        whole = wp.float64(0.0)
+        for part in range(sums.shape[1]):
+            whole += sums[env, part, which]
+        return whole
 
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         # In:
         active: wp.array(dtype=wp.int32),
         residual: wp.array2d(dtype=vec3),
-        inverse: wp.array2d(dtype=mat33),
         # Out:
         solution_out: wp.array2d(dtype=vec3),
         r_out: wp.array2d(dtype=vec3),
         p_out: wp.array2d(dtype=vec3),
-        sums_out: wp.array3d(dtype=wp.float64),
+        product_out: wp.array2d(dtype=vec3),
     ):
-        env, run = wp.tid()
+        env, n = wp.tid()
         if active[env] == 0:
             return
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for n in range(run * RUN, wp.min((run + 1) * RUN, residual.shape[1])):
-            r = residual[env, n]
-            z = inverse[env, n] * r
-            solution_out[env, n] = vec3()
-            r_out[env, n] = r
-            p_out[env, n] = z
-            rz += wp.float64(wp.dot(r, z))
-            rr += wp.float64(wp.dot(r, r))
-        sums_out[env, run, 1] = rz
-        sums_out[env, run, 2] = rr
+        solution_out[env, n] = vec3()
+        p_out[env, n] = vec3()
+        product_out[env, n] = vec3()
+        r_out[env, n] = residual[env, n]
 
     @wp.kernel(enable_backward=False, module="unique")
     def begin(
         # In:
         sums: wp.array3d(dtype=wp.float64),
         accuracy: wp.array(dtype=wp.float64),
-        # In and out: rz, rr to reach, step, change of direction, by environment
+        # In and out:
         active: wp.array(dtype=wp.int32),
         count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
@@ -78,9 +68,11 @@ def _kernels(real):
         count_out[env] = 0
         if active[env] == 0:
             return
-        rz, rr = products(sums, env)
-        scalars_out[env, 0] = rz
+        rr = total(sums, env, 1)
+        scalars_out[env, 0] = total(sums, env, 0)
         scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
+        scalars_out[env, 3] = wp.float64(0.0)
+        scalars_out[env, 4] = wp.float64(0.0)
         if rr == wp.float64(0.0):
             active[env] = 0
 
@@ -96,9 +88,7 @@ def _kernels(real):
         env = wp.tid()
         if active[env] == 0:
             return
-        curvature = wp.float64(0.0)
-        for run in range(sums.shape[1]):
-            curvature += sums[env, run, 0]
+        curvature = total(sums, env, 0)
         if curvature > wp.float64(0.0):
             scalars_out[env, 2] = scalars_out[env, 0] / curvature
         else:
@@ -107,39 +97,9 @@ def _kernels(real):
             if count_out[env] == 0:
                 scalars_out[env, 2] = wp.float64(1.0)
             scalars_out[env, 1] = wp.float64(CONCAVE)
+        # The right-hand side times p is r.z: every later residual is at right angles to it.
+        scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
         count_out[env] = count_out[env] + 1
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def advance(
-        # In:
-        active: wp.array(dtype=wp.int32),
-        scalars: wp.array2d(dtype=wp.float64),
-        inverse: wp.array2d(dtype=mat33),
-        p: wp.array2d(dtype=vec3),
-        product: wp.array2d(dtype=vec3),
-        # In and out:
-        solution_out: wp.array2d(dtype=vec3),
-        r_out: wp.array2d(dtype=vec3),
-        # Out:
-        z_out: wp.array2d(dtype=vec3),
-        sums_out: wp.array3d(dtype=wp.float64),
-    ):
-        env, run = wp.tid()
-        if active[env] == 0:
-            return
-        step = real(scalars[env, 2])
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        for n in range(run * RUN, wp.min((run + 1) * RUN, p.shape[1])):
-            solution_out[env, n] = solution_out[env, n] + p[env, n] * step
-            r = r_out[env, n] - product[env, n] * step
-            z = inverse[env, n] * r
-            r_out[env, n] = r
-            z_out[env, n] = z
-            rz += wp.float64(wp.dot(r, z))
-            rr += wp.float64(wp.dot(r, r))
-        sums_out[env, run, 1] = rz
-        sums_out[env, run, 2] = rr
 
     @wp.kernel(enable_backward=False, module="unique")
     def change(
@@ -152,7 +112,8 @@ def _kernels(real):
         env = wp.tid()
         if active[env] == 0:
             return
-        rz, rr = products(sums, env)
+        rz = total(sums, env, 0)
+        rr = total(sums, env, 1)
         scalars_out[env, 3] = rz / scalars_out[env, 0]
         scalars_out[env, 0] = rz
         if not (rr > scalars_out[env, 1]):
@@ -172,22 +133,29 @@ def _kernels(real):
             return
         p_out[env, n] = z[env, n] + p_out[env, n] * real(scalars[env, 3])
 
-    return start, begin, step_length, advance, change, turn
+    return start, begin, step_length, change, turn
 
 
 class ConjugateGradient:
     """Solves tangent x = residual for B environments of N nodes; owns its vectors.
 
-    `apply(active, p, product, sums)` must write tangent p into `product` and the partial sums of
-    p . product into `sums[..., 0]`, for active environments.
+    Args:
+        real: Warp's scalar type.
+        environments: How many, B.
+        nodes: How many, N.
+        device: Where.
+        stencil: The tangent: `product(active, p, product, sums)` writes tangent p and the shares of
+            p . tangent p, (B, `stencil.parts`, 1).
+        columns: The preconditioner: `advance` goes a step along p and writes z and the shares of
+            r.z and r.r, (B, `columns.parts`, 2).
     """
 
-    def __init__(self, real, environments: int, nodes: int, device: str) -> None:
+    def __init__(self, real, environments: int, nodes: int, device: str, stencil, columns) -> None:
         vec3 = vector_of(real)
         shape = (environments, nodes)
         self._real = real
         self._device = wp.get_device(device)
-        self._runs = -(-nodes // RUN)
+        self._stencil, self._columns = stencil, columns
         self._shape = shape
         self.solution = wp.zeros(shape, dtype=vec3, device=device)
         """Where the answer is (B, N)."""
@@ -195,78 +163,100 @@ class ConjugateGradient:
         self._p = wp.zeros(shape, dtype=vec3, device=device)
         self._z = wp.zeros(shape, dtype=vec3, device=device)
         self._product = wp.zeros(shape, dtype=vec3, device=device)
-        self._sums = wp.zeros((*shape[:1], self._runs, 3), dtype=wp.float64, device=device)
+        parts = environments, stencil.parts, 1
+        self._along = wp.zeros(parts, dtype=wp.float64, device=device)
+        parts = environments, columns.parts, 2
+        self._sums = wp.zeros(parts, dtype=wp.float64, device=device)
         self._active = wp.zeros(environments, dtype=wp.int32, device=device)
         self._count = wp.zeros(environments, dtype=wp.int32, device=device)
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
-        self._scalars = wp.zeros((environments, 4), dtype=wp.float64, device=device)
+        self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
+        self._graph = None
 
-    def solve(self, active, residual, inverse, apply, accuracy, most: int) -> np.ndarray:
+    def solve(self, active, residual, accuracy, most: int) -> np.ndarray:
         """Fill `solution` of active environments; the iterations of each (B,).
 
         Args:
             active: Which environments, int32 (B,); not changed.
             residual: Right-hand side (B, N).
-            inverse: Inverse diagonal blocks (B, N), zero where a node is held.
-            apply: The tangent, see the class.
             accuracy: |r| / |residual| to reach, float64 NumPy (B,).
-            most: Iterations at most.
+            most: Iterations at most; a GPU finishes the graph it is in.
         """
-        start, begin, step_length, advance, change, turn = _kernels(self._real)
-        environments = self._shape[0]
-        runs = (environments, self._runs)
-        device = self._device
+        start, begin, _step_length, _change, turn = _kernels(self._real)
         wp.copy(self._active, active)
         self._accuracy.assign(accuracy)
-        wp.launch(
-            start,
-            dim=runs,
-            inputs=[self._active, residual, inverse],
-            outputs=[self.solution, self._r, self._p, self._sums],
-            device=device,
+        self._scalars.zero_()
+        self._launch(
+            start, self._shape, [residual], [self.solution, self._r, self._p, self._product]
         )
+        self._advance()
         wp.launch(
             begin,
-            dim=environments,
+            dim=self._shape[0],
             inputs=[self._sums, self._accuracy],
             outputs=[self._active, self._count, self._scalars],
-            device=device,
+            device=self._device,
         )
-        look = LOOK["cuda" if device.is_cuda else "cpu"]
-        for iteration in range(most):
-            if iteration % look == 0 and not self._active.numpy().any():
+        self._launch(turn, self._shape, [self._scalars, self._z], [self._p])
+        look = LOOK["cuda" if self._device.is_cuda else "cpu"]
+        for _iteration in range(0, most, look):
+            if not self._active.numpy().any():
                 break
-            apply(self._active, self._p, self._product, self._sums)
-            wp.launch(
-                step_length,
-                dim=environments,
-                inputs=[self._sums],
-                outputs=[self._active, self._count, self._scalars],
-                device=device,
-            )
-            wp.launch(
-                advance,
-                dim=runs,
-                inputs=[self._active, self._scalars, inverse, self._p, self._product],
-                outputs=[self.solution, self._r, self._z, self._sums],
-                device=device,
-            )
-            wp.launch(
-                change,
-                dim=environments,
-                inputs=[self._sums],
-                outputs=[self._active, self._scalars],
-                device=device,
-            )
-            wp.launch(
-                turn,
-                dim=self._shape,
-                inputs=[self._active, self._scalars, self._z],
-                outputs=[self._p],
-                device=device,
-            )
+            self._iterate(look)
         return self._count.numpy().copy()
 
-    def concave(self) -> np.ndarray:
-        """Where the last solve met a direction along which the tangent is not convex (B,)."""
-        return self._scalars.numpy()[:, 1] >= CONCAVE
+    def verdict(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the last solve (B,): -(right-hand side) . solution; whether it ended concave.
+
+        Concave: it met a direction along which the tangent is not convex.
+        """
+        scalars = self._scalars.numpy()
+        return scalars[:, 4].copy(), scalars[:, 1] >= CONCAVE
+
+    def _iterate(self, times: int) -> None:
+        if not self._device.is_cuda:
+            for _time in range(times):
+                self._once()
+            return
+        if self._graph is None:
+            self._once()  # compiles what is not compiled, which a recording must not
+            with wp.ScopedCapture(self._device) as capture:
+                for _time in range(times):
+                    self._once()
+            self._graph = capture.graph
+            return
+        wp.capture_launch(self._graph)
+
+    def _once(self) -> None:
+        _start, _begin, step_length, change, turn = _kernels(self._real)
+        self._stencil.product(self._active, self._p, self._product, self._along)
+        wp.launch(
+            step_length,
+            dim=self._shape[0],
+            inputs=[self._along],
+            outputs=[self._active, self._count, self._scalars],
+            device=self._device,
+        )
+        self._advance()
+        wp.launch(
+            change,
+            dim=self._shape[0],
+            inputs=[self._sums],
+            outputs=[self._active, self._scalars],
+            device=self._device,
+        )
+        self._launch(turn, self._shape, [self._scalars, self._z], [self._p])
+
+    def _advance(self) -> None:
+        self._columns.advance(
+            self._active,
+            self._scalars,
+            (self._p, self._product),
+            (self.solution, self._r, self._z),
+            self._sums,
+        )
+
+    def _launch(self, kernel, dim, inputs, outputs) -> None:
+        wp.launch(
+            kernel, dim=dim, inputs=[self._active, *inputs], outputs=outputs, device=self._device
+        )

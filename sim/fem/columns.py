@@ -22,13 +22,15 @@ from sim.fem.scalars import matrix_of, vector_of
 
 ABOVE = CENTRE + 1
 """Slot of the node above."""
+BLOCK = 64
+"""Columns that one block of a GPU's threads takes, whose sums it adds up."""
 PIVOT_LEAST = 1e-5
 """Least eigenvalue of a pivot over the mean diagonal of its block. Shear against bulk modulus at
 nu = 0.4999 makes 1e-4 of it; below 1e-6 float32 has no digits left."""
 
 
 @functools.cache
-def _kernels(real):
+def _kernels(real, parallel: bool):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     half, third, least = real(0.5), real(1.0 / 3.0), real(PIVOT_LEAST)
@@ -86,32 +88,59 @@ def _kernels(real):
             upper_out[env, column, k] = upper
 
     @wp.kernel(enable_backward=False, module="unique")
-    def solve(
-        # In:
+    def advance(
+        # In: factors; step length (B, 2); search direction and the tangent times it
         active: wp.array(dtype=wp.int32),
         pivot: wp.array3d(dtype=mat33),
         upper: wp.array3d(dtype=mat33),
-        r: wp.array2d(dtype=vec3),
-        # Out:
+        scalars: wp.array2d(dtype=wp.float64),
+        p: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        # In and out:
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+        # Out: preconditioned residual, and shares of r.z and r.r
         z_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
     ):
         env, column = wp.tid()
         if active[env] == 0:
             return
-        levels = pivot.shape[2]
-        first = column * levels
-        carried = vec3()
-        for k in range(levels):
-            y = r[env, first + k] - carried
-            z_out[env, first + k] = y
-            carried = wp.transpose(upper[env, column, k]) * y
-        z = vec3()
-        for j in range(levels):
-            k = levels - 1 - j
-            z = pivot[env, column, k] * z_out[env, first + k] - upper[env, column, k] * z
-            z_out[env, first + k] = z
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if column < pivot.shape[1]:
+            levels = pivot.shape[2]
+            first = column * levels
+            step = real(scalars[env, 2])
+            carried = vec3()
+            for k in range(levels):
+                n = first + k
+                solution_out[env, n] = solution_out[env, n] + p[env, n] * step
+                r = r_out[env, n] - product[env, n] * step
+                r_out[env, n] = r
+                y = r - carried
+                z_out[env, n] = y
+                carried = wp.transpose(upper[env, column, k]) * y
+            z = vec3()
+            for j in range(levels):
+                k = levels - 1 - j
+                n = first + k
+                z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
+                z_out[env, n] = z
+                r = r_out[env, n]
+                rz += wp.float64(wp.dot(r, z))
+                rr += wp.float64(wp.dot(r, r))
+        if wp.static(parallel):
+            block_rz = wp.tile_sum(wp.tile(rz))
+            block_rr = wp.tile_sum(wp.tile(rr))
+            if column % BLOCK == 0:
+                sums_out[env, column // BLOCK, 0] = block_rz[0]
+                sums_out[env, column // BLOCK, 1] = block_rr[0]
+        else:
+            sums_out[env, column, 0] = rz
+            sums_out[env, column, 1] = rr
 
-    return factor, solve
+    return factor, advance
 
 
 class Columns:
@@ -130,11 +159,14 @@ class Columns:
             parallel: Whether column numbers run fastest in memory. On a GPU, when not said.
         """
         self._device = device
-        self._factor, self._solve = _kernels(real)
+        on_gpu = wp.get_device(device).is_cuda
+        self._factor, self._advance = _kernels(real, on_gpu)
         levels = mesh.cells[2] + 1
         columns = len(mesh.nodes) // levels
         self._launched = (environments, columns)
-        if wp.get_device(device).is_cuda if parallel is None else parallel:
+        self.parts = -(-columns // BLOCK) if on_gpu else columns
+        """How many shares `advance` writes of each sum."""
+        if on_gpu if parallel is None else parallel:
             stored = wp.zeros((2, environments, levels, columns), matrix_of(real), device=device)
             stored = stored.transpose((0, 1, 3, 2))
         else:
@@ -152,12 +184,24 @@ class Columns:
             device=self._device,
         )
 
-    def apply(self, active, r, z) -> None:
-        """Write the preconditioner times `r` (B, N) into `z` (B, N), for active environments."""
+    def advance(self, active, scalars, along, vectors, sums) -> None:
+        """Go a step of conjugate gradients, and precondition the residual that it leaves.
+
+        Args:
+            active: Which environments, int32 (B,).
+            scalars: Length of the step in column 2 (B, 3 or more), float64.
+            along: Search direction and the tangent times it, two (B, N).
+            vectors: Solution and residual, which the step changes, and where the preconditioned
+                residual goes, three (B, N).
+            sums: Where the shares of r.z and r.r go (B, `parts`, 2), float64.
+        """
+        environments, columns = self._launched
+        on_gpu = self.parts != columns
         wp.launch(
-            self._solve,
-            dim=self._launched,
-            inputs=[active, self._pivot, self._upper, r],
-            outputs=[z],
+            self._advance,
+            dim=(environments, self.parts * BLOCK) if on_gpu else self._launched,
+            inputs=[active, self._pivot, self._upper, scalars, *along],
+            outputs=[*vectors, sums],
             device=self._device,
+            block_dim=BLOCK,
         )

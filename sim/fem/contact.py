@@ -2,11 +2,15 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """Contact with a rigid signed distance function at Gauss points of the faces, and friction there.
 
-Normal: a penalty spring, pressure = penalty * penetration, which pushes along the gradient of the
-distance. Friction: the traction of the last converged step, moved on by a tangential spring and
-cut back to coefficient * pressure (return mapping; Wriggers, Computational Contact Mechanics, 2006,
-section 5.2). The pressure in that limit is an input, so that the derivative stays symmetric; the
-Newton loop brings it up to date until it is the pressure of the same state.
+Normal: augmented Lagrangian (Simo & Laursen 1992): pressure = carried + penalty * penetration where
+that is positive, along the gradient of the distance. `carried` is the pressure of an earlier state
+of the same point: brought up to date until the penetration is gone, it leaves a soft penalty, whose
+equations are easy to solve, with the answer of a stiff one.
+
+Friction: the traction of the last converged step, moved on by a tangential spring and cut back to
+coefficient * pressure (return mapping; Wriggers, Computational Contact Mechanics, 2006, section
+5.2). The pressure in that limit is an input, so that the derivative stays symmetric; the Newton
+loop brings it up to date until it is the pressure of the same state.
 
 Everything per untouched area. One thread a face of one environment.
 """
@@ -38,7 +42,7 @@ def face_rule(points: int, *, nodal: bool = False) -> tuple[np.ndarray, np.ndarr
 
 @functools.cache
 def contact_kernels(real, friction: bool):
-    """Kernels (contact, tangent, diagonal); without `friction` no trace of it is compiled."""
+    """Kernels (contact, tangent); without `friction` no trace of it is compiled."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     table_type = table_struct(real)
@@ -70,14 +74,16 @@ def contact_kernels(real, friction: bool):
     def contact(
         # Mesh:
         faces: wp.array2d(dtype=wp.int32),
-        face_area: wp.array(dtype=real),
+        face_area: wp.array2d(dtype=real),
         shape: wp.array2d(dtype=real),
         rule: wp.array(dtype=real),
-        nodes: wp.array(dtype=vec3),
+        nodes: wp.array2d(dtype=vec3),
+        variant: wp.array(dtype=wp.int32),
         # Indenter:
         table: table_type,
         tip: wp.array(dtype=vec3),
         penalty: real,
+        carried: wp.array3d(dtype=real),
         # Friction:
         coefficient: wp.array(dtype=real),
         stick: real,
@@ -100,14 +106,15 @@ def contact_kernels(real, friction: bool):
         env, s = wp.tid()
         if active[env] == 0:
             return
+        m = variant[env]
         n0 = faces[s, 0]
         n1 = faces[s, 1]
         n2 = faces[s, 2]
         n3 = faces[s, 3]
-        x0 = nodes[n0] + u[env, n0] - tip[env]
-        x1 = nodes[n1] + u[env, n1] - tip[env]
-        x2 = nodes[n2] + u[env, n2] - tip[env]
-        x3 = nodes[n3] + u[env, n3] - tip[env]
+        x0 = nodes[m, n0] + u[env, n0] - tip[env]
+        x1 = nodes[m, n1] + u[env, n1] - tip[env]
+        x2 = nodes[m, n2] + u[env, n2] - tip[env]
+        x3 = nodes[m, n3] + u[env, n3] - tip[env]
         f0 = vec3()
         f1 = vec3()
         f2 = vec3()
@@ -121,13 +128,11 @@ def contact_kernels(real, friction: bool):
             a3 = shape[p, 3]
             place = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
             answer = distance(table, env, place)
-            gap = answer[3]
-            pressure = real(0.0)
-            if gap < zero:
+            pressure = carried[env, s, p] - penalty * answer[3]
+            if pressure > zero:
                 touched += 1
                 normal = vec3(answer[0], answer[1], answer[2])
-                w = rule[p] * face_area[s]
-                pressure = -penalty * gap
+                w = rule[p] * face_area[m, s]
                 energy += half * w * pressure * pressure / penalty
                 matrix = wp.outer(normal, normal) * penalty
                 matrix -= curvature(table, env, place, normal) * pressure
@@ -165,6 +170,7 @@ def contact_kernels(real, friction: bool):
                 f2 += push * a2
                 f3 += push * a3
             else:
+                pressure = zero
                 matrix_out[env, s, p] = mat33()
                 if wp.static(friction):
                     traction_out[env, s, p] = vec3()
@@ -215,24 +221,4 @@ def contact_kernels(real, friction: bool):
         force_out[env, s, 2] = f2
         force_out[env, s, 3] = f3
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def diagonal(
-        # Mesh:
-        shape: wp.array2d(dtype=real),
-        # In:
-        active: wp.array(dtype=wp.int32),
-        touched: wp.array2d(dtype=wp.int32),
-        matrix: wp.array3d(dtype=mat33),
-        # Out: diagonal blocks of the tangent by corner, for faces that are touched
-        block_out: wp.array3d(dtype=mat33),
-    ):
-        env, s = wp.tid()
-        if active[env] == 0 or touched[env, s] == 0:
-            return
-        for corner in range(4):
-            block = mat33()
-            for p in range(shape.shape[0]):
-                block += matrix[env, s, p] * (shape[p, corner] * shape[p, corner])
-            block_out[env, s, corner] = block
-
-    return contact, tangent, diagonal
+    return contact, tangent

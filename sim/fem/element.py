@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Elastic (and viscous) forces of 8-node hexahedra with mean dilatation, and their derivative.
+"""Elastic (and viscous) forces of 8-node hexahedra with mean dilatation.
 
 Isochoric neo-Hookean with one volume change theta per element (Simo, Taylor & Pister 1985):
 W = G/2 (J^(-2/3) tr(F^T F) - 3) + K/2 ((theta^2 - 1)/2 - ln theta), theta = deformed/rest volume.
@@ -99,7 +99,7 @@ def mode_functions(real):
 
 @functools.cache
 def strain_functions(real):
-    """`strain`, `cofactor`, `cofactor_change`, `det_less_one`: what every kernel needs of F."""
+    """`strain`, `cofactor`, `det_less_one`: what every kernel needs of F."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
 
@@ -124,20 +124,6 @@ def strain_functions(real):
         return wp.matrix_from_cols(wp.cross(c1, c2), wp.cross(c2, c0), wp.cross(c0, c1))
 
     @wp.func
-    def cofactor_change(f: mat33, d: mat33):
-        c0 = wp.vector(f[0, 0], f[1, 0], f[2, 0])
-        c1 = wp.vector(f[0, 1], f[1, 1], f[2, 1])
-        c2 = wp.vector(f[0, 2], f[1, 2], f[2, 2])
-        d0 = wp.vector(d[0, 0], d[1, 0], d[2, 0])
-        d1 = wp.vector(d[0, 1], d[1, 1], d[2, 1])
-        d2 = wp.vector(d[0, 2], d[1, 2], d[2, 2])
-        return wp.matrix_from_cols(
-            wp.cross(d1, c2) + wp.cross(c1, d2),
-            wp.cross(d2, c0) + wp.cross(c2, d0),
-            wp.cross(d0, c1) + wp.cross(c0, d1),
-        )
-
-    @wp.func
     def det_less_one(h: mat33):
         """det(1 + h) - 1 without the cancellation that would cost float32 half its digits."""
         minors = (
@@ -150,12 +136,12 @@ def strain_functions(real):
         )
         return wp.trace(h) + minors + wp.determinant(h)
 
-    return strain, cofactor, cofactor_change, det_less_one
+    return strain, cofactor, det_less_one
 
 
 @functools.cache
 def element_kernels(real, viscous: bool, full_integration: bool = False):
-    """Kernels (residual, tangent) for one precision and combination of effects.
+    """Kernel of the forces for one precision and combination of effects.
 
     `viscous` compiles the Prony history in; without it no trace of it is left. `full_integration`
     is the planted mistake.
@@ -163,18 +149,19 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, scatter = mode_functions(real)
-    strain, cofactor, cofactor_change, det_less_one = strain_functions(real)
+    strain, cofactor, det_less_one = strain_functions(real)
     half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
     # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
-    power, five_thirds = real(-2.0 / 3.0), real(5.0 / 3.0)
+    power = real(-2.0 / 3.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def residual(
         # Mesh:
         elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array2d(dtype=mat33),
-        weight: wp.array2d(dtype=real),
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
         points: int,
         # Material, by environment:
         shear: wp.array(dtype=real),
@@ -194,15 +181,16 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         env, e = wp.tid()
         if active[env] == 0:
             return
+        m = variant[env]
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         volume = real(0.0)
         change = real(0.0)
         lowest = real(1.0e30)
         for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[e, q])
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, q])
             j = det_less_one(h)
-            volume += weight[e, q]
-            change += weight[e, q] * j
+            volume += weight[m, e, q]
+            change += weight[m, e, q] * j
             lowest = wp.min(lowest, one + j)
         det_out[env, e] = lowest
         theta = change / volume
@@ -223,12 +211,12 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         f6 = vec3()
         f7 = vec3()
         for q in range(points):
-            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[e, q])
+            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, q])
             f = h + wp.identity(n=3, dtype=real)
             c = cofactor(f)
             less = det_less_one(h)
             j = one + less
-            w = weight[e, q]
+            w = weight[m, e, q]
             square = wp.ddot(f, f)
             g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), power)
             if wp.static(full_integration):
@@ -242,7 +230,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
             if wp.static(viscous):
                 stress = stress * factor[env] + f * history[env, e, q]
             stress = (stress + c * pressure) * w
-            t = stress * wp.transpose(inverse[e, q])
+            t = stress * wp.transpose(inverse[m, e, q])
             tx = wp.vector(t[0, 0], t[1, 0], t[2, 0])
             ty = wp.vector(t[0, 1], t[1, 1], t[2, 1])
             tz = wp.vector(t[0, 2], t[1, 2], t[2, 2])
@@ -256,94 +244,4 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         energy_out[env, e] = energy
         scatter(force_out, env, e, f1, f2, f3, f4, f5, f6, f7)
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def tangent(
-        # Mesh:
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array2d(dtype=mat33),
-        weight: wp.array2d(dtype=real),
-        points: int,
-        # Material, by environment:
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
-        # In:
-        active: wp.array(dtype=wp.int32),
-        u: wp.array2d(dtype=vec3),
-        v: wp.array2d(dtype=vec3),
-        # Out:
-        force_out: wp.array3d(dtype=vec3),
-    ):
-        env, e = wp.tid()
-        if active[env] == 0:
-            return
-        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        v1, v2, v3, v4, v5, v6, v7 = modes_of(elements, v, env, e)
-        volume = real(0.0)
-        change = real(0.0)
-        change_rate = real(0.0)
-        for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[e, q])
-            d, _tx, _ty, _tz = strain(v1, v2, v3, v4, v5, v6, v7, q, inverse[e, q])
-            c = cofactor(h + wp.identity(n=3, dtype=real))
-            volume += weight[e, q]
-            change += weight[e, q] * det_less_one(h)
-            change_rate += weight[e, q] * wp.ddot(c, d)
-        theta = change / volume
-        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
-        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
-        if wp.static(viscous):
-            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
-            stiffness = bulk_factor[env] * stiffness
-        rate = stiffness * change_rate / volume
-        f1 = vec3()
-        f2 = vec3()
-        f3 = vec3()
-        f4 = vec3()
-        f5 = vec3()
-        f6 = vec3()
-        f7 = vec3()
-        for q in range(points):
-            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[e, q])
-            d, _tx, _ty, _tz = strain(v1, v2, v3, v4, v5, v6, v7, q, inverse[e, q])
-            f = h + wp.identity(n=3, dtype=real)
-            c = cofactor(f)
-            dc = cofactor_change(f, d)
-            less = det_less_one(h)
-            j = one + less
-            w = weight[e, q]
-            square = wp.ddot(f, f)
-            g = shear[env] * wp.pow(j, power)
-            tj = wp.ddot(c, d) / j
-            fd = wp.ddot(f, d)
-            if wp.static(full_integration):
-                pressure = half * bulk[env] * less * (two + less) / j
-                rate = half * bulk[env] * (one + one / (j * j)) * tj * j
-            mixed = g * third / j * (five_thirds * square * tj - two * fd)
-            spread = -g * third / j * square
-            if wp.static(viscous):
-                g = g * factor[env]
-                mixed = mixed * factor[env]
-                spread = spread * factor[env]
-            change_stress = (
-                d * g + f * (-two * third * tj * g) + c * (mixed + rate) + dc * (spread + pressure)
-            )
-            if wp.static(viscous):
-                change_stress = change_stress + d * history[env, e, q]
-            t = (change_stress * w) * wp.transpose(inverse[e, q])
-            tx = wp.vector(t[0, 0], t[1, 0], t[2, 0])
-            ty = wp.vector(t[0, 1], t[1, 1], t[2, 1])
-            tz = wp.vector(t[0, 2], t[1, 2], t[2, 2])
-            f1 += tx
-            f2 += ty
-            f3 += tz
-            f4 += tx * sy + ty * sx
-            f5 += ty * sz + tz * sy
-            f6 += tx * sz + tz * sx
-            f7 += tx * (sy * sz) + ty * (sx * sz) + tz * (sx * sy)
-        scatter(force_out, env, e, f1, f2, f3, f4, f5, f6, f7)
-
-    return residual, tangent
+    return residual

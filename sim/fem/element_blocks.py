@@ -2,9 +2,9 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """The tangent of an element as 3x3 blocks between its nodes, added to the stencil of each node.
 
-The same derivative as `element.tangent`, written out. With G_r = row r of the inverse Jacobian,
-f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference directions r and s at
-one Gauss point is
+The derivative of the forces of `fem.element`, written out. With G_r = row r of the inverse
+Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference directions
+r and s at one Gauss point is
 
     g (G_r.G_s) 1 - 2g/3J (f_r c_s^T + c_r f_s^T) + 5g |F|^2/9J^2 c_r c_s^T + (p - g |F|^2/3J) dcof
 
@@ -32,7 +32,7 @@ def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
-    strain, cofactor, _change, det_less_one = strain_functions(real)
+    strain, cofactor, det_less_one = strain_functions(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
     # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
     third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.fem.assembly import Assembly
+from sim.fem.mesh import Mesh
 from sim.fem.newton import FORCE_FLOOR
 from sim.fem.readings import body_force, contact_points, stored_energy, surface_traction
 from sim.result import Quality, Result
@@ -27,11 +28,11 @@ class Spent:
 class Collector:
     """Frames of one press, filled as they are reached; SI units outside."""
 
-    def __init__(self, scene: Scene, assembly: Assembly) -> None:
-        self._scene, self._mesh = scene, assembly.mesh
+    def __init__(self, scene: Scene, mesh: Mesh, assembly: Assembly) -> None:
+        self._scene, self._mesh = scene, mesh
         self._unit = scene.body.thickness
         self._stress = scene.body.modulus
-        nx, ny, _nz = assembly.mesh.cells
+        nx, ny, _nz = mesh.cells
         frames = len(scene.motion)
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
@@ -51,14 +52,14 @@ class Collector:
         if self._tip_before is not None:
             self._work += 0.5 * float((force + self._force_before) @ (tip - self._tip_before))
             self._work_most = max(self._work_most, self._work)
-        self._force_before, self._tip_before = force, tip
+        self._force_before, self._tip_before = force.copy(), tip.copy()
 
-    def keep(self, frame: int, env: int, assembly: Assembly, residual: float, reaction) -> None:
+    def keep(self, frame: int, env: int, assembly: Assembly, residual: float) -> None:
         """Keep the state of environment `env`, last evaluated, as frame `frame`."""
         state, mesh = assembly.state, self._mesh
-        u = state.u.numpy()[env].astype(float)
-        tip = state.tip.numpy()[env].astype(float)
-        points = contact_points(assembly, env)
+        u = state.u[env].numpy().astype(float)
+        tip = self._tip_before
+        points = contact_points(assembly, env, u)
         force = points.force.sum(axis=(0, 1))
         lever = points.place - tip
         torque = np.cross(lever, points.force).sum(axis=(0, 1))
@@ -72,15 +73,17 @@ class Collector:
         external = force + body_force(assembly, env, u)
         quality = self._quality
         quality["residual"][frame] = residual
-        quality["contact"][frame] = points.pressure.max() / assembly.numerics.penalty / depth
+        quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
         scale = max(size, float(np.linalg.norm(external)), FORCE_FLOOR[assembly.precision])
-        quality["balance"][frame] = float(np.linalg.norm(external + reaction)) / scale
+        quality["balance"][frame] = (
+            float(np.linalg.norm(external + assembly.sums.base[env])) / scale
+        )
         stored = stored_energy(assembly, env, points, u)
         if self._start is None:
             self._start, self._work, self._work_most = stored, 0.0, 0.0
         lost = self._work - (stored - self._start)
         quality["energy_gap"][frame] = lost / self._work_most if self._work_most > 1e-9 else 0.0
-        quality["det_f_min"][frame] = assembly.det_min()[env]
+        quality["det_f_min"][frame] = assembly.sums.det[env]
         quality["slip_excess"][frame] = points.slip_excess
         for name in self._counts:
             self._counts[name][frame] = getattr(self.spent, name)
@@ -88,14 +91,12 @@ class Collector:
 
     def result(self, record: dict) -> Result:
         """The result, once every frame was kept."""
-        nx, ny, _nz = self._mesh.cells
-        body = self._scene.body
         return Result(
             scene=self._scene,
             tier="fem",
             wrench=self._wrench,
-            surface_x=np.linspace(-body.size_x / 2, body.size_x / 2, nx + 1),
-            surface_y=np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1),
+            surface_x=self._mesh.x * self._unit,
+            surface_y=self._mesh.y * self._unit,
             surface=self._surface,
             traction=self._traction,
             quality=Quality(**self._quality, **self._counts),

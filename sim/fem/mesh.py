@@ -1,4 +1,6 @@
-"""The mesh: a regular grid of 8-node hexahedra from the bonded base to the top of a body.
+"""The mesh: a grid of 8-node hexahedra from the bonded base to the top of a body.
+
+Elements are finest in a window in plan, where the indenter comes, and grow outwards from there.
 
 Lengths are in units of the body's thickness. Nodes are numbered with z running fastest, then y,
 then x; the 8 corners of an element likewise, from (0, 0, 0) to (1, 1, 1).
@@ -6,6 +8,7 @@ then x; the 8 corners of an element likewise, from (0, 0, 0) to (1, 1, 1).
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +22,19 @@ CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
 GAUSS = 1 / np.sqrt(3)
 """Abscissa of the 2-point Gauss rule on -1 to 1."""
 
+GROWTH = 0.15
+"""How much longer an element is than the fine ones, per distance from the window."""
+COARSEST = 0.25
+"""Longest element in plan, in thicknesses (where the fine ones are shorter): about half the length
+over which a bonded layer forgets what is pressed into it."""
+MULTIPLE, MANY = 4, 24
+"""Elements along x and y are a multiple of this, above `MANY` of twice this: so many presses share
+a topology."""
 GRADING = 1.25
 """Exponent that makes elements flatter towards the top, where the strain is."""
+Array = NDArray[np.float64]
+Window = tuple[tuple[float, float], tuple[float, float]]
+
 CELLS_MAX = 4_000_000
 """More elements than this need more than 10 GB for one press."""
 
@@ -31,6 +45,10 @@ class Mesh:
 
     cells: tuple[int, int, int]
     """Elements along x, y, z."""
+    x: NDArray[np.float64]
+    """Where the nodes stand along x (X,), in thicknesses."""
+    y: NDArray[np.float64]
+    """The same along y (Y,)."""
     nodes: NDArray[np.float64]
     """Rest positions (N, 3), in thicknesses."""
     elements: NDArray[np.int32]
@@ -51,6 +69,11 @@ class Mesh:
     """Whether a node moves (N,): all but those on the base."""
     node_volume: NDArray[np.float64]
     """Volume lumped to each node (N,)."""
+
+    @property
+    def finest(self) -> float:
+        """Side of the smallest element in plan, in thicknesses."""
+        return float(max(np.diff(self.x).min(), np.diff(self.y).min()))
 
     @property
     def top(self) -> NDArray[np.int64]:
@@ -90,16 +113,42 @@ def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
     return counts[0], counts[1], counts[2]
 
 
-def build_mesh(body: Body, spacing: float) -> Mesh:
+def axis(size: float, spacing: float, window: tuple[float, float], coarsest: float) -> Array:
+    """Places of nodes from -size/2 to size/2: `spacing` or less in the window, growing outwards.
+
+    All lengths in one unit. The number of elements is a multiple, see `MULTIPLE`.
+    """
+    place = np.linspace(-size / 2, size / 2, 2001)
+    away = np.maximum(np.maximum(window[0] - place, place - window[1]), 0.0)
+    density = 1.0 / np.minimum(spacing + GROWTH * away, max(coarsest, spacing))
+    count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
+    multiple = MULTIPLE if count[-1] <= MANY else 2 * MULTIPLE
+    cells = multiple * max(1, int(np.ceil(count[-1] / multiple - 1e-6)))
+    return np.asarray(np.interp(np.linspace(0.0, count[-1], cells + 1), count, place))
+
+
+def build_mesh(body: Body, spacing: float, window: Window | None = None) -> Mesh:
     """The mesh of a body with elements of about `spacing` [m]; one number, from coarse to fine.
+
+    Args:
+        body: What is meshed.
+        spacing: Side of the elements.
+        window: ((x least, x most), (y least, y most)) [m] outside of which elements grow; None: all
+            of them alike.
 
     Raises:
         SceneError: See `cell_counts`.
     """
-    nx, ny, nz = cells = cell_counts(body, spacing)
+    nx, ny, nz = cell_counts(body, spacing)
     unit = body.thickness
-    x = np.linspace(-body.size_x / 2, body.size_x / 2, nx + 1) / unit
-    y = np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1) / unit
+    if window is None:
+        x = np.linspace(-body.size_x / 2, body.size_x / 2, nx + 1) / unit
+        y = np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1) / unit
+    else:
+        coarsest = COARSEST * unit
+        x = axis(body.size_x, spacing, window[0], coarsest) / unit
+        y = axis(body.size_y, spacing, window[1], coarsest) / unit
+    nx, ny, nz = cells = len(x) - 1, len(y) - 1, nz
     share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
     height = np.array([[body.height(a * unit, b * unit) / unit for b in y] for a in x])
     place = np.empty((nx + 1, ny + 1, nz + 1, 3))
@@ -107,44 +156,77 @@ def build_mesh(body: Body, spacing: float) -> Mesh:
     place[..., 1] = y[None, :, None]
     place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
     nodes = place.reshape(-1, 3)
-    grid = np.arange(len(nodes), dtype=np.int32).reshape(nx + 1, ny + 1, nz + 1)
-    elements = np.stack(
-        [grid[i : nx + i, j : ny + j, k : nz + k].ravel() for i, j, k in CORNERS], axis=1
-    )
-    inverse, weight = _geometry(nodes[elements])
-    faces = _faces(grid)
-    face_area = _face_areas(nodes[faces])
+    grid = _topology(cells)
+    inverse, weight = _geometry(nodes[grid.elements])
     volume = np.zeros(len(nodes))
-    np.add.at(volume, elements, weight.sum(1, keepdims=True) / 8)
-    free = np.ones(len(nodes), dtype=bool)
-    free[grid[:, :, 0].ravel()] = False
+    volume += np.bincount(grid.elements.ravel(), np.repeat(weight.sum(1) / 8, 8), len(nodes))
     return Mesh(
         cells=cells,
+        x=x,
+        y=y,
         nodes=nodes,
-        elements=elements,
+        elements=grid.elements,
         inverse=inverse,
         weight=weight,
-        faces=faces,
-        face_area=face_area,
-        node_elements=_around(elements, len(nodes), 8),
-        node_faces=_around(faces, len(nodes), 4),
-        free=free,
+        faces=grid.faces,
+        face_area=_face_areas(nodes[grid.faces]),
+        node_elements=grid.node_elements,
+        node_faces=grid.node_faces,
+        free=grid.free,
         node_volume=volume,
     )
 
 
-def _geometry(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+@dataclass(frozen=True, slots=True)
+class _Topology:
+    """What meshes of the same cell counts share, as in `Mesh`."""
+
+    elements: NDArray[np.int32]
+    faces: NDArray[np.int32]
+    node_elements: NDArray[np.int32]
+    node_faces: NDArray[np.int32]
+    free: NDArray[np.bool_]
+
+
+@functools.lru_cache(maxsize=16)
+def _topology(cells: tuple[int, int, int]) -> _Topology:
+    nx, ny, nz = cells
+    count = (nx + 1) * (ny + 1) * (nz + 1)
+    grid = np.arange(count, dtype=np.int32).reshape(nx + 1, ny + 1, nz + 1)
+    elements = np.stack(
+        [grid[i : nx + i, j : ny + j, k : nz + k].ravel() for i, j, k in CORNERS], axis=1
+    )
+    faces = _faces(grid)
+    free = np.ones(count, dtype=bool)
+    free[grid[:, :, 0].ravel()] = False
+    return _Topology(elements, faces, _around(elements, count, 8), _around(faces, count, 4), free)
+
+
+def _geometry(corners: Array) -> tuple[Array, Array]:
     """Inverse Jacobians (E, 8, 3, 3) and volumes (E, 8) at the Gauss points of (E, 8, 3)."""
     signs = 2.0 * np.array(CORNERS) - 1.0
-    jacobian = np.empty((len(corners), 8, 3, 3))
+    inverse = np.empty((len(corners), 8, 3, 3))
+    weight = np.empty((len(corners), 8))
+    by_corner = np.ascontiguousarray(corners.transpose(1, 2, 0)).reshape(8, -1)
     for point, place in enumerate(signs * GAUSS):
         factors = 1.0 + signs * place
         gradient = np.empty((8, 3))
         for axis in range(3):
             others = [other for other in range(3) if other != axis]
             gradient[:, axis] = signs[:, axis] * factors[:, others].prod(1) / 8
-        jacobian[:, point] = np.einsum("eai,aj->eij", corners, gradient)
-    return np.asarray(np.linalg.inv(jacobian), float), np.asarray(np.linalg.det(jacobian), float)
+        a, b, c = (gradient.T @ by_corner).reshape(3, 3, -1).transpose(0, 2, 1)
+        # The columns of the Jacobian; the rows of its inverse are their cross products over det.
+        rows = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+        weight[:, point] = (a * rows[:, 0]).sum(1)
+        inverse[:, point] = rows / weight[:, point, None, None]
+    return inverse, weight
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of vectors (E, 3), several times as fast as NumPy's."""
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _faces(grid: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -1,15 +1,13 @@
 # mypy: ignore-errors
 # Warp's arrays and kernels are typed at run time; mypy cannot follow them.
-"""Newton's method on a batch: tangent solved inexactly, steps accepted by the slope along them.
+"""Newton's method on a batch in which every environment is at its own iteration of its own step.
 
-The slope test (directional derivative) keeps its digits where a difference of energies drowns in
-round-off. With friction the limit follows the pressure from iteration to iteration, so that what
-converges is the coupled state.
+Tangent solved inexactly, steps accepted by the slope along them: the directional derivative keeps
+its digits where a difference of energies drowns in round-off. With friction the limit follows the
+pressure from iteration to iteration, so that what converges is the coupled state.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -27,6 +25,8 @@ DET_TRIAL = 0.02
 TRIALS = 12
 """Step lengths tried along one direction."""
 
+ACCURACY, ACCURACY_LEAST = 0.05, 1e-3
+"""Accuracy of a linear solve, largest and least; 0.3 of the residual over the force between."""
 LENGTH_GOOD = 0.2
 """Below this share of a full step, or where the tangent is not convex, the next is damped."""
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
@@ -37,119 +37,158 @@ RELAX_AFTER, RELAX_SHARE = 4, 0.5
 the two may answer each other with equal and opposite changes for ever."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What Newton's method reached, by environment (B,)."""
-
-    converged: np.ndarray
-    residual: np.ndarray
-    iterations: np.ndarray
-    cg: np.ndarray
-
-
 class Newton:
-    """The nonlinear solver of one assembly; owns its work space."""
+    """The nonlinear solver of one assembly; owns its work space, and counts by environment (B,)."""
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
-        nodes = len(assembly.mesh.nodes)
+        count, nodes = assembly.environments, len(assembly.mesh.nodes)
         self._cg = ConjugateGradient(
-            assembly.real, assembly.environments, nodes, str(assembly.device)
+            assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.columns
         )
         self._start = wp.zeros_like(assembly.state.u)
+        planted = assembly.numerics.planted
+        self._friction = "friction" in assembly.effects
+        self._rubbing = self._friction and not planted.lagged_friction
+        self.residual = np.full(count, np.inf)
+        """Out-of-balance force over force of the present state."""
+        self.iterations = np.zeros(count, int)
+        """Newton iterations since `begin`."""
+        self.cg = np.zeros(count, int)
+        """Conjugate-gradient iterations since `begin`."""
+        self.converged = np.zeros(count, bool)
+        """Whether the present state is in balance."""
+        self.failed = np.zeros(count, bool)
+        """Whether there is no way on from the present state."""
+        self._predicting = np.zeros(count, bool)
+        self._tolerance = np.full(count, assembly.numerics.tolerance)
+        self._damping = np.zeros(count)
 
-    def solve(self, chosen: np.ndarray) -> Outcome:
-        """Bring the chosen environments (B,) bool into balance, from `state.u` on."""
-        assembly, state, numerics = self._assembly, self._assembly.state, self._assembly.numerics
-        count = assembly.environments
-        iterations, cg = np.zeros(count, int), np.zeros(count, int)
-        converged, residual = np.zeros(count, bool), np.full(count, np.inf)
-        damping = np.zeros(count)
-        rubbing = "friction" in assembly.effects and not numerics.planted.lagged_friction
-        running = chosen.copy()
-        active = self._mask(running)
-        if "friction" in assembly.effects and numerics.planted.lagged_friction:
+    def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
+        """Start on a step of the chosen environments, from `state.u` on; all (B,).
+
+        Where `predict` is set, `state.u` is the state before the tip moved: the first iteration
+        follows the tip along the tangent there, with the contact that there was.
+        """
+        if not chosen.any():
+            return
+        self._tolerance[chosen] = tolerance[chosen]
+        self._predicting[chosen] = predict[chosen]
+        state = self._assembly.state
+        if self._friction:
+            state.settle_limit(self.mask(chosen))
+        state.put_tip(chosen & predict, before=True)
+        state.put_tip(chosen & ~predict)
+        self.resume(chosen)
+
+    def resume(self, chosen: np.ndarray) -> None:
+        """Go on from the present state, with equations that have changed since it was found."""
+        if not chosen.any():
+            return
+        self.iterations[chosen], self.cg[chosen] = 0, 0
+        self.residual[chosen], self._damping[chosen] = np.inf, 0.0
+        self.converged[chosen], self.failed[chosen] = False, False
+        state = self._assembly.state
+        self._assembly.evaluate(self.mask(chosen), state.u, self._cg.solution)
+        self._judge(chosen & ~self._predicting)
+
+    def sweep(self, running: np.ndarray) -> None:
+        """One iteration of every running environment (B,) that is neither converged nor failed."""
+        assembly, state = self._assembly, self._assembly.state
+        active, predicting = self.mask(running), running & self._predicting
+        if self._rubbing:
+            late = running & (self.iterations >= RELAX_AFTER)
+            state.relax_limit(self.mask(running & ~late), 1.0)
+            if late.any():
+                slow = self.mask(late)
+                state.relax_limit(slow, RELAX_SHARE)
+                assembly.evaluate_contact(slow, state.u, self._cg.solution)
+        assembly.linearise(active, state.u, self._damping)
+        if predicting.any():
+            assembly.push(self.mask(predicting), state.travel(predicting))
+        accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
+        used = self._cg.solve(
+            active,
+            assembly.residual,
+            np.where(running, accuracy, 1.0),
+            assembly.numerics.cg_max,
+        )
+        self.cg[running] += used[running]
+        self.iterations[running] += 1
+        slope, concave = self._cg.verdict()
+        state.put_tip(predicting)
+        walked, length = self._search(active, running, predicting, slope)
+        self._predicting[running] = False
+        hard = ~predicting & (concave | (length < LENGTH_GOOD) | ~walked)
+        stiffer = np.clip(self._damping * 8, DAMPING_LEAST, DAMPING_MOST)
+        damping = np.where(hard, stiffer, self._damping / 4)
+        damping[damping < DAMPING_LEAST] = 0.0
+        self._damping[running] = damping[running]
+        self._judge(running)
+        spent = self.iterations >= assembly.numerics.newton_max
+        stuck = ~walked & (damping >= DAMPING_MOST)
+        self.failed |= running & ~self.converged & (spent | stuck)
+
+    def _judge(self, chosen: np.ndarray) -> None:
+        """Find out which of the chosen are in balance, and which are beyond repair."""
+        if not chosen.any():
+            return
+        assembly, state = self._assembly, self._assembly.state
+        if self._rubbing:
+            active = self.mask(chosen)
             state.settle_limit(active)
-        sums = assembly.evaluate(active, state.u, self._cg.solution)
-        for iteration in range(numerics.newton_max + 1):
-            if rubbing:
-                state.settle_limit(active)
-                sums = assembly.evaluate_contact(active, state.u, self._cg.solution)
-            force = np.maximum(np.sqrt(sums[:, 1]), FORCE_FLOOR[assembly.precision])
-            residual[running] = (np.sqrt(sums[:, 0]) / force)[running]
-            sound = np.isfinite(residual) & (assembly.det_min() > DET_TRIAL)
-            reached = running & sound & (residual <= numerics.tolerance)
-            converged |= reached
-            running &= sound & ~reached
-            if not running.any() or iteration == numerics.newton_max:
-                break
-            active = self._mask(running)
-            if rubbing:
-                share = 1.0 if iteration < RELAX_AFTER else RELAX_SHARE
-                state.relax_limit(active, share)
-                if share < 1.0:
-                    assembly.evaluate_contact(active, state.u, self._cg.solution)
-            assembly.linearise(active, damping)
-            accuracy = np.clip(0.3 * residual, 1e-3, 1e-2)
-            accuracy = np.where(running, accuracy, 1.0)
-            used = self._cg.solve(
-                active,
-                assembly.residual,
-                assembly.jacobi,
-                assembly.tangent(state.u),
-                accuracy,
-                numerics.cg_max,
-            )
-            cg[running] += used[running]
-            iterations[running] += 1
-            walked, length, sums = self._search(active, running)
-            hard = self._cg.concave() | (length < LENGTH_GOOD) | ~walked
-            damping = np.where(hard, np.clip(damping * 8, DAMPING_LEAST, DAMPING_MOST), damping / 4)
-            damping[damping < DAMPING_LEAST] = 0.0
-            running &= walked | (damping < DAMPING_MOST)
-            active = self._mask(running)
-        converged &= assembly.det_min() > numerics.det_floor
-        return Outcome(converged, residual, iterations, cg)
+            assembly.evaluate_contact(active, state.u, self._cg.solution)
+        sums = assembly.sums
+        force = np.maximum(np.sqrt(sums.applied), FORCE_FLOOR[assembly.precision])
+        self.residual[chosen] = (np.sqrt(sums.square) / force)[chosen]
+        sound = np.isfinite(self.residual) & (sums.det > DET_TRIAL)
+        balanced = chosen & sound & (self.residual <= self._tolerance)
+        good = sums.det > assembly.numerics.det_floor
+        self.converged |= balanced & good
+        self.failed |= (chosen & ~sound) | (balanced & ~good)
 
-    def _search(self, active, running: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Walk along the direction; who found a step (B,), how long (B,), the sums there."""
+    def _search(self, active, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
+        """Walk along the direction; who found a step (B,), and how long (B,).
+
+        A prediction is taken whole, or not at all where it leads to a state that cannot be.
+        """
         assembly, state = self._assembly, self._assembly.state
         by_energy = assembly.numerics.planted.energy_line_search
         direction = self._cg.solution
         copy_active(active, state.u, self._start)
         energy = assembly.energy() if by_energy else None
-        slope = -self._dot(direction)
         length = np.ones(assembly.environments)
-        open_, sums = running.copy(), np.zeros((assembly.environments, 3))
+        open_ = running.copy()
         for _trial in range(TRIALS):
-            trying = self._mask(open_)
-            lengths = wp.array(
-                length.astype(numpy_of(assembly.real)), dtype=assembly.real, device=assembly.device
-            )
-            walk(trying, lengths, self._start, direction, state.u)
-            new = assembly.evaluate(trying, state.u, direction)
-            sums[open_] = new[open_]
+            trying = self.mask(open_)
+            self._walk(trying, length)
+            sums = assembly.evaluate(trying, state.u, direction)
             with np.errstate(invalid="ignore", divide="ignore"):
-                sound = np.isfinite(new).all(axis=1) & (assembly.det_min() > DET_TRIAL)
-                good = sound & (new[:, 2] <= 0.5 * np.abs(slope))
+                sound = np.isfinite(sums.square) & np.isfinite(sums.slope) & (sums.det > DET_TRIAL)
+                good = sound & (sums.slope <= 0.5 * np.abs(slope))
                 if by_energy:
                     good = sound & (assembly.energy() <= energy + 1e-4 * length * slope)
-                shrink = np.where(sound, slope / (slope - new[:, 2]), 0.5)
+                shrink = np.where(sound, slope / (slope - sums.slope), 0.5)
+            good = np.where(predicting, sound | (length == 0), good)
             open_ &= ~good
             if not open_.any():
                 break
             shrink = np.clip(np.nan_to_num(shrink, nan=0.5), 0.1, 0.7)
+            shrink[predicting] = 0.0
             length[open_] *= shrink[open_]
         if open_.any():
-            stuck = self._mask(open_)
+            stuck = self.mask(open_)
             copy_active(stuck, self._start, state.u)
-            sums[open_] = assembly.evaluate(stuck, state.u, direction)[open_]
-        return running & ~open_, length, sums
+            assembly.evaluate(stuck, state.u, direction)
+        return running & ~open_, length
 
-    def _dot(self, direction) -> np.ndarray:
-        """Product of residual and direction by environment (B,)."""
-        residual = self._assembly.residual.numpy()
-        return np.einsum("bni,bni->b", residual, direction.numpy(), dtype=float)
+    def _walk(self, trying, length: np.ndarray) -> None:
+        assembly = self._assembly
+        lengths = wp.array(
+            length.astype(numpy_of(assembly.real)), dtype=assembly.real, device=assembly.device
+        )
+        walk(trying, lengths, self._start, self._cg.solution, assembly.state.u)
 
-    def _mask(self, chosen: np.ndarray):
+    def mask(self, chosen: np.ndarray):
+        """The chosen environments (B,) as the kernels take them."""
         return wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self._assembly.device)

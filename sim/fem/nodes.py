@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""What elements and faces give, gathered at the nodes; forces that belong to nodes; block Jacobi.
+"""What elements and faces give, gathered at the nodes; forces that belong to nodes.
 
 Gathering (no atomic adds) makes every sum run in the same order on every device, so that a result
 repeats to the last bit. One thread takes a run of `RUN` nodes, whose share of the dot products it
@@ -11,8 +11,10 @@ import functools
 
 import warp as wp
 
-from sim.fem.scalars import matrix_of, vector_of
+from sim.fem.scalars import vector_of
 
+SUMS = 10
+"""Sums that `residual_kernel` takes, see there."""
 RUN = 32
 """Nodes of one thread: long enough to make partial sums few, short enough to fill a GPU."""
 
@@ -28,7 +30,8 @@ def residual_kernel(real, inertia: bool, gravity: bool):
         node_elements: wp.array2d(dtype=wp.int32),
         node_faces: wp.array2d(dtype=wp.int32),
         free: wp.array(dtype=wp.int32),
-        node_mass: wp.array(dtype=real),
+        node_mass: wp.array2d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
         # Inertia: mass over step squared, by environment, and where the nodes would fly
         inertia_rate: wp.array(dtype=real),
         predicted: wp.array2d(dtype=vec3),
@@ -37,20 +40,26 @@ def residual_kernel(real, inertia: bool, gravity: bool):
         # In:
         active: wp.array(dtype=wp.int32),
         element_force: wp.array3d(dtype=vec3),
+        element_det: wp.array2d(dtype=real),
         touched: wp.array2d(dtype=wp.int32),
         face_force: wp.array3d(dtype=vec3),
         u: wp.array2d(dtype=vec3),
         direction: wp.array2d(dtype=vec3),
-        # Out: what is out of balance, and partial sums: r.r, applied.applied, -r.direction
+        # Out: what is out of balance, and sums: r.r, applied.applied, -r.direction, least det F,
+        # force of the indenter (3), force of the base (3)
         residual_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
         env, run = wp.tid()
         if active[env] == 0:
             return
+        m = variant[env]
         square = wp.float64(0.0)
         applied_square = wp.float64(0.0)
         slope = wp.float64(0.0)
+        lowest = real(1.0e30)
+        push = wp.vec3d()
+        held = wp.vec3d()
         last = wp.min((run + 1) * RUN, free.shape[0])
         for n in range(run * RUN, last):
             inner = vec3()
@@ -59,15 +68,19 @@ def residual_kernel(real, inertia: bool, gravity: bool):
                 place = node_elements[n, k]
                 if place >= 0:
                     inner += element_force[env, place // 8, place % 8]
+                    lowest = wp.min(lowest, element_det[env, place // 8])
             for k in range(4):
                 place = node_faces[n, k]
                 if place >= 0:
                     if touched[env, place // 4] > 0:
                         applied += face_force[env, place // 4, place % 4]
+            push += wp.vec3d(applied)
             if wp.static(gravity):
-                applied += weight[env] * node_mass[n]
+                applied += weight[env] * node_mass[m, n]
             if wp.static(inertia):
-                inner += (u[env, n] - predicted[env, n]) * (inertia_rate[env] * node_mass[n])
+                inner += (u[env, n] - predicted[env, n]) * (inertia_rate[env] * node_mass[m, n])
+            if free[n] == 0:
+                held += wp.vec3d(inner - applied)
             r = (applied - inner) * real(free[n])
             applied = applied * real(free[n])
             residual_out[env, n] = r
@@ -77,62 +90,48 @@ def residual_kernel(real, inertia: bool, gravity: bool):
         sums_out[env, run, 0] = square
         sums_out[env, run, 1] = applied_square
         sums_out[env, run, 2] = slope
+        sums_out[env, run, 3] = wp.float64(lowest)
+        for axis in range(3):
+            sums_out[env, run, 4 + axis] = push[axis]
+            sums_out[env, run, 7 + axis] = held[axis]
 
     return residual
 
 
 @functools.cache
-def tangent_kernel(real):
-    """Kernel of the tangent times a vector, from what elements and faces gave."""
+def push_kernel(real):
+    """Kernel of the forces that faces give to nodes that move, in place of a residual."""
     vec3 = vector_of(real)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def tangent(
+    def push(
         # Mesh:
-        node_elements: wp.array2d(dtype=wp.int32),
         node_faces: wp.array2d(dtype=wp.int32),
         free: wp.array(dtype=wp.int32),
-        node_mass: wp.array(dtype=real),
-        # Stiffness of a unit volume against any motion (inertia, damping), by environment
-        shift: wp.array(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
-        element_force: wp.array3d(dtype=vec3),
         touched: wp.array2d(dtype=wp.int32),
         face_force: wp.array3d(dtype=vec3),
-        v: wp.array2d(dtype=vec3),
-        # Out: the tangent times v, and partial sums of v . (tangent v)
-        product_out: wp.array2d(dtype=vec3),
-        sums_out: wp.array3d(dtype=wp.float64),
+        # Out:
+        residual_out: wp.array2d(dtype=vec3),
     ):
-        env, run = wp.tid()
+        env, n = wp.tid()
         if active[env] == 0:
             return
-        curvature = wp.float64(0.0)
-        last = wp.min((run + 1) * RUN, free.shape[0])
-        for n in range(run * RUN, last):
-            total = vec3()
-            for k in range(8):
-                place = node_elements[n, k]
-                if place >= 0:
-                    total += element_force[env, place // 8, place % 8]
-            for k in range(4):
-                place = node_faces[n, k]
-                if place >= 0:
-                    if touched[env, place // 4] > 0:
-                        total += face_force[env, place // 4, place % 4]
-            total += v[env, n] * (shift[env] * node_mass[n])
-            total = total * real(free[n])
-            product_out[env, n] = total
-            curvature += wp.float64(wp.dot(total, v[env, n]))
-        sums_out[env, run, 0] = curvature
+        total = vec3()
+        for k in range(4):
+            place = node_faces[n, k]
+            if place >= 0:
+                if touched[env, place // 4] > 0:
+                    total += face_force[env, place // 4, place % 4]
+        residual_out[env, n] = total * real(free[n])
 
-    return tangent
+    return push
 
 
 @functools.cache
 def reduce_kernel():
-    """Kernel that adds the partial sums (B, runs, 3) of each environment up to (B, 3)."""
+    """Kernel that adds the sums (B, runs, `SUMS`) of each environment up; least of column 3."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(
@@ -146,57 +145,13 @@ def reduce_kernel():
         if active[env] == 0:
             return
         total = wp.float64(0.0)
+        if which == 3:
+            total = wp.float64(1.0e30)
         for run in range(sums.shape[1]):
-            total += sums[env, run, which]
+            if which == 3:
+                total = wp.min(total, sums[env, run, which])
+            else:
+                total += sums[env, run, which]
         totals_out[env, which] = total
 
     return reduce
-
-
-@functools.cache
-def jacobi_kernel(real):
-    """Kernel that inverts each node's 3x3 block of the tangent: the preconditioner.
-
-    The elastic part is that of the undeformed body, whose two terms are the same for every
-    environment; contact and mass are those of the state.
-    """
-    mat33 = matrix_of(real)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def jacobi(
-        # Mesh:
-        node_faces: wp.array2d(dtype=wp.int32),
-        free: wp.array(dtype=wp.int32),
-        node_mass: wp.array(dtype=real),
-        shear_block: wp.array(dtype=mat33),
-        bulk_block: wp.array(dtype=mat33),
-        # Material, by environment:
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        shift: wp.array(dtype=real),
-        # In:
-        active: wp.array(dtype=wp.int32),
-        touched: wp.array2d(dtype=wp.int32),
-        face_block: wp.array3d(dtype=mat33),
-        # Out:
-        inverse_out: wp.array2d(dtype=mat33),
-    ):
-        env, n = wp.tid()
-        if active[env] == 0:
-            return
-        if free[n] == 0:
-            inverse_out[env, n] = mat33()
-            return
-        block = shear_block[n] * (shear[env] * factor[env])
-        block += bulk_block[n] * (bulk[env] * bulk_factor[env])
-        for k in range(4):
-            place = node_faces[n, k]
-            if place >= 0:
-                if touched[env, place // 4] > 0:
-                    block += face_block[env, place // 4, place % 4]
-        block += wp.identity(n=3, dtype=real) * (shift[env] * node_mass[n])
-        inverse_out[env, n] = wp.inverse(block)
-
-    return jacobi

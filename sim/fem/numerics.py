@@ -34,13 +34,22 @@ class Numerics:
     spacing: float | None = None
     """Edge of an element [m]; None is a sixth of the thickness. Halving it costs 16 to 20 times
     the time and cuts the error of the force by about 4."""
+    graded: bool = True
+    """Whether elements grow outwards from where the indenter comes; else all are alike."""
     precision: Literal["auto", "float32", "float64"] = "auto"
     """`auto` begins in float32 and goes on in float64 where float32 cannot reach the tolerance."""
     tolerance: float = 1e-4
     """Out-of-balance nodal force over contact force (l2 norms) at which a state is accepted."""
-    penalty: float = 1000.0
-    """Contact stiffness in modulus per thickness; force error about 1/2000 of the force."""
-    stick: float = 0.1
+    path_tolerance: float | None = None
+    """The same between waypoints, never below `tolerance`. None: 0.01 where only the end of the
+    way counts, 0.001 with friction, viscosity or inertia."""
+    penalty: float = 200.0
+    """Contact stiffness in modulus per thickness. Soft is quick; the error it makes is taken away
+    by `augmentations`."""
+    augmentations: int = 2
+    """How often a waypoint is solved again with the pressure found, which needs less penetration:
+    with 0 the force is up to 5 % low, with 2 it is within 0.4 %."""
+    stick: float = 0.5
     """Stiffness of sticking over `penalty`: the springs that hold a point before it slips give by
     1/100 of the thickness when the shear traction equals the modulus."""
     contact_points: int = 2
@@ -70,6 +79,9 @@ class Numerics:
             if value is not None:
                 check_range("numerics", name, value, 0.0, 1.0, unit="m", open_low=True)
         check_range("numerics", "tolerance", self.tolerance, 1e-15, 0.1)
+        if self.path_tolerance is not None:
+            check_range("numerics", "path_tolerance", self.path_tolerance, 1e-15, 0.1)
+        check_range("numerics", "augmentations", self.augmentations, 0, 20)
         check_range("numerics", "penalty", self.penalty, 1.0, 1e6)
         check_range("numerics", "stick", self.stick, 1e-6, 1.0)
         check_range("numerics", "det_floor", self.det_floor, 0.0, 1.0)

@@ -13,42 +13,47 @@ from sim.fem.assembly import Assembly
 
 @dataclass(frozen=True, slots=True)
 class ContactPoints:
-    """Contact points of one environment, in units of thickness and modulus."""
+    """Contact points of the T faces that touch, of one environment; in thicknesses and moduli."""
 
     pressure: np.ndarray
-    """(S, P)."""
+    """(T, P)."""
+    penetration: np.ndarray
+    """How deep they are inside the indenter (T, P); below 0 in a gap that the pressure bridges."""
     traction: np.ndarray
-    """Shear traction on the body (S, P, 3)."""
+    """Shear traction on the body (T, P, 3)."""
     force: np.ndarray
-    """Force on the body (S, P, 3)."""
+    """Force on the body (T, P, 3)."""
     place: np.ndarray
-    """Where they are (S, P, 3)."""
+    """Where they are (T, P, 3)."""
     area: np.ndarray
-    """Untouched area of each (S, P)."""
+    """Untouched area of each (T, P)."""
     slip_excess: float
     """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
 
 
-def contact_points(assembly: Assembly, env: int) -> ContactPoints:
-    """Pressure, force and place of the contact points of one environment."""
-    state, mesh = assembly.state, assembly.mesh
-    pressure = state.pressure.numpy()[env].astype(float)
-    push = state.normal.numpy()[env] * pressure[:, :, None]
+def contact_points(assembly: Assembly, env: int, u: np.ndarray) -> ContactPoints:
+    """Pressure, force and place of the contact points of environment `env`, displaced by `u`."""
+    state, mesh = assembly.state, assembly.meshes[env]
+    rows = np.flatnonzero(assembly.touched[env].numpy())
+    pressure = state.pressure[env].numpy()[rows].astype(float)
+    deep = (pressure - state.carried[env].numpy()[rows]) / assembly.numerics.penalty
+    push = state.normal[env].numpy()[rows] * pressure[:, :, None]
     excess = np.nan
     traction = np.zeros_like(push)
     if "friction" in assembly.effects:
-        traction = state.traction.numpy()[env].astype(float)
+        traction = state.traction[env].numpy()[rows].astype(float)
         most = assembly.coefficients[env] * pressure
         size = np.linalg.norm(traction, axis=2)
-        excess = float((size - most).max() / max(pressure.max(), 1e-30))
-    area = assembly.rule.numpy() * mesh.face_area[:, None]
+        excess = float((size - most).max(initial=0.0) / pressure.max(initial=1e-30))
+    faces = mesh.faces[rows]
+    area = assembly.rule.numpy() * mesh.face_area[rows, None]
     shape = assembly.shape.numpy().astype(float)
-    corners = mesh.nodes[mesh.faces] + state.u.numpy()[env][mesh.faces]
     return ContactPoints(
         pressure=pressure,
+        penetration=np.where(pressure > 0, deep, 0.0),
         traction=traction,
         force=(push + traction) * area[:, :, None],
-        place=np.einsum("pa,saj->spj", shape, corners),
+        place=shape @ (mesh.nodes[faces] + u[faces]),
         area=area,
         slip_excess=excess,
     )
@@ -56,37 +61,41 @@ def contact_points(assembly: Assembly, env: int) -> ContactPoints:
 
 def surface_traction(assembly: Assembly, env: int) -> np.ndarray:
     """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
-    nx, ny, _nz = assembly.mesh.cells
-    force = np.zeros((len(assembly.mesh.nodes), 3))
-    area = np.zeros(len(assembly.mesh.nodes))
-    top = assembly.mesh.faces[: nx * ny]
-    share = assembly.face_force.numpy()[env, : nx * ny].astype(float)
-    touched = assembly.touched.numpy()[env, : nx * ny] > 0
-    np.add.at(force, top, np.where(touched[:, None, None], share, 0.0))
-    np.add.at(area, top, np.repeat(assembly.mesh.face_area[: nx * ny, None], 4, axis=1))
-    grid = assembly.mesh.top
-    return force[grid] / area[grid][..., None]
+    mesh = assembly.meshes[env]
+    nx, ny, _nz = mesh.cells
+    top = slice(0, nx * ny)
+    touched = assembly.touched[env].numpy()[top] > 0
+    share = assembly.face_force[env].numpy()[top].astype(float) * touched[:, None, None]
+    corner_area = np.repeat(mesh.face_area[top], 4).reshape(nx, ny, 4, 1)
+    both = np.concatenate([share.reshape(nx, ny, 4, 3), corner_area], axis=3)
+    nodal = np.zeros((nx + 1, ny + 1, 4))
+    for corner, (i, j) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+        nodal[i : nx + i, j : ny + j] += both[:, :, corner]
+    return nodal[:, :, :3] / nodal[:, :, 3:]
 
 
 def stored_energy(assembly: Assembly, env: int, points: ContactPoints, u: np.ndarray) -> float:
     """Energy in the material at rest modulus, contact springs and height [E T^3]."""
     penalty = assembly.numerics.penalty
     square = (points.traction**2).sum(axis=2) / (assembly.numerics.stick * penalty)
-    springs = ((points.pressure**2 / penalty + square) * points.area / 2).sum()
+    springs = ((points.penetration**2 * penalty + square) * points.area / 2).sum()
     if "gravity" in assembly.effects:
         weight = assembly.state.weight.numpy()[env].astype(float)
-        springs -= (assembly.mesh.node_volume[:, None] * u * weight).sum()
-    return float(assembly.element_energy.numpy()[env].sum(dtype=float) + springs)
+        springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
+    return float(assembly.element_energy[env].numpy().sum(dtype=float) + springs)
 
 
 def body_force(assembly: Assembly, env: int, u: np.ndarray) -> np.ndarray:
     """Weight less inertia of one environment (3,) [E T^2]."""
     total = np.zeros(3)
     if "gravity" in assembly.effects:
-        total += assembly.state.weight.numpy()[env].astype(float) * assembly.mesh.node_volume.sum()
+        total += (
+            assembly.state.weight.numpy()[env].astype(float)
+            * assembly.meshes[env].node_volume.sum()
+        )
     if "inertia" in assembly.effects:
         rate = assembly.state.rates[env]
-        ahead = u - assembly.state.predicted.numpy()[env]
-        free = assembly.mesh.node_volume[:, None] * ahead
+        ahead = u - assembly.state.predicted[env].numpy()
+        free = assembly.meshes[env].node_volume[:, None] * ahead
         total -= rate * free.sum(axis=0)
     return total

@@ -17,10 +17,11 @@ import warp as wp
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.frames import Collector
-from sim.fem.mesh import build_mesh
+from sim.fem.mesh import Mesh
 from sim.fem.newton import Newton
 from sim.fem.numerics import Numerics
 from sim.fem.path import Path, path_of, sharpest
+from sim.fem.window import mesh_of
 from sim.result import Result
 from sim.scene import Scene
 
@@ -29,8 +30,8 @@ Outcome = Result | SimulationDiverged
 
 POISSON_FLOAT32 = 0.4995
 """Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""
-SPACING_SHARE = 6
-"""Elements through the thickness when no spacing is given."""
+ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
+"""Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory."""
 
 
 def simulate_fem(
@@ -40,37 +41,77 @@ def simulate_fem(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[Outcome]:
-    """Simulate presses on bodies of one shape; a result or the reason for none, in their order.
+    """Simulate presses; a result or the reason for none, in their order.
 
     Args:
-        scenes: Same size, thickness and dome, same set of effects; everything else may differ.
+        scenes: What is simulated; those with the same thickness, mesh topology and set of effects
+            are solved side by side.
         numerics: Mesh, precision and tolerances.
         device: `cpu`, or `cuda:0` and the like.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: Scenes that cannot share a mesh, or a mesh that cannot be built.
+        SceneError: A mesh that cannot be built, or a device that is not there.
     """
     numerics = numerics or Numerics()
-    _same_batch(scenes)
-    body = scenes[0].body
-    spacing = numerics.spacing
-    if spacing is None:
-        spacing = body.thickness / SPACING_SHARE
     _check_device(device)
     began = time.perf_counter()
-    mesh = build_mesh(body, spacing)
-    meshed = time.perf_counter() - began
+    meshes = [mesh_of(scene, numerics) for scene in scenes]
+    meshed = (time.perf_counter() - began) / max(len(scenes), 1)
+    outcomes: dict[int, Outcome] = {}
+    for chosen in _batches(scenes, meshes, device):
+        share = None
+        if progress is not None:
+            share = _part(progress, len(outcomes), len(chosen), len(scenes))
+        some = _solve(
+            [scenes[i] for i in chosen],
+            [meshes[i] for i in chosen],
+            numerics,
+            device,
+            meshed * len(chosen),
+            share,
+        )
+        outcomes.update(zip(chosen, some, strict=True))
+    return [outcomes[i] for i in range(len(scenes))]
+
+
+def _batches(scenes: Sequence[Scene], meshes: Sequence[Mesh], device: str) -> list[list[int]]:
+    """Which scenes are solved side by side: same mesh topology, same effects, not too many."""
+    alike: dict[tuple, list[int]] = {}
+    for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
+        alike.setdefault((scene.body.thickness, mesh.cells, scene.effects.key), []).append(index)
+    most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
+    batches = []
+    for group in alike.values():
+        size = max(1, most // len(meshes[group[0]].elements))
+        batches += [group[i : i + size] for i in range(0, len(group), size)]
+    return batches
+
+
+def _part(progress: Progress, before: int, these: int, all_: int) -> Progress:
+    """What tells of the share of a batch as a share of the whole."""
+    return lambda share: progress((before + share * these) / all_)
+
+
+def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
+    """One batch, in the precision asked for or the one it takes."""
     first, reason = _first_precision(scenes, numerics)
-    outcomes = _Batch(scenes, mesh, numerics, first, device, meshed, progress).run()
+    outcomes = _Batch(scenes, meshes, numerics, first, device, meshed, progress).run()
     if numerics.precision != "auto":
         return outcomes
     if first == "float64":
         return [_with_reason(outcome, reason) for outcome in outcomes]
     again = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, SimulationDiverged)]
     if again:
-        batch = [scenes[i] for i in again]
-        retried = _Batch(batch, mesh, numerics, "float64", device, meshed, progress).run()
+        retried = _Batch(
+            [scenes[i] for i in again],
+            [meshes[i] for i in again],
+            numerics,
+            "float64",
+            device,
+            meshed,
+            progress,
+        ).run()
         for i, outcome in zip(again, retried, strict=True):
             _forget_dump(outcomes[i].dump)
             outcomes[i] = _with_reason(outcome, f"float32 did not converge: {outcomes[i]}")
@@ -111,51 +152,44 @@ def _check_device(device: str) -> None:
         raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
-def _same_batch(scenes: Sequence[Scene]) -> None:
-    first = scenes[0]
-    for index, scene in enumerate(scenes):
-        for name in ("size_x", "size_y", "thickness", "dome_radius"):
-            if getattr(scene.body, name) != getattr(first.body, name):
-                raise SceneError(
-                    f"scenes[{index}].body.{name}: {getattr(scene.body, name)!r}; allowed: "
-                    f"{getattr(first.body, name)!r}, as in the batch's first scene"
-                )
-        if scene.effects.key != first.effects.key:
-            raise SceneError(
-                f"scenes[{index}].effects: {scene.effects.key}; allowed: {first.effects.key}, as "
-                "in the batch's first scene"
-            )
-
-
 class _Batch:
-    def __init__(self, scenes, mesh, numerics, precision, device, meshed, progress) -> None:
-        self._scenes, self._mesh, self._numerics = scenes, mesh, numerics
+    """Presses on meshes of one topology, each at its own step of its own path."""
+
+    def __init__(self, scenes, meshes, numerics, precision, device, meshed, progress) -> None:
+        self._scenes, self._meshes, self._numerics = scenes, meshes, numerics
         self._progress = progress
         began = time.perf_counter()
-        self._assembly = Assembly(mesh, scenes, numerics, precision, device)
+        self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
-        self._collectors = [Collector(scene, self._assembly) for scene in scenes]
+        self._collectors = [
+            Collector(scene, mesh, self._assembly)
+            for scene, mesh in zip(scenes, meshes, strict=True)
+        ]
         self._paths: list[Path] = [path_of(scene, numerics) for scene in scenes]
         self._seconds = {"mesh": meshed, "build": time.perf_counter() - began}
         self._failed: dict[int, SimulationDiverged] = {}
-        self._last = np.zeros((len(scenes), 2))
-        start = np.array([path.corners[0] for path in self._paths])
-        state = self._assembly.state
-        state.tip_old.assign(state._array(start, state.tip_old.dtype))
+        count = len(scenes)
+        self._busy = np.zeros(count, bool)
+        self._augmented = np.zeros(count, int)
+        self._last = np.zeros((count, 2))
+        self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
+        self._duration = np.ones(count)
+        self._assembly.state.start(np.array([path.corners[0] for path in self._paths]))
 
     def run(self) -> list[Outcome]:
         began = time.perf_counter()
+        newton = self._newton
         while True:
             open_ = np.array(
                 [not path.finished and i not in self._failed for i, path in enumerate(self._paths)]
             )
             if not open_.any():
                 break
-            self._step(open_)
-            if self._progress is not None:
-                done = sum(path.segment + path.share - 1 for path in self._paths)
-                whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
-                self._progress(max(done, 0.0) / whole)
+            self._begin(open_ & ~self._busy)
+            running = self._busy & ~newton.converged & ~newton.failed
+            if running.any():
+                newton.sweep(running)
+            self._finish(self._busy & (newton.converged | newton.failed))
         self._seconds["solve"] = time.perf_counter() - began
         record = self._record()
         return [
@@ -163,45 +197,84 @@ class _Batch:
             for i, collector in enumerate(self._collectors)
         ]
 
-    def _step(self, open_: np.ndarray) -> None:
-        assembly, state = self._assembly, self._assembly.state
-        tip = state.tip.numpy().astype(float)
-        share, duration = np.zeros(len(tip)), np.ones(len(tip))
-        guess = np.zeros(len(tip))
-        for i in np.flatnonzero(open_):
+    def _begin(self, idle: np.ndarray) -> None:
+        """Begin the next step of those that are idle (B,)."""
+        if not idle.any():
+            return
+        guess, tolerance = np.zeros(len(idle)), np.zeros(len(idle))
+        for i in np.flatnonzero(idle).tolist():
             path = self._paths[i]
-            share[i], tip[i], duration[i] = path.goal()
+            self._share[i], self._tip[i], self._duration[i] = path.goal()
+            tolerance[i] = self._tolerance(self._share[i])
             segment, step = self._last[i]
-            if segment == path.segment and step > 0 and path.halvings == 0:
-                guess[i] = min((share[i] - path.share) / step, 1.5)
-        state.begin_step(tip, duration, guess)
-        outcome = self._newton.solve(open_)
-        good = open_ & outcome.converged
-        mask = wp.array(good.astype(np.int32), dtype=wp.int32, device=assembly.device)
-        assembly.accept(mask, duration)
-        force = assembly.contact_force() if good.any() else None
-        reached = []
-        for i in np.flatnonzero(open_):
-            path, collector = self._paths[i], self._collectors[i]
-            spent = collector.spent
-            spent.newton += int(outcome.iterations[i])
-            spent.cg += int(outcome.cg[i])
-            spent.steps += 1
-            if good[i]:
-                collector.moved(tip[i], force[i])
-                self._last[i] = path.segment, share[i] - path.share
-                if path.accept(share[i]):
-                    reached.append(i)
-                continue
-            said = f"{outcome.iterations[i]} Newton iterations, residual {outcome.residual[i]:.2e}"
+            going_on = segment == path.segment and step > 0 and path.halvings == 0
+            if going_on and "friction" in self._assembly.effects:
+                guess[i] = min((self._share[i] - path.share) / step, 1.5)
+        self._busy |= idle
+        self._augmented[idle] = 0
+        self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
+        self._newton.begin(idle, tolerance, predict=guess == 0)
+
+    def _tolerance(self, share: float) -> float:
+        numerics = self._numerics
+        loose = numerics.path_tolerance
+        if loose is None:
+            history = {"friction", "viscosity", "inertia"} & set(self._assembly.effects)
+            loose = 1e-3 if history else 1e-2
+        return numerics.tolerance if share >= 1.0 else max(loose, numerics.tolerance)
+
+    def _finish(self, done: np.ndarray) -> None:
+        """Take the steps that have converged, halve those that have failed (B,)."""
+        if not done.any():
+            return
+        assembly, newton = self._assembly, self._newton
+        again, good, bad = np.zeros((3, len(done)), bool)
+        for i in np.flatnonzero(done).tolist():
+            spent = self._collectors[i].spent
+            spent.newton += int(newton.iterations[i])
+            spent.cg += int(newton.cg[i])
+            if not newton.converged[i]:
+                bad[i] = True
+            elif self._share[i] >= 1.0 and self._augmented[i] < self._augmentations(i):
+                again[i] = True
+            else:
+                good[i] = True
+        if again.any():
+            self._augmented[again] += 1
+            assembly.state.carry(newton.mask(again))
+            newton.resume(again)
+        self._take(good)
+        if bad.any():
+            assembly.state.give_up(newton.mask(bad))
+        for i in np.flatnonzero(bad).tolist():
+            self._collectors[i].spent.steps += 1
+            said = f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             self._last[i] = -1
-            if not path.refuse(share[i], said):
+            if not self._paths[i].refuse(self._share[i], said):
                 self._failed[i] = self._diverged(i)
-        if reached:
-            reaction = assembly.reactions()
-            for i in reached:
-                frame = self._paths[i].segment - 1
-                self._collectors[i].keep(frame, i, assembly, outcome.residual[i], reaction[i])
+        self._busy &= ~(good | bad)
+
+    def _augmentations(self, env: int) -> int:
+        touched = self._assembly.sums.contact[env].any()
+        return self._numerics.augmentations if touched else 0
+
+    def _take(self, good: np.ndarray) -> None:
+        if not good.any():
+            return
+        assembly = self._assembly
+        for i in np.flatnonzero(good).tolist():
+            path, collector = self._paths[i], self._collectors[i]
+            collector.spent.steps += 1
+            collector.moved(self._tip[i], assembly.sums.contact[i])
+            self._last[i] = path.segment, self._share[i] - path.share
+            frame = path.segment
+            if path.accept(self._share[i]):
+                collector.keep(frame, i, assembly, self._newton.residual[i])
+        assembly.accept(good, self._duration)
+        if self._progress is not None:
+            done = sum(path.segment + path.share - 1 for path in self._paths)
+            whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
+            self._progress(max(done, 0.0) / whole)
 
     def _diverged(self, env: int) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]
@@ -211,9 +284,9 @@ class _Batch:
             np.savez_compressed(
                 dump,
                 scene=json.dumps(repr(scene)),
-                tip=state.tip_old.numpy()[env] * scene.body.thickness,
+                tip=state.tip_before[env] * scene.body.thickness,
                 u=state.u_old.numpy()[env] * scene.body.thickness,
-                nodes=self._mesh.nodes * scene.body.thickness,
+                nodes=self._meshes[env].nodes * scene.body.thickness,
             )
         except OSError:
             dump = None
@@ -234,8 +307,7 @@ class _Batch:
         """What makes this result less than its tolerances say."""
         scene = self._scenes[env]
         radius = sharpest(scene.indenter)
-        nx, ny, _nz = self._mesh.cells
-        element = max(scene.body.size_x / nx, scene.body.size_y / ny)
+        element = self._meshes[env].finest * scene.body.thickness
         if radius >= 0.99 * element:
             return []
         return [
@@ -249,9 +321,9 @@ class _Batch:
         return {
             "tier": "fem",
             "mesh": {
-                "cells": list(self._mesh.cells),
-                "elements": len(self._mesh.elements),
-                "nodes": len(self._mesh.nodes),
+                "cells": list(assembly.mesh.cells),
+                "elements": len(assembly.mesh.elements),
+                "nodes": len(assembly.mesh.nodes),
             },
             "precision": assembly.precision,
             "device": str(assembly.device),

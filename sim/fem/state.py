@@ -39,7 +39,11 @@ class State:
         """A mask with every environment."""
         self.tip = zeros(count, vec3)
         """Tip of the indenter (B,)."""
-        self.tip_old = zeros(count, vec3)
+        self._tip_old = zeros(count, vec3)
+        self.tip_before = np.zeros((count, 3))
+        """Where it was at the last accepted step (B, 3)."""
+        self._tip_after = np.zeros((count, 3))
+        self._tip_now = np.zeros((count, 3))
         self.u = zeros((count, nodes), vec3)
         """Displacement of the nodes (B, N)."""
         self.u_old = zeros((count, nodes), vec3)
@@ -47,6 +51,9 @@ class State:
         self._u_before = zeros((count, nodes), vec3)
         self.pressure = zeros(points, real)
         """Contact pressure (B, S, P)."""
+        self.carried = zeros(points, real)
+        """The part of it that needs no penetration (B, S, P)."""
+        self._carried_old = zeros(points, real)
         self.normal = zeros(points, vec3)
         """Unit normal out of the indenter where there is contact (B, S, P)."""
 
@@ -60,10 +67,9 @@ class State:
         self._coefficient = self._array(assembly.coefficients, real)
 
         self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
-        ones = wp.ones(count, dtype=real, device=device)
         self.viscous = (
-            ones,
-            ones,
+            wp.ones(count, dtype=real, device=device),
+            wp.ones(count, dtype=real, device=device),
             self._branches.history if self._branches else zeros(none3, mat33),
             self._branches.bulk_history if self._branches else zeros(none2, real),
         )
@@ -74,7 +80,7 @@ class State:
         """The same as `inertia_rate`, on the host."""
         self.predicted = zeros(moving, vec3)
         """Where the nodes would be without forces (B, N)."""
-        self._velocity = np.zeros((*moving, 3))
+        self._duration_old = np.ones(count)
         self.inertia_rate = zeros(count if "inertia" in on else 0, real)
         """Mass of a unit volume over step squared (B,)."""
         bodies = [scene.body for scene in scenes]
@@ -104,33 +110,64 @@ class State:
         return (
             self._coefficient,
             stick,
-            self.tip_old,
+            self._tip_old,
             self.u_old,
             self._traction_old,
             self.limit,
         )
 
-    def begin_step(self, tip: np.ndarray, duration: np.ndarray, guess: np.ndarray) -> None:
-        """Move the tip to `tip` (B, 3) within `duration` (B,) [s]; start from an extrapolation.
+    def start(self, tip: np.ndarray) -> None:
+        """Put the tips where they are before the first step (B, 3)."""
+        self.tip_before[:] = self._tip_after[:] = tip
+        self._tip_old.assign(self._array(tip, self.tip.dtype))
+        self.put_tip(np.ones(len(tip), bool))
 
-        `guess` (B,) is the share of the last accepted change of `u` that is added to it.
+    def begin_step(
+        self, chosen: np.ndarray, tip: np.ndarray, duration: np.ndarray, guess: np.ndarray
+    ) -> None:
+        """Prepare the step of the chosen environments (B,) bool to `tip` (B, 3).
+
+        Args:
+            chosen: Those whose step begins.
+            tip: Where their tips go; `put_tip` moves them.
+            duration: Time of the step that each environment is in, begun now or before (B,) [s].
+            guess: Share of the last accepted change of `u` that `u` begins with (B,).
         """
-        self.tip.assign(self._array(tip, self.tip.dtype))
-        extrapolate(self._array(guess, self._real), self.u_old, self._u_before, self.u)
+        self._tip_after[chosen] = tip[chosen]
+        active = self._mask(chosen)
+        share = self._array(guess, self._real)
+        extrapolate(active, share, self.u_old, self._u_before, self.u)
         if self._branches is not None:
-            factor, bulk_factor = self._branches.begin(duration)
-            self.viscous = (
-                self._array(factor, self._real),
-                self._array(bulk_factor, self._real),
-                self._branches.history,
-                self._branches.bulk_history,
-            )
+            for factor, values in zip(
+                self.viscous[:2], self._branches.begin(active, duration), strict=True
+            ):
+                factor.assign(self._array(values, self._real))
         if "inertia" in self._effects:
             step = np.maximum(duration, 1e-12)
             self.rates = self._mass / step**2
             self.inertia_rate.assign(self._array(self.rates, self._real))
-            flown = self.u_old.numpy().astype(float) + self._velocity * step[:, None, None]
-            self.predicted.assign(self._array(flown, self.predicted.dtype))
+            share = self._array(step / self._duration_old, self._real)
+            extrapolate(active, share, self.u_old, self._u_before, self.predicted)
+
+    def put_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
+        """Put the tips of the chosen environments (B,) where their step ends, or where it began."""
+        if not chosen.any():
+            return
+        self._tip_now[chosen] = (self.tip_before if before else self._tip_after)[chosen]
+        self.tip.assign(self._array(self._tip_now, self.tip.dtype))
+
+    def travel(self, chosen: np.ndarray):
+        """How far the tips of the chosen environments go in their step (B,); 0 for the others."""
+        way = np.where(chosen[:, None], self._tip_after - self.tip_before, 0.0)
+        return self._array(way, self.tip.dtype)
+
+    def carry(self, active) -> None:
+        """Let the present pressure be the one that needs no penetration."""
+        copy_active(active, self.pressure, self.carried)
+
+    def give_up(self, active) -> None:
+        """Forget what the step has changed; `begin_step` resets the rest."""
+        copy_active(active, self._carried_old, self.carried)
 
     def settle_limit(self, active) -> None:
         """Take the pressure of the state last evaluated as the limit of friction."""
@@ -141,23 +178,23 @@ class State:
         blend(active, share, self.pressure, self._limit_relaxed)
         copy_active(active, self._limit_relaxed, self.limit)
 
-    def accept(self, active, duration: np.ndarray, mesh, material) -> None:
-        """Make the present state of `active` environments the start of their next step."""
+    def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh, material) -> None:
+        """Make the present state of the chosen environments (B,) the start of their next step."""
+        active = self._mask(chosen)
         if self._branches is not None:
             self._branches.keep(mesh, material, active, self.u)
-        if "inertia" in self._effects:
-            change = self.u.numpy().astype(float) - self.u_old.numpy()
-            moved = active.numpy().astype(bool)
-            step = np.maximum(duration[moved], 1e-12)[:, None, None]
-            self._velocity[moved] = change[moved] / step
+        self._duration_old[chosen] = np.maximum(duration, 1e-12)[chosen]
         copy_active(active, self.u_old, self._u_before)
         copy_active(active, self.u, self.u_old)
+        copy_active(active, self.pressure, self.carried)
+        copy_active(active, self.pressure, self._carried_old)
         if "friction" in self._effects:
             copy_active(active, self.traction, self._traction_old)
-        chosen = active.numpy().astype(bool)[:, None]
-        self.tip_old.assign(
-            self._array(np.where(chosen, self.tip.numpy(), self.tip_old.numpy()), self.tip.dtype)
-        )
+        self.tip_before[chosen] = self._tip_after[chosen]
+        self._tip_old.assign(self._array(self.tip_before, self.tip.dtype))
+
+    def _mask(self, chosen: np.ndarray):
+        return wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self._device)
 
     def _array(self, values, dtype):
         scalar = numpy_of(self._real)

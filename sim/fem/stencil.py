@@ -23,6 +23,9 @@ from sim.fem.mesh import CORNERS, Mesh
 from sim.fem.nodes import RUN
 from sim.fem.scalars import matrix_of, vector_of
 
+BLOCK = 128
+"""Nodes that one block of a GPU's threads takes, whose sums it adds up."""
+
 
 @functools.cache
 def _kernels(real):
@@ -113,39 +116,30 @@ def _kernels(real):
         sums_out[env, run, 0] = curvature
 
     @wp.kernel(enable_backward=False, module="unique")
-    def multiply(
+    def block_product(
         # Mesh:
         offsets: wp.array(dtype=wp.int32),
         # In:
         active: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=mat33),
         v: wp.array2d(dtype=vec3),
-        # Out:
+        # Out: matrix times v, and v . (matrix v) of each block of threads, a node each
         product_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
     ):
         env, n = wp.tid()
         if active[env] == 0:
             return
-        product_out[env, n] = row(offsets, matrix, v, env, n)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def add_up(
-        # In:
-        active: wp.array(dtype=wp.int32),
-        v: wp.array2d(dtype=vec3),
-        product: wp.array2d(dtype=vec3),
-        # Out: v . product of each run of nodes
-        sums_out: wp.array3d(dtype=wp.float64),
-    ):
-        env, run = wp.tid()
-        if active[env] == 0:
-            return
         curvature = wp.float64(0.0)
-        for n in range(run * RUN, wp.min((run + 1) * RUN, v.shape[1])):
-            curvature += wp.float64(wp.dot(product[env, n], v[env, n]))
-        sums_out[env, run, 0] = curvature
+        if n < v.shape[1]:
+            total = row(offsets, matrix, v, env, n)
+            product_out[env, n] = total
+            curvature = wp.float64(wp.dot(total, v[env, n]))
+        whole = wp.tile_sum(wp.tile(curvature))
+        if n % BLOCK == 0:
+            sums_out[env, n // BLOCK, 0] = whole[0]
 
-    return begin, product, multiply, add_up
+    return begin, product, block_product
 
 
 class Stencil:
@@ -179,9 +173,11 @@ class Stencil:
         self._device = device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
         self._elements_kernel = element_blocks_kernel(real, viscous, full_integration)
-        self._begin, self._product, self._multiply, self._add_up = _kernels(real)
+        self._begin, self._product, self._block_product = _kernels(real)
         self._environments, self._nodes = environments, count
-        self._runs = -(-count // RUN)
+        self._on_gpu = wp.get_device(device).is_cuda
+        self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
+        """How many shares `product` writes of each sum."""
         if self._parallel:
             order, self._begins = colour_order(mesh.cells)
             stored = wp.zeros((environments, SLOTS, count), dtype=mat33, device=device)
@@ -254,26 +250,14 @@ class Stencil:
 
     def product(self, active, v, product, sums) -> None:
         """Write matrix times `v` and its partial sums: what `ConjugateGradient.solve` applies."""
-        inputs = [self._offsets, active, self.matrix, v]
-        runs = (self._environments, self._runs)
-        if not self._parallel:
-            wp.launch(
-                self._product, dim=runs, inputs=inputs, outputs=[product, sums], device=self._device
-            )
-            return
+        on_gpu = self._on_gpu
         wp.launch(
-            self._multiply,
-            dim=(self._environments, self._nodes),
-            inputs=inputs,
-            outputs=[product],
+            self._block_product if on_gpu else self._product,
+            dim=(self._environments, self.parts * (BLOCK if on_gpu else 1)),
+            inputs=[self._offsets, active, self.matrix, v],
+            outputs=[product, sums],
             device=self._device,
-        )
-        wp.launch(
-            self._add_up,
-            dim=runs,
-            inputs=[active, v, product],
-            outputs=[sums],
-            device=self._device,
+            block_dim=BLOCK,
         )
 
     def _integers(self, values) -> wp.array:

@@ -43,10 +43,40 @@ def copy_active(active, source, out) -> None:
 
 
 @functools.cache
+def _fill_kernel(vec3):
+    @wp.kernel(enable_backward=False, module="unique")
+    def fill(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        value: wp.array(dtype=vec3),
+        # Out:
+        field_out: wp.array2d(dtype=vec3),
+    ):
+        env, n = wp.tid()
+        if active[env] == 0:
+            return
+        field_out[env, n] = value[env]
+
+    return fill
+
+
+def fill(active, value, out) -> None:
+    """Write the vector `value` of each active environment (B,) everywhere in its row (B, N)."""
+    wp.launch(
+        _fill_kernel(out.dtype),
+        dim=out.shape,
+        inputs=[active, value],
+        outputs=[out],
+        device=out.device,
+    )
+
+
+@functools.cache
 def _extrapolate_kernel(real, vec3):
     @wp.kernel(enable_backward=False, module="unique")
     def extrapolate(
         # In:
+        active: wp.array(dtype=wp.int32),
         share: wp.array(dtype=real),
         now: wp.array2d(dtype=vec3),
         before: wp.array2d(dtype=vec3),
@@ -54,17 +84,19 @@ def _extrapolate_kernel(real, vec3):
         guess_out: wp.array2d(dtype=vec3),
     ):
         env, n = wp.tid()
+        if active[env] == 0:
+            return
         guess_out[env, n] = now[env, n] + (now[env, n] - before[env, n]) * share[env]
 
     return extrapolate
 
 
-def extrapolate(share, now, before, out) -> None:
-    """Write out = now + share * (now - before), vectors (B, N), share (B,)."""
+def extrapolate(active, share, now, before, out) -> None:
+    """Write out = now + share * (now - before) where active; vectors (B, N), share (B,)."""
     wp.launch(
         _extrapolate_kernel(share.dtype, now.dtype),
         dim=now.shape,
-        inputs=[share, now, before],
+        inputs=[active, share, now, before],
         outputs=[out],
         device=now.device,
     )

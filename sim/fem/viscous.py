@@ -23,7 +23,7 @@ def _kernels(real):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
-    strain, cofactor, _cofactor_change, det_less_one = strain_functions(real)
+    strain, cofactor, det_less_one = strain_functions(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
     third = real(1.0 / 3.0)
     power = real(-2.0 / 3.0)
@@ -39,11 +39,14 @@ def _kernels(real):
         rest: wp.array3d(dtype=mat33),
         bulk_branch: wp.array3d(dtype=real),
         bulk_rest: wp.array2d(dtype=real),
+        active: wp.array(dtype=wp.int32),
         # Out:
         history_out: wp.array3d(dtype=mat33),
         bulk_history_out: wp.array2d(dtype=real),
     ):
         env, e = wp.tid()
+        if active[env] == 0:
+            return
         for q in range(points):
             history = mat33()
             for i in range(decay.shape[1]):
@@ -60,8 +63,9 @@ def _kernels(real):
     def keep(
         # Mesh:
         elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array2d(dtype=mat33),
-        weight: wp.array2d(dtype=real),
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
         points: int,
         # Material, by environment:
         shear: wp.array(dtype=real),
@@ -81,14 +85,15 @@ def _kernels(real):
         env, e = wp.tid()
         if active[env] == 0:
             return
+        m = variant[env]
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         volume = real(0.0)
         change = real(0.0)
         for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[e, q])
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, q])
             less = det_less_one(h)
-            volume += weight[e, q]
-            change += weight[e, q] * less
+            volume += weight[m, e, q]
+            change += weight[m, e, q] * less
             f = h + wp.identity(n=3, dtype=real)
             c = cofactor(f)
             j = one + less
@@ -144,8 +149,13 @@ class Branches:
         """The same of the pressure (B, E) [E]."""
         self._decay = self._gain = self._bulk_gain = None
 
-    def begin(self, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fill `history` for a step of `duration` (B,) [s]; factors on stress and pressure (B,)."""
+    def begin(self, active, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fill `history` of `active` environments for a step of `duration` (B,) [s].
+
+        Returns:
+            Factors on stress and pressure (B,), for everyone: whoever is not active must be given
+            the duration of the step it is in.
+        """
         share = np.maximum(duration, 1e-12)[:, None] / self._times
         gain = self._ratios * -np.expm1(-share) / share
         self._decay, self._gain = self._array(np.exp(-share)), self._array(gain)
@@ -162,6 +172,7 @@ class Branches:
                 self._rest,
                 self._bulk_branch,
                 self._bulk_rest,
+                active,
             ],
             outputs=[self.history, self.bulk_history],
             device=self._device,
@@ -171,7 +182,7 @@ class Branches:
     def keep(self, mesh, material, active, u) -> None:
         """Take over the state `u` of `active` environments as the end of the step.
 
-        `mesh` is (elements, inverse, weight), `material` (shear, bulk).
+        `mesh` is (elements, inverse, weight, variant), `material` (shear, bulk).
         """
         wp.launch(
             _kernels(self._real)[1],

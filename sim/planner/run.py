@@ -114,7 +114,7 @@ def with_error_bar(
 
 def _coarser(result: Result, spacing: float | None) -> float:
     """Edge of an element of the second mesh [m], for a first one of `spacing`."""
-    from sim.fem.solver import SPACING_SHARE
+    from sim.fem.window import SPACING_SHARE
 
     thickness = result.scene.body.thickness
     if result.tier == "layer":

@@ -1,0 +1,67 @@
+"""Where an indenter comes: the part of a body that is meshed finely."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from sim.fem.mesh import Array, Mesh, Window, build_mesh
+from sim.fem.numerics import Numerics
+from sim.indenters import Indenter
+from sim.scene import Scene
+
+SPACING_SHARE = 6
+"""Elements through the thickness when no spacing is given."""
+SAMPLES, LEVELS, PASSES = 61, 6, 2
+"""Points along x and y, and heights, at which an indenter is looked at;
+the second pass looks only where the first has found it."""
+MARGIN = 1.0
+"""Width of the rim around the footprint that is meshed finely too, in fine elements."""
+
+
+def mesh_of(scene: Scene, numerics: Numerics) -> Mesh:
+    """The mesh that a scene is solved on.
+
+    Raises:
+        SceneError: See `mesh.cell_counts`.
+    """
+    spacing = numerics.spacing
+    if spacing is None:
+        spacing = scene.body.thickness / SPACING_SHARE
+    window = contact_window(scene, MARGIN * spacing) if numerics.graded else None
+    return build_mesh(scene.body, spacing, window)
+
+
+def contact_window(scene: Scene, margin: float) -> Window:
+    """A box in plan around all that the indenter covers of the untouched top, and `margin` [m]."""
+    tip = np.asarray(scene.motion.tip)
+    half = np.array([scene.body.size_x, scene.body.size_y]) / 2
+    depth = max(-float(tip[:, 2].min()), 0.0)
+    reach = float(2 * half.max() + np.abs(tip[:, :2]).max())
+    low, high = _footprint(scene.indenter, depth, reach)
+    low = np.clip(tip[:, :2].min(0) + low - margin, -half, half)
+    high = np.clip(tip[:, :2].max(0) + high + margin, -half, half)
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+
+@functools.lru_cache(maxsize=1024)
+def _footprint(indenter: Indenter, depth: float, reach: float) -> tuple[Array, Array]:
+    """Least and greatest x and y [m] of an indenter's lowest `depth`, up to `reach` from the tip.
+
+    Found on a grid of points, and widened by what may lie between them.
+    """
+    low, high = (np.clip(side, -reach, reach) for side in np.transpose(indenter.bounds[:2]))
+    heights = np.linspace(0.0, depth, LEVELS)
+    for _pass in range(PASSES):
+        x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
+        places = np.stack(np.meshgrid(x, y, heights, indexing="ij"), axis=-1)
+        covered = indenter.distance(places)[0].min(axis=2) <= 0
+        if not covered.any():
+            return np.zeros(2), np.zeros(2)
+        between = (high - low) / (SAMPLES - 1)
+        in_x, in_y = (np.unique(place) for place in np.nonzero(covered))
+        least = np.array([x[in_x[0]], y[in_y[0]]]) - between
+        most = np.array([x[in_x[-1]], y[in_y[-1]]]) + between
+        low, high = np.maximum(least, low), np.minimum(most, high)
+    return low, high
