@@ -8,7 +8,7 @@ import pytest
 from sim import Body, Indenter, Motion, Scene, press, press_shear_return
 from sim.fem.mesh import Window
 from sim.fem.numerics import Numerics
-from sim.fem.window import MARGIN, contact_window, mesh_of
+from sim.fem.window import MARGIN, contact_window, mesh_of, meshes_of
 from sim.indenters import cone, flat_punch, named, plane, sphere, torus
 
 RIM = 0.5e-3
@@ -120,3 +120,15 @@ def test_a_mesh_is_fine_where_the_indenter_comes_and_coarse_elsewhere() -> None:
         even = mesh_of(scene, Numerics(spacing=spacing, graded=False))
         np.testing.assert_allclose(np.diff(even.x), even.x[1] - even.x[0])
         assert len(mesh.elements) < len(even.elements)
+
+
+def test_one_topology_gives_meshes_of_a_call_the_counts_of_the_largest_and_coarsens_none() -> None:
+    scenes = [Scene(sphere(3e-3), press([1e-3], at=at), FLAT) for at in ((0.0, 0.0), (-9e-3, 5e-3))]
+    scenes.append(Scene(named("cylinder_sh"), press([1e-3]), FLAT))
+    alone = [mesh_of(scene, Numerics(spacing=0.5e-3)) for scene in scenes]
+    alike = meshes_of(scenes, Numerics(spacing=0.5e-3, one_topology=True))
+    assert len({mesh.cells for mesh in alone}) > 1
+    most = [max(mesh.cells[axis] for mesh in alone) for axis in range(3)]
+    assert {mesh.cells for mesh in alike} == {tuple(most)}
+    for one, other in zip(alone, alike, strict=True):
+        assert other.finest <= one.finest * (1 + 1e-9)

@@ -225,7 +225,7 @@ def _elements(result: Result) -> int:
 
 
 def _reference_text(plan: Plan) -> str:
-    return f"fem float64, elements of {plan.spacing * 1e3:.3g} mm, penalty 4000, tolerance 1e-5"
+    return f"fem float64, elements of {plan.spacing * 1e3:.3g} mm, 5 augmentations, tolerance 1e-5"
 
 
 def _line(row: Row) -> str:

@@ -113,21 +113,34 @@ def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
     return counts[0], counts[1], counts[2]
 
 
-def axis(size: float, spacing: float, window: tuple[float, float], coarsest: float) -> Array:
+def axis(
+    size: float,
+    spacing: float,
+    window: tuple[float, float],
+    coarsest: float,
+    *,
+    at_least: int = 0,
+) -> Array:
     """Places of nodes from -size/2 to size/2: `spacing` or less in the window, growing outwards.
 
-    All lengths in one unit. The number of elements is a multiple, see `MULTIPLE`.
+    All lengths in one unit. The number of elements is a multiple, see `MULTIPLE`, or `at_least`.
     """
     place = np.linspace(-size / 2, size / 2, 2001)
     away = np.maximum(np.maximum(window[0] - place, place - window[1]), 0.0)
     density = 1.0 / np.minimum(spacing + GROWTH * away, max(coarsest, spacing))
     count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
     multiple = MULTIPLE if count[-1] <= MANY else 2 * MULTIPLE
-    cells = multiple * max(1, int(np.ceil(count[-1] / multiple - 1e-6)))
+    cells = max(at_least, multiple * max(1, int(np.ceil(count[-1] / multiple - 1e-6))))
     return np.asarray(np.interp(np.linspace(0.0, count[-1], cells + 1), count, place))
 
 
-def build_mesh(body: Body, spacing: float, window: Window | None = None) -> Mesh:
+def build_mesh(
+    body: Body,
+    spacing: float,
+    window: Window | None = None,
+    *,
+    at_least: tuple[int, int] = (0, 0),
+) -> Mesh:
     """The mesh of a body with elements of about `spacing` [m]; one number, from coarse to fine.
 
     Args:
@@ -146,8 +159,8 @@ def build_mesh(body: Body, spacing: float, window: Window | None = None) -> Mesh
         y = np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1) / unit
     else:
         coarsest = COARSEST * unit
-        x = axis(body.size_x, spacing, window[0], coarsest) / unit
-        y = axis(body.size_y, spacing, window[1], coarsest) / unit
+        x = axis(body.size_x, spacing, window[0], coarsest, at_least=at_least[0]) / unit
+        y = axis(body.size_y, spacing, window[1], coarsest, at_least=at_least[1]) / unit
     nx, ny, nz = cells = len(x) - 1, len(y) - 1, nz
     share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
     height = np.array([[body.height(a * unit, b * unit) / unit for b in y] for a in x])

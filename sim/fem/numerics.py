@@ -36,6 +36,9 @@ class Numerics:
     the time and cuts the error of the force by about 4."""
     graded: bool = True
     """Whether elements grow outwards from where the indenter comes; else all are alike."""
+    one_topology: bool = False
+    """Whether graded meshes of one call get as many elements as the largest of them: more elements,
+    but all presses in one launch, which is what a GPU wants. No mesh becomes coarser."""
     precision: Literal["auto", "float32", "float64"] = "auto"
     """`auto` begins in float32 and goes on in float64 where float32 cannot reach the tolerance."""
     tolerance: float = 1e-4

@@ -21,7 +21,7 @@ from sim.fem.mesh import Mesh
 from sim.fem.newton import Newton
 from sim.fem.numerics import Numerics
 from sim.fem.path import Path, path_of, sharpest
-from sim.fem.window import mesh_of
+from sim.fem.window import meshes_of
 from sim.result import Result
 from sim.scene import Scene
 
@@ -56,7 +56,7 @@ def simulate_fem(
     numerics = numerics or Numerics()
     _check_device(device)
     began = time.perf_counter()
-    meshes = [mesh_of(scene, numerics) for scene in scenes]
+    meshes = meshes_of(scenes, numerics)
     meshed = (time.perf_counter() - began) / max(len(scenes), 1)
     outcomes: dict[int, Outcome] = {}
     for chosen in _batches(scenes, meshes, device):

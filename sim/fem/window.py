@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,8 +21,24 @@ MARGIN = 1.0
 """Width of the rim around the footprint that is meshed finely too, in fine elements."""
 
 
-def mesh_of(scene: Scene, numerics: Numerics) -> Mesh:
-    """The mesh that a scene is solved on.
+def meshes_of(scenes: Sequence[Scene], numerics: Numerics) -> list[Mesh]:
+    """The meshes that scenes are solved on; `Numerics.one_topology` makes their counts agree.
+
+    Raises:
+        SceneError: See `mesh.cell_counts`.
+    """
+    meshes = [mesh_of(scene, numerics) for scene in scenes]
+    if not (numerics.one_topology and numerics.graded):
+        return meshes
+    most = max(mesh.cells[0] for mesh in meshes), max(mesh.cells[1] for mesh in meshes)
+    return [
+        mesh if mesh.cells[:2] == most else mesh_of(scene, numerics, at_least=most)
+        for scene, mesh in zip(scenes, meshes, strict=True)
+    ]
+
+
+def mesh_of(scene: Scene, numerics: Numerics, *, at_least: tuple[int, int] = (0, 0)) -> Mesh:
+    """The mesh that a scene is solved on, with `at_least` so many elements along x and y.
 
     Raises:
         SceneError: See `mesh.cell_counts`.
@@ -30,7 +47,7 @@ def mesh_of(scene: Scene, numerics: Numerics) -> Mesh:
     if spacing is None:
         spacing = scene.body.thickness / SPACING_SHARE
     window = contact_window(scene, MARGIN * spacing) if numerics.graded else None
-    return build_mesh(scene.body, spacing, window)
+    return build_mesh(scene.body, spacing, window, at_least=at_least)
 
 
 def contact_window(scene: Scene, margin: float) -> Window:

@@ -64,10 +64,11 @@ def at_least(says: str, measured: float, limit: float) -> Law:
     return Law(says, float(measured), ">=", limit)
 
 
-def sound(*results: Result, det_f: float = 0.1) -> list[Law]:
+def sound(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> list[Law]:
     """Nothing inverted, forces in balance, and no pull: what every press must keep.
 
     `det_f` is the smallest determinant of the deformation gradient; the solver's own floor is 0.05.
+    `pull` is the largest upward traction: none, unless friction above 1 holds a steep flank.
     """
     pulls, unbalanced = [], []
     for result in results:
@@ -79,7 +80,7 @@ def sound(*results: Result, det_f: float = 0.1) -> list[Law]:
     return [
         at_least("smallest det F", _least(r.quality.det_f_min for r in results), det_f),
         at_most("balance", _most(unbalanced), BALANCE),
-        at_most("tension / largest pressure", max(pulls), 1e-6),
+        at_most("tension / largest pressure", max(pulls), pull),
     ]
 
 

@@ -28,12 +28,14 @@ from sim.scene import Scene
 
 UNLIMITED = 1.0
 """A longest step of the tip [m] that limits nothing."""
+CLOSED = {"penalty": 1000.0, "augmentations": 5}
+"""Contact brought up to its answer: by default 15 frames on the way get 0.1 % closer than one."""
 
 
 def one_huge_step(solver: Solver) -> list[Law]:
     """1.5 mm in a single step ends where 15 steps end."""
-    huge = solver.one(Scene(SPHERE, press([1.5 * MM])), step_travel=UNLIMITED)
-    slow = solver.one(Scene(SPHERE, press([0.1 * MM * step for step in range(1, 16)])))
+    huge = solver.one(Scene(SPHERE, press([1.5 * MM])), step_travel=UNLIMITED, **CLOSED)
+    slow = solver.one(Scene(SPHERE, press([0.1 * MM * step for step in range(1, 16)])), **CLOSED)
     return [*sound(huge, slow, det_f=0.5), same_end("force", slow, huge, SAME)]
 
 
@@ -103,10 +105,11 @@ def starts_inside(solver: Solver) -> list[Law]:
 
 def _sunk(solver: Solver, indenter: Indenter, **numerics: object) -> list[Law]:
     """Begins 2.5 mm inside: the state of a slow press, or a refusal with evidence."""
-    slow = solver.one(Scene(indenter, press([0.5 * MM * step for step in range(1, 6)]), MAT))
+    frames = press([0.5 * MM * step for step in range(1, 6)])
+    slow = solver.one(Scene(indenter, frames, MAT), **CLOSED)
     sunk = Scene(indenter, Motion(tip=((0.0, 0.0, -2.5 * MM),), time=(0.0,)), MAT)
     try:
-        result = solver.one(sunk, **numerics)
+        result = solver.one(sunk, **CLOSED, **numerics)
     except SimulationDiverged as diverged:
         return [*sound(slow, det_f=0.05), *evidence(diverged)]
     return [*sound(slow, result, det_f=0.05), same_end("force", slow, result, SAME)]
