@@ -10,7 +10,7 @@ SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAX
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -78,6 +78,9 @@ accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh, write 
 
 cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...), write docs/cost-table.md: [ARGS="--validate | --seconds | --page | --take DIR"] [DEVICE=cuda:0] [OUT=page.md] (an hour)
 	@$(PY) -m sim cost-table $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth, the floor, write docs/speed.md: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/speed] [ARGS="--again --smoke"] (20 minutes)
+	@$(PY) -m sim speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 test: $(VENV)/.dev  ## Run the default tests (about 7 minutes on 2 cores)
 	@$(PY) -m pytest -q

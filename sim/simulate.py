@@ -79,18 +79,28 @@ def simulate_many(
     *,
     numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
+    processes: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Result | SimulationDiverged]:
     """Simulate scenes side by side; each gives its result, or the reason why there is none.
 
     `fem` and `mpm` solve them together in one launch where they are alike enough. Arguments as for
-    `simulate`.
+    `simulate`, and `processes`: how many worker processes share the scenes on a CPU; a script that
+    asks for several does so under `if __name__ == "__main__":`.
 
     Raises:
-        SceneError: As `simulate`.
+        SceneError: As `simulate`; processes below 1, or several on a GPU.
+        WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
+    from sim.pool import check_processes, simulate_in_processes
+
     if tier not in TIERS:
         raise SceneError(f"tier: {tier!r}; allowed: {', '.join(TIERS)}")
+    check_processes(processes, device)
+    if processes > 1 and len(scenes) > 1:
+        return simulate_in_processes(
+            scenes, tier, numerics=numerics, processes=processes, progress=progress
+        )
     if not scenes:
         return []
     if tier == "layer":

@@ -123,7 +123,8 @@ def test_a_mesh_is_fine_where_the_indenter_comes_and_coarse_elsewhere() -> None:
 
 
 def test_one_topology_gives_meshes_of_a_call_the_counts_of_the_largest_and_coarsens_none() -> None:
-    scenes = [Scene(sphere(3e-3), press([1e-3], at=at), FLAT) for at in ((0.0, 0.0), (-9e-3, 5e-3))]
+    places = ((0.0, 0.0), (-9e-3, 5e-3))
+    scenes = [Scene(sphere(1e-3), press([0.2e-3], at=place), FLAT) for place in places]
     scenes.append(Scene(named("cylinder_sh"), press([1e-3]), FLAT))
     alone = [mesh_of(scene, Numerics(spacing=0.5e-3)) for scene in scenes]
     alike = meshes_of(scenes, Numerics(spacing=0.5e-3, one_topology=True))

@@ -134,6 +134,41 @@ def axis(
     return np.asarray(np.interp(np.linspace(0.0, count[-1], cells + 1), count, place))
 
 
+def axes(
+    body: Body,
+    spacing: float,
+    window: Window | None = None,
+    *,
+    at_least: tuple[int, int] = (0, 0),
+) -> tuple[Array, Array]:
+    """Where the nodes of `build_mesh` stand along x (X,) and y (Y,), in thicknesses.
+
+    Args:
+        body: What is meshed.
+        spacing: Side of the elements [m].
+        window: ((x least, x most), (y least, y most)) [m] outside of which elements grow; None: all
+            of them alike.
+        at_least: Elements along x and y, where they grow, that there are at the least.
+
+    Raises:
+        SceneError: See `cell_counts`.
+    """
+    nx, ny, _nz = cell_counts(body, spacing)
+    unit = body.thickness
+    sizes = (body.size_x, body.size_y)
+    if window is None:
+        x, y = (
+            np.linspace(-size / 2, size / 2, count + 1) / unit
+            for size, count in zip(sizes, (nx, ny), strict=True)
+        )
+    else:
+        x, y = (
+            axis(size, spacing, sides, COARSEST * unit, at_least=least) / unit
+            for size, sides, least in zip(sizes, window, at_least, strict=True)
+        )
+    return x, y
+
+
 def build_mesh(
     body: Body,
     spacing: float,
@@ -143,25 +178,11 @@ def build_mesh(
 ) -> Mesh:
     """The mesh of a body with elements of about `spacing` [m]; one number, from coarse to fine.
 
-    Args:
-        body: What is meshed.
-        spacing: Side of the elements.
-        window: ((x least, x most), (y least, y most)) [m] outside of which elements grow; None: all
-            of them alike.
-
-    Raises:
-        SceneError: See `cell_counts`.
+    Arguments and errors as of `axes`.
     """
-    nx, ny, nz = cell_counts(body, spacing)
+    x, y = axes(body, spacing, window, at_least=at_least)
     unit = body.thickness
-    if window is None:
-        x = np.linspace(-body.size_x / 2, body.size_x / 2, nx + 1) / unit
-        y = np.linspace(-body.size_y / 2, body.size_y / 2, ny + 1) / unit
-    else:
-        coarsest = COARSEST * unit
-        x = axis(body.size_x, spacing, window[0], coarsest, at_least=at_least[0]) / unit
-        y = axis(body.size_y, spacing, window[1], coarsest, at_least=at_least[1]) / unit
-    nx, ny, nz = cells = len(x) - 1, len(y) - 1, nz
+    nx, ny, nz = cells = len(x) - 1, len(y) - 1, cell_counts(body, spacing)[2]
     share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
     height = np.array([[body.height(a * unit, b * unit) / unit for b in y] for a in x])
     place = np.empty((nx + 1, ny + 1, nz + 1, 3))
@@ -170,9 +191,13 @@ def build_mesh(
     place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
     nodes = place.reshape(-1, 3)
     grid = _topology(cells)
-    inverse, weight = _geometry(nodes[grid.elements])
+    if height.any():
+        inverse, weight = _geometry(nodes[grid.elements])
+    else:
+        inverse, weight = _box_geometry(np.diff(x), np.diff(y), np.diff(share))
+    eighth = np.repeat(weight.sum(1, keepdims=True) / 8, 8, axis=1)
     volume = np.zeros(len(nodes))
-    volume += np.bincount(grid.elements.ravel(), np.repeat(weight.sum(1) / 8, 8), len(nodes))
+    volume += np.bincount(grid.elements.ravel(), eighth.ravel(), len(nodes))
     return Mesh(
         cells=cells,
         x=x,
@@ -233,6 +258,17 @@ def _geometry(corners: Array) -> tuple[Array, Array]:
         weight[:, point] = (a * rows[:, 0]).sum(1)
         inverse[:, point] = rows / weight[:, point, None, None]
     return inverse, weight
+
+
+def _box_geometry(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """As `_geometry`, of boxes with these sides (X,), (Y,) and (Z,): alike at all Gauss points."""
+    sides = np.broadcast_arrays(x[:, None, None], y[:, None], z)
+    inverse = np.zeros((*sides[0].shape, 3, 3))
+    for axis, side in enumerate(sides):
+        inverse[..., axis, axis] = 2.0 / side
+    weight = (sides[0] * sides[1] * sides[2] / 8).reshape(-1, 1)
+    inverse = np.broadcast_to(inverse.reshape(-1, 1, 3, 3), (len(weight), 8, 3, 3))
+    return inverse, np.broadcast_to(weight, (len(weight), 8))
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -219,7 +219,7 @@ class _Batch:
         numerics = self._numerics
         loose = numerics.path_tolerance
         if loose is None:
-            history = {"friction", "viscosity", "inertia"} & set(self._assembly.effects)
+            history = {"viscosity", "inertia"} & set(self._assembly.effects)
             loose = 1e-3 if history else 1e-2
         return numerics.tolerance if share >= 1.0 else max(loose, numerics.tolerance)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.fem.mesh import Array, Mesh, Window, build_mesh
+from sim.fem.mesh import Array, Mesh, Window, axes, build_mesh
 from sim.fem.numerics import Numerics
 from sim.indenters import Indenter
 from sim.scene import Scene
@@ -27,27 +27,28 @@ def meshes_of(scenes: Sequence[Scene], numerics: Numerics) -> list[Mesh]:
     Raises:
         SceneError: See `mesh.cell_counts`.
     """
-    meshes = [mesh_of(scene, numerics) for scene in scenes]
-    if not (numerics.one_topology and numerics.graded):
-        return meshes
-    most = max(mesh.cells[0] for mesh in meshes), max(mesh.cells[1] for mesh in meshes)
-    return [
-        mesh if mesh.cells[:2] == most else mesh_of(scene, numerics, at_least=most)
-        for scene, mesh in zip(scenes, meshes, strict=True)
-    ]
+    plans = [(scene.body, *_spacing_and_window(scene, numerics)) for scene in scenes]
+    least = (0, 0)
+    if numerics.one_topology:
+        counts = np.array([[len(places) - 1 for places in axes(*plan)] for plan in plans])
+        least = (int(counts[:, 0].max()), int(counts[:, 1].max()))
+    return [build_mesh(*plan, at_least=least) for plan in plans]
 
 
-def mesh_of(scene: Scene, numerics: Numerics, *, at_least: tuple[int, int] = (0, 0)) -> Mesh:
-    """The mesh that a scene is solved on, with `at_least` so many elements along x and y.
+def mesh_of(scene: Scene, numerics: Numerics) -> Mesh:
+    """The mesh that a scene is solved on alone.
 
     Raises:
         SceneError: See `mesh.cell_counts`.
     """
+    return meshes_of([scene], numerics)[0]
+
+
+def _spacing_and_window(scene: Scene, numerics: Numerics) -> tuple[float, Window | None]:
     spacing = numerics.spacing
     if spacing is None:
         spacing = scene.body.thickness / SPACING_SHARE
-    window = contact_window(scene, MARGIN * spacing) if numerics.graded else None
-    return build_mesh(scene.body, spacing, window, at_least=at_least)
+    return spacing, contact_window(scene, MARGIN * spacing) if numerics.graded else None
 
 
 def contact_window(scene: Scene, margin: float) -> Window:

@@ -1,0 +1,69 @@
+"""The least that the iterations of a run can take: bytes to move, operations to do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sim.speed.record import Machine, Run
+
+NUMBER = 4
+"""Bytes of a float32."""
+VECTOR, BLOCK = 3 * NUMBER, 9 * NUMBER
+"""Bytes of a vector and of a 3x3 matrix."""
+SLOTS = 27
+
+PRODUCT_BYTES = SLOTS * BLOCK + 2 * VECTOR
+"""A node's row of the tangent, all of it stored; the vector, which stays near, and the product."""
+PRECONDITIONER_BYTES = 2 * BLOCK
+"""Pivot and coupling of a node, each read once."""
+VECTORS_BYTES = 10 * VECTOR
+"""Direction, product, solution and residual read, the two last and the preconditioned residual
+written; then that one and the direction read, and the direction written."""
+CG_BYTES = PRODUCT_BYTES + PRECONDITIONER_BYTES + VECTORS_BYTES
+"""Of a node and iteration of conjugate gradients."""
+CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
+"""The product, three small products of the preconditioner, four vector updates and dot products."""
+NEWTON_NODE_BYTES = SLOTS * BLOCK + 4 * BLOCK + 4 * VECTOR
+"""The tangent written once, its columns factored, displacement and residual."""
+NEWTON_ELEMENT_BYTES = 2 * (8 * BLOCK + 8 * NUMBER + 8 * NUMBER) + 2 * 8 * VECTOR
+"""Inverse Jacobians, weights and node numbers, read for the tangent and for the forces; forces of
+the corners written and read."""
+NEWTON_ELEMENT_FLOPS = 14_000 + 3_500
+"""Tangent and one evaluation of the forces, counted in the kernels' source; about 20 % sure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """What the iterations of a run ask for, and the seconds that takes at the machine's rates."""
+
+    newton_bytes: float
+    cg_bytes: float
+    flops: float
+    byte_seconds: float
+    """At the rate of an array beyond any cache; on a CPU, at that of one press's tangent where it
+    is higher."""
+    flop_seconds: float
+
+    @property
+    def seconds(self) -> float:
+        """The larger: moving and computing may go on at once."""
+        known = [s for s in (self.byte_seconds, self.flop_seconds) if math.isfinite(s)]
+        return max(known, default=math.nan)
+
+
+def floor_of(run: Run, machine: Machine) -> Floor:
+    """The floor of a run in float32."""
+    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * NEWTON_NODE_BYTES
+    cg_bytes = run.cg_nodes * CG_BYTES
+    flops = run.newton_elements * NEWTON_ELEMENT_FLOPS + run.cg_nodes * CG_FLOPS
+    rate = machine.copy_rate
+    if machine.device == "cpu" and machine.near_rate > rate:
+        rate = machine.near_rate
+    return Floor(
+        newton_bytes=float(newton_bytes),
+        cg_bytes=float(cg_bytes),
+        flops=float(flops),
+        byte_seconds=(newton_bytes + cg_bytes) / rate,
+        flop_seconds=flops / machine.flop_rate,
+    )

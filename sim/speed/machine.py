@@ -1,0 +1,96 @@
+"""How fast a machine moves bytes and multiplies, measured beside the runs that are held to it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+FAR_BYTES = 256 * 2**20
+"""Size of the array whose copy no cache holds."""
+LEAST_SECONDS = 0.2
+"""How long each rate is measured at least [s]."""
+SIDE = 1024
+"""Of the matrices that are multiplied."""
+STATED_FLOPS = {"H200": 66.9e12, "H100": 66.9e12, "A100": 19.5e12}
+"""float32 operations a second outside of tensor cores, by a word of the GPU's name: NVIDIA's data
+sheets of the H200 SXM, H100 SXM and A100."""
+
+
+def machine_name(device: str) -> str:
+    """The machine in words."""
+    if device != "cpu":
+        import warp as wp
+
+        return str(wp.get_device(device).name)
+    described = Path("/proc/cpuinfo")
+    model = "CPU"
+    if described.exists():
+        for line in described.read_text().splitlines():
+            if line.startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    return f"{model}, {os.cpu_count()} cores"
+
+
+def copy_rate(device: str, size: int, threads: int = 1) -> float:
+    """Bytes read and written per second by copies of `size` bytes.
+
+    On a CPU by NumPy, in so many threads at once, each with arrays of its own; on a GPU by Warp.
+    """
+    if device != "cpu":
+        return _copy_rate_gpu(device, size)
+
+    def copies(index: int) -> float:
+        source = np.full(size // 4, float(index), np.float32)
+        target = np.zeros_like(source)
+        return 2 * size / _least_seconds(lambda: np.copyto(target, source))
+
+    with ThreadPoolExecutor(threads) as pool:
+        return float(sum(pool.map(copies, range(threads))))
+
+
+def _copy_rate_gpu(device: str, size: int) -> float:
+    import warp as wp
+
+    source = wp.zeros(size // 4, dtype=wp.float32, device=device)
+    target = wp.zeros_like(source)
+
+    def copies() -> None:
+        for _copy in range(20):
+            wp.copy(target, source)
+        wp.synchronize_device(device)
+
+    return 2 * size * 20 / _least_seconds(copies)
+
+
+def flop_rate(device: str) -> tuple[float, str]:
+    """float32 operations per second at best, and where the figure comes from."""
+    if device == "cpu":
+        left = np.ones((SIDE, SIDE), np.float32)
+        product = np.empty_like(left)
+        seconds = _least_seconds(lambda: np.matmul(left, left, out=product))
+        return 2 * SIDE**3 / seconds, "matrix product of NumPy, all cores"
+    name = machine_name(device)
+    for word, rate in STATED_FLOPS.items():
+        if word in name:
+            return rate, "NVIDIA's data sheet"
+    return float("nan"), "not stated"
+
+
+def _least_seconds(work: Callable[[], object]) -> float:
+    """The least wall time of `work`, called for a while."""
+    least = float("inf")
+    work()
+    until = time.perf_counter() + LEAST_SECONDS
+    while True:
+        began = time.perf_counter()
+        work()
+        ended = time.perf_counter()
+        least = min(least, ended - began)
+        if ended > until:
+            return least

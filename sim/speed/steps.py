@@ -1,0 +1,229 @@
+"""What each step towards speed is worth: predicted with its reason, and measured without it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from sim.scene import Scene
+from sim.speed.timing import Outcome, Solve, fem
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+
+Where = Literal["cpu", "gpu", "both"]
+
+EVEN = 0.75
+"""Elements of the even mesh that is as exact, about, as a graded one, over those of that one."""
+AS_IT_IS = "as it is"
+"""Name of the run that the others are held against."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step that can be left out, or put in, by an argument."""
+
+    name: str
+    where: Where
+    predicted: str
+    """How many times faster, before it was built."""
+    reason: str
+    solve: Callable[[Numerics, str, int], Solve]
+    """From numerics, device and processes to the solver without it (with it: see `put_in`)."""
+    put_in: bool = False
+    """Whether the run `AS_IT_IS` is the one without the step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replaced:
+    """A step whose other side is no longer in the code: what was measured when both were."""
+
+    name: str
+    predicted: str
+    reason: str
+    measured: str
+
+
+def _changed(**values: Any) -> Callable[[Numerics, str, int], Solve]:
+    def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
+        return fem(replace(numerics, **values), device)
+
+    return solver
+
+
+def _even(numerics: Numerics, device: str, _processes: int) -> Solve:
+    spacing = None if numerics.spacing is None else EVEN * numerics.spacing
+    return fem(replace(numerics, graded=False, spacing=spacing), device)
+
+
+def _unpredicted(numerics: Numerics, device: str, _processes: int) -> Solve:
+    return _inside(_without_prediction, fem(numerics, device))
+
+
+def _unrecorded(numerics: Numerics, device: str, _processes: int) -> Solve:
+    return _inside(_without_graphs, fem(numerics, device))
+
+
+def _shared(numerics: Numerics, device: str, processes: int) -> Solve:
+    return fem(numerics, device, processes)
+
+
+def _one_by_one(numerics: Numerics, device: str, _processes: int) -> Solve:
+    solve = fem(numerics, device)
+
+    def each(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
+        found: list[Outcome] = []
+        for scene in scenes:
+            found += solve([scene], lambda _share: None)
+            progress(len(found) / len(scenes))
+        return found
+
+    return each
+
+
+STEPS = (
+    Step(
+        "graded mesh",
+        "both",
+        "2-3",
+        "as many fewer elements at the same error: fine only where the indenter comes",
+        _changed(graded=False),
+    ),
+    Step(
+        "graded mesh, against an even one of 3/4 the size",
+        "both",
+        "2-3",
+        "what an even mesh as exact as the graded one would take: see the errors",
+        _even,
+    ),
+    Step(
+        "soft contact, brought up to its answer",
+        "both",
+        "2-3 with prediction",
+        "fewer Newton iterations: a stiff contact changes its set of touching points each time",
+        _changed(penalty=1000.0, augmentations=0),
+    ),
+    Step(
+        "prediction of the next state",
+        "both",
+        "2-3 with soft contact",
+        "fewer Newton iterations: a step begins where the last one's motion, or the tangent, leads",
+        _unpredicted,
+    ),
+    Step(
+        "two processes on two cores",
+        "cpu",
+        "up to 2",
+        "presses are independent; less what starting processes takes, and what cores share",
+        _shared,
+        put_in=True,
+    ),
+    Step(
+        "presses side by side",
+        "gpu",
+        "up to the number of presses",
+        "one press does not fill a GPU; each walks at its own step, so that the total is the "
+        "slowest press, not the sum of the slowest steps",
+        _one_by_one,
+    ),
+    Step(
+        "one mesh topology for all",
+        "gpu",
+        "up to the number of mesh groups",
+        "presses whose meshes have different numbers of elements cannot share a launch",
+        _changed(one_topology=False),
+    ),
+    Step(
+        "graph capture",
+        "gpu",
+        "up to 5 where launches are what takes the time",
+        "about 10 us a launch without, 2 us recorded",
+        _unrecorded,
+    ),
+)
+REPLACED = (
+    Replaced(
+        "tangent assembled, not applied element by element",
+        "2-4",
+        "a product takes 0.052 us a node instead of 0.6-0.8 us, about ten times less; assembling "
+        "takes 2.2 us an element and Newton iteration",
+        "0.052 us a node against 0.6-0.8 us, one CPU core, float32",
+    ),
+    Replaced(
+        "columns as preconditioner, not 3x3 blocks",
+        "1.2-2.3",
+        "fewer CG iterations: the stiff direction of a bonded layer is solved exactly",
+        "1.2-2.3 times fewer iterations, by mesh and shape",
+    ),
+)
+ASSEMBLED_NODE, FREE_NODE, ASSEMBLY_ELEMENT = 0.052e-6, 0.7e-6, 2.2e-6
+"""Seconds of a product a node, assembled and without a matrix, and of an assembly an element; one
+core of a CPU, float32, measured when both were in the code."""
+
+
+def steps_on(device: str) -> list[Step]:
+    """The steps that mean something there."""
+    kind = "cpu" if device == "cpu" else "gpu"
+    return [step for step in STEPS if step.where in ("both", kind)]
+
+
+def assembled_gain(newton_elements: int, cg_nodes: int) -> float:
+    """How much less time tangents take assembled, for so many iterations on a CPU."""
+    assembled = newton_elements * ASSEMBLY_ELEMENT + cg_nodes * ASSEMBLED_NODE
+    return cg_nodes * FREE_NODE / assembled if assembled else float("nan")
+
+
+def _inside(without: Callable[[], contextlib.AbstractContextManager[None]], solve: Solve) -> Solve:
+    def solve_without(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
+        with without():
+            return solve(scenes, progress)
+
+    return solve_without
+
+
+@contextlib.contextmanager
+def _without_prediction() -> Iterator[None]:
+    """Every step begins at the last state: no share of the last change, no way along the tangent.
+
+    Both are arguments of methods that the solver calls, but of none that a caller can reach.
+    """
+    from sim.fem.newton import Newton
+    from sim.fem.state import State
+
+    begin, begin_step = Newton.begin, State.begin_step
+
+    def here(self: Any, chosen: Any, tolerance: Any, *, predict: Any) -> None:
+        begin(self, chosen, tolerance, predict=np.zeros_like(predict))
+
+    def from_last(self: Any, chosen: Any, tip: Any, duration: Any, guess: Any) -> None:
+        begin_step(self, chosen, tip, duration, np.zeros_like(guess))
+
+    with _in_place_of(Newton, "begin", here), _in_place_of(State, "begin_step", from_last):
+        yield
+
+
+@contextlib.contextmanager
+def _without_graphs() -> Iterator[None]:
+    """Every kernel of conjugate gradients is launched by itself."""
+    from sim.fem.cg import ConjugateGradient
+
+    def iterate(self: Any, times: int) -> None:
+        for _time in range(times):
+            self._once()
+
+    with _in_place_of(ConjugateGradient, "_iterate", iterate):
+        yield
+
+
+@contextlib.contextmanager
+def _in_place_of(owner: type, name: str, method: Callable[..., None]) -> Iterator[None]:
+    own = getattr(owner, name)
+    setattr(owner, name, method)
+    try:
+        yield
+    finally:
+        setattr(owner, name, own)

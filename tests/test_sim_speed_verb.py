@@ -1,0 +1,55 @@
+"""The verb `speed`: what it takes, refuses and writes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from sim.errors import SceneError
+from sim.speed.record import PARTS as RECORDED
+from sim.speed.record import read
+from sim.verbs import speed
+
+
+def run(*words: str) -> int:
+    parser = argparse.ArgumentParser()
+    speed.add_to(parser.add_subparsers(required=True))
+    return speed.run(parser.parse_args(["speed", *words]))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--only", "presses,drawing"], "--only: 'presses,drawing'; allowed: some of presses"),
+        (["--processes", "0"], "processes: 0; allowed: whole numbers from 1 up"),
+        (["--device", "cuda:99", "--processes", "2"], "processes: 2 on device 'cuda:99'"),
+        (["--device", "cuda:99"], "--device: 'cuda:99'; allowed here: cpu"),
+        (["--spacing", "-1"], "--spacing: -1.0 mm; allowed: above 0"),
+        (["--reference", "nan"], "--reference: nan mm; allowed: above 0"),
+        (["--only", "page"], "--out: no measurements in"),
+    ],
+)
+def test_speed_refuses_what_means_nothing(tmp_path: Path, words: list[str], said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        run("--out", str(tmp_path), *words)
+
+
+def test_the_verb_offers_every_part_there_is() -> None:
+    assert speed.PARTS == RECORDED
+
+
+@pytest.mark.slow
+def test_speed_measures_a_little_of_everything_and_writes_a_page(tmp_path: Path) -> None:
+    out = tmp_path / "speed"
+    assert run("--smoke", "--out", str(out)) == 0
+    record = read(out / "cpu.jsonl")
+    assert {run.part for run in record.runs.values()} == set(RECORDED)
+    assert not any(run.failed for run in record.runs.values())
+    before = (out / "cpu.jsonl").read_text()
+    assert run("--smoke", "--out", str(out)) == 0
+    assert (out / "cpu.jsonl").read_text() == before
+    text = (tmp_path / "speed.md").read_text()
+    assert text.startswith("# Speed")
+    assert "nan" not in text
