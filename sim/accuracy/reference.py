@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -40,20 +40,34 @@ class Reference:
     """Of each error of `Errors.worst`: the difference of the two finest meshes."""
 
 
-def reference_numerics(spacing: float) -> Numerics:
-    """Finest mesh, double precision, contact without penetration, solved to a tenth."""
+def reference_numerics(
+    spacing: float, precision: Literal["auto", "float64"] = "float64"
+) -> Numerics:
+    """Finest mesh, contact without penetration, solved to a tenth; to half with `auto`.
+
+    `auto` takes half the time, for references of many scenes.
+    """
     from sim.fem.numerics import Numerics
 
-    return Numerics(spacing=spacing, precision="float64", tolerance=1e-5, augmentations=5)
+    return Numerics(
+        spacing=spacing,
+        precision=precision,
+        tolerance=1e-5 if precision == "float64" else 5e-5,
+        path_tolerance=1e-3,
+        augmentations=5,
+    )
 
 
 def solve_references(
-    scenes: Sequence[Scene], spacing: float, device: str
+    scenes: Sequence[Scene],
+    spacing: float,
+    device: str,
+    precision: Literal["auto", "float64"] = "float64",
 ) -> list[Outcome | SimulationDiverged]:
     """Outcomes of scenes that share a body, on one mesh; frames are those of each scene."""
     parts = VISCOUS_PARTS if scenes[0].effects.viscosity is not None else 1
     cut = [replace(scene, motion=finer(scene.motion, parts)) for scene in scenes]
-    numerics = reference_numerics(spacing)
+    numerics = reference_numerics(spacing, precision)
     kept: list[Outcome | SimulationDiverged] = []
 
     def solve(some: Sequence[Scene], where: str) -> list[Result | SimulationDiverged]:

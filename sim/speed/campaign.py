@@ -167,13 +167,13 @@ class _Campaign:
         run = replace(
             self._run("reference", "reference", plan.processes),
             spacing_mm=plan.reference_spacing * 1e3,
-            note="float64, tolerance 1e-5, 5 augmentations, steps of an 80th of the thickness",
+            note="tolerance 5e-5, 5 augmentations, steps of an 80th of the thickness",
         )
         if not self._due(run):
             return
         presses = plan.work.reference
         numerics = replace(
-            reference_numerics(plan.reference_spacing),
+            reference_numerics(plan.reference_spacing, "auto"),
             step_travel=presses[0].scene().body.thickness / 80,
             one_topology=plan.on_gpu,
         )
