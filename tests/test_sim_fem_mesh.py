@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from sim import Body, SceneError
-from sim.fem.mesh import CELLS_MAX, COARSEST, GROWTH, MANY, MULTIPLE, Mesh, axis, build_mesh
+from sim.fem.grading import Grading
+from sim.fem.mesh import CELLS_MAX, MANY, MULTIPLE, Mesh, axis, build_mesh
 
 FLAT = Body(size_x=6e-3, size_y=5e-3, thickness=3e-3)
 DOMED = Body(size_x=6e-3, size_y=6e-3, thickness=3e-3, dome_radius=9e-3)
+GROWTH, COARSEST = Grading().growth, Grading().coarsest
 WINDOWS = [(-1e-3, 1e-3), (2e-3, 5e-3), (-10e-3, -9e-3), (-10e-3, 10e-3), (0.31e-3, 0.31e-3)]
 
 
@@ -119,7 +121,7 @@ def test_an_axis_is_as_fine_as_asked_in_its_window_and_grows_slowly_outside(
     window: tuple[float, float], spacing: float
 ) -> None:
     size, coarsest = 20e-3, 1e-3
-    places = axis(size, spacing, window, coarsest)
+    places = axis(size, spacing, window, coarsest, GROWTH)
     lengths = np.diff(places)
     assert places[[0, -1]].tolist() == [-size / 2, size / 2]
     multiple = MULTIPLE if len(lengths) <= MANY else 2 * MULTIPLE
@@ -145,9 +147,11 @@ def test_an_axis_is_as_fine_as_asked_in_its_window_and_grows_slowly_outside(
 
 
 def test_an_axis_about_a_window_in_the_middle_is_its_own_mirror_image() -> None:
-    places = axis(20e-3, 0.3e-3, (-2e-3, 2e-3), 1e-3)
+    places = axis(20e-3, 0.3e-3, (-2e-3, 2e-3), 1e-3, GROWTH)
     np.testing.assert_allclose(places, -places[::-1], atol=1e-15)
-    one, other = (axis(20e-3, 0.3e-3, window, 1e-3) for window in ((1e-3, 4e-3), (-4e-3, -1e-3)))
+    one, other = (
+        axis(20e-3, 0.3e-3, window, 1e-3, GROWTH) for window in ((1e-3, 4e-3), (-4e-3, -1e-3))
+    )
     np.testing.assert_allclose(one, -other[::-1], atol=1e-15)
 
 

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim import Body, Indenter, Motion, Scene, press, press_shear_return
+from sim import Body, Indenter, Motion, Scene, SceneError, press, press_shear_return
+from sim.fem.grading import FOR_EDGES, Grading
 from sim.fem.mesh import Window
 from sim.fem.numerics import Numerics
 from sim.fem.window import MARGIN, contact_window, mesh_of, meshes_of
@@ -133,3 +134,15 @@ def test_one_topology_gives_meshes_of_a_call_the_counts_of_the_largest_and_coars
     assert {mesh.cells for mesh in alike} == {tuple(most)}
     for one, other in zip(alone, alike, strict=True):
         assert other.finest <= one.finest * (1 + 1e-9)
+
+
+def test_a_grading_for_edges_is_finer_in_plan_and_as_fine_over_the_depth() -> None:
+    scene = Scene(sphere(3e-3), press([1e-3]), FLAT)
+    usual = mesh_of(scene, Numerics(spacing=0.5e-3))
+    edges = mesh_of(scene, Numerics(spacing=0.5e-3, grading=FOR_EDGES))
+    assert edges.finest <= FOR_EDGES.finer * 0.5e-3 / FLAT.thickness * (1 + 1e-9)
+    assert edges.finest < usual.finest
+    assert edges.cells[2] == usual.cells[2]
+    assert np.diff(edges.x).max() > np.diff(usual.x).max()
+    with pytest.raises(SceneError, match=r"grading.finer: 0"):
+        Grading(finer=0.0)

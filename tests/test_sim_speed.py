@@ -300,7 +300,7 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert f"| measured / floor | {420 / floor.seconds:.1f} | not measured |" in lines
     assert "12.5 s | 12.5 s | 16.9 min (predicted, 2 cores) | 7.0 min |" in text
     assert "| 750 s |" in text
-    assert "54 presses with elements of 0.333 mm, tight, 90 s on Two Cores" in text
+    assert "54 presses with elements 0.333 mm high, tight, 90 s on Two Cores" in text
 
 
 def test_a_page_from_nothing_but_a_machine_is_a_page(tmp_path: Path) -> None:

@@ -16,17 +16,13 @@ from numpy.typing import NDArray
 
 from sim.body import Body
 from sim.errors import SceneError
+from sim.fem.grading import Grading
 
 CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
 """Corner of a cell by its index: x, y, z steps."""
 GAUSS = 1 / np.sqrt(3)
 """Abscissa of the 2-point Gauss rule on -1 to 1."""
 
-GROWTH = 0.15
-"""How much longer an element is than the fine ones, per distance from the window."""
-COARSEST = 0.25
-"""Longest element in plan, in thicknesses (where the fine ones are shorter): about half the length
-over which a bonded layer forgets what is pressed into it."""
 MULTIPLE, MANY = 4, 24
 """Elements along x and y are a multiple of this, above `MANY` of twice this: so many presses share
 a topology."""
@@ -118,16 +114,18 @@ def axis(
     spacing: float,
     window: tuple[float, float],
     coarsest: float,
+    growth: float,
     *,
     at_least: int = 0,
 ) -> Array:
     """Places of nodes from -size/2 to size/2: `spacing` or less in the window, growing outwards.
 
-    All lengths in one unit. The number of elements is a multiple, see `MULTIPLE`, or `at_least`.
+    All lengths in one unit; `growth` and `coarsest` are those of a `Grading`. The number of
+    elements is a multiple, see `MULTIPLE`, or `at_least`.
     """
     place = np.linspace(-size / 2, size / 2, 2001)
     away = np.maximum(np.maximum(window[0] - place, place - window[1]), 0.0)
-    density = 1.0 / np.minimum(spacing + GROWTH * away, max(coarsest, spacing))
+    density = 1.0 / np.minimum(spacing + growth * away, max(coarsest, spacing))
     count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
     multiple = MULTIPLE if count[-1] <= MANY else 2 * MULTIPLE
     cells = max(at_least, multiple * max(1, int(np.ceil(count[-1] / multiple - 1e-6))))
@@ -138,6 +136,7 @@ def axes(
     body: Body,
     spacing: float,
     window: Window | None = None,
+    grading: Grading | None = None,
     *,
     at_least: tuple[int, int] = (0, 0),
 ) -> tuple[Array, Array]:
@@ -145,9 +144,10 @@ def axes(
 
     Args:
         body: What is meshed.
-        spacing: Side of the elements [m].
+        spacing: Height of the elements [m], and their side in the window but for the grading.
         window: ((x least, x most), (y least, y most)) [m] outside of which elements grow; None: all
             of them alike.
+        grading: How they grow.
         at_least: Elements along x and y, where they grow, that there are at the least.
 
     Raises:
@@ -162,8 +162,10 @@ def axes(
             for size, count in zip(sizes, (nx, ny), strict=True)
         )
     else:
+        grading = grading or Grading()
+        finest, coarsest = grading.finer * spacing, grading.coarsest * unit
         x, y = (
-            axis(size, spacing, sides, COARSEST * unit, at_least=least) / unit
+            axis(size, finest, sides, coarsest, grading.growth, at_least=least) / unit
             for size, sides, least in zip(sizes, window, at_least, strict=True)
         )
     return x, y
@@ -173,6 +175,7 @@ def build_mesh(
     body: Body,
     spacing: float,
     window: Window | None = None,
+    grading: Grading | None = None,
     *,
     at_least: tuple[int, int] = (0, 0),
 ) -> Mesh:
@@ -180,7 +183,7 @@ def build_mesh(
 
     Arguments and errors as of `axes`.
     """
-    x, y = axes(body, spacing, window, at_least=at_least)
+    x, y = axes(body, spacing, window, grading, at_least=at_least)
     unit = body.thickness
     nx, ny, nz = cells = len(x) - 1, len(y) - 1, cell_counts(body, spacing)[2]
     share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING

@@ -7,6 +7,7 @@ from typing import Literal
 
 from sim.checks import check_range
 from sim.errors import SceneError
+from sim.fem.grading import Grading
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +33,12 @@ class Numerics:
     """
 
     spacing: float | None = None
-    """Edge of an element [m]; None is a sixth of the thickness. Halving it costs 16 to 20 times
-    the time and cuts the error of the force by about 4."""
+    """Edge of an element where the indenter comes, and its height [m]; None is a sixth of the
+    thickness. Halving it costs 16 to 20 times the time and cuts the error of the force by 4."""
     graded: bool = True
     """Whether elements grow outwards from where the indenter comes; else all are alike."""
+    grading: Grading = field(default_factory=Grading)
+    """How they grow; `FOR_EDGES` is worth its time where an indenter has edges."""
     one_topology: bool = False
     """Whether graded meshes of one call get as many elements as the largest of them: more elements,
     but all presses in one launch, which is what a GPU wants. No mesh becomes coarser."""

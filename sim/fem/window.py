@@ -27,7 +27,9 @@ def meshes_of(scenes: Sequence[Scene], numerics: Numerics) -> list[Mesh]:
     Raises:
         SceneError: See `mesh.cell_counts`.
     """
-    plans = [(scene.body, *_spacing_and_window(scene, numerics)) for scene in scenes]
+    plans = [
+        (scene.body, *_spacing_and_window(scene, numerics), numerics.grading) for scene in scenes
+    ]
     least = (0, 0)
     if numerics.one_topology:
         counts = np.array([[len(places) - 1 for places in axes(*plan)] for plan in plans])

@@ -22,7 +22,8 @@ _INTRO = """# Speed
 
 The paper's work: 18 indenters at 9 places ({places} mm along x and y), pressed to {depths} mm, with
 friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames each, by the `fem`
-tier with elements of the size in the table, tolerance 1e-3. Seconds are wall time with kernels
+tier with elements as high as the table says, half as wide where the indenter comes and growing
+outwards from there, tolerance 1e-3. Seconds are wall time with kernels
 compiled, from scenes to results; compiling is told apart. Made by `make speed`.
 """
 _ERRORS = """
@@ -146,7 +147,7 @@ def _reference_text(records: Sequence[Record]) -> str:
         run = record.get("reference", "reference")
         if run is not None:
             return (
-                f"Reference: {run.presses} presses with elements of {run.spacing_mm:.3g} mm, "
+                f"Reference: {run.presses} presses with elements {run.spacing_mm:.3g} mm high, "
                 f"{run.note}, {seconds(run.seconds)} on {record.machine.name}."
             )
     return f"Reference: {MISSING}."

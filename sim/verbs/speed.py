@@ -36,14 +36,14 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--spacing",
         type=float,
-        default=0.667,
+        default=0.8,
         metavar="MM",
         help="elements of the timed presses [mm] (%(default)s)",
     )
     parser.add_argument(
         "--reference",
         type=float,
-        default=0.333,
+        default=0.4,
         metavar="MM",
         help="elements of the reference [mm] (%(default)s); on a CPU it takes hours",
     )
