@@ -36,9 +36,16 @@ def _edged(name: str) -> Indenter:
 
 _BODY = Body()
 _BALL = sphere(4 * MM)
+_RUB = Effects(friction=Friction(0.5))
+"""Without friction the skin under an edge slides until it creases, in one of many ways: there is
+no one answer to be compared with."""
 CASES: tuple[Case, ...] = (
     Case("sphere", "sphere R 4 mm", (Scene(_BALL, press(DEPTHS), body=_BODY),)),
-    Case("punch", "punch R 3, edge 0.5 mm", (Scene(flat_punch(3 * MM, EDGE), press(DEPTHS)),)),
+    Case(
+        "punch",
+        "punch R 3, edge 0.5; friction",
+        (Scene(flat_punch(3 * MM, EDGE), press(DEPTHS), effects=_RUB),),
+    ),
     Case(
         "cone",
         "cone 45 deg, tip R 0.5 mm",
@@ -46,13 +53,13 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "tube",
-        "tube 3.5 / 2.5, edge 0.4 mm",
-        (Scene(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS)),),
+        "tube 3.5 / 2.5, edge 0.4; friction",
+        (Scene(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS), effects=_RUB),),
     ),
     Case(
         "indenters",
-        "the 18 indenters, mean",
-        tuple(Scene(_edged(name), press((0.5 * MM, 1.0 * MM))) for name in NAMES),
+        "the 18 indenters, mean; friction",
+        tuple(Scene(_edged(name), press((0.5 * MM, 1.0 * MM)), effects=_RUB) for name in NAMES),
     ),
     Case(
         "loop",
@@ -61,7 +68,7 @@ CASES: tuple[Case, ...] = (
             Scene(
                 _BALL,
                 press_shear_return(1.0 * MM, 1.0 * MM, steps=2),
-                effects=Effects(friction=Friction(0.5)),
+                effects=_RUB,
             ),
         ),
     ),

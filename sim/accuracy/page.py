@@ -68,9 +68,10 @@ _METHOD = """
 ## What is compared
 
 The body is the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45. Plain presses have frames at 0.5,
-1.0 and 1.5 mm (the 18 indenters: 0.5 and 1.0), the loop goes 1 mm down and 1 mm aside with
-friction 0.5, the viscous press goes 1 mm down in 0.1 s and is held for 1 s while a branch of half
-the stiffness relaxes with 0.2 s.
+1.0 and 1.5 mm (the 18 indenters: 0.5 and 1.0), the loop goes 1 mm down and 1 mm aside, the viscous
+press goes 1 mm down in 0.1 s and is held for 1 s while a branch of half the stiffness relaxes with
+0.2 s. Friction, where there is some, is 0.5: without it the skin under an edge slides until it
+creases, in one of many ways, and no answer is the answer.
 
 - **Force**: |F - Fref| along each axis over max(|Fref| of the frame, a tenth of the largest
   |Fref|); the worst frame and axis, and the last frame.

@@ -29,6 +29,7 @@ class Grading:
         check_range("grading", "coarsest", self.coarsest, 0.0, 2.0, open_low=True)
 
 
-FOR_EDGES = Grading(finer=0.5, growth=0.4, coarsest=0.4)
-"""For indenters with edges, which need fine elements in plan but not over the depth: in the time of
-0.5 mm along all axes, 0.333 x 0.333 x 0.667 mm make half the error in force."""
+FOR_EDGES = Grading(finer=0.4, growth=0.7, coarsest=0.5)
+"""For indenters with edges, which need fine elements in plan but not over the depth: under a cone,
+tube, box, bar, triangle and sphere, 0.32 mm by 0.8 mm high makes 3.6 % of error in force where
+0.667 mm along all axes makes 7.6 %, in 1.6 times the time."""
