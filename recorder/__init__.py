@@ -1,9 +1,10 @@
-"""What is on disk: recording, reading, aligning, checking and exporting sessions.
+"""What is on disk: recording, reading, aligning, checking and exporting sessions; archives.
 
 `docs/data-format.md` is the contract; this package is its one implementation.
 """
 
 from recorder import codecs as _codecs
+from recorder.archive import MarkerArchive
 from recorder.check import check
 from recorder.errors import SessionError
 from recorder.findings import Finding
@@ -38,6 +39,7 @@ __all__ = [
     "SEGMENTS",
     "Column",
     "Finding",
+    "MarkerArchive",
     "Session",
     "SessionError",
     "SessionWriter",

@@ -1,4 +1,7 @@
-"""python -m recorder info|check|recover|repack|export|import|sheet SESSION."""
+"""python -m recorder info|check|recover|repack|export|import|sheet SESSION.
+
+`info` and `check` take marker archives as well.
+"""
 
 import argparse
 import sys
@@ -146,7 +149,7 @@ def _directory(text: str) -> Path:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m recorder", description="Look after recorded sessions."
+        prog="python -m recorder", description="Look after recorded sessions and marker archives."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -160,11 +163,12 @@ def _parser() -> argparse.ArgumentParser:
         added.set_defaults(run=run)
         return added
 
-    command("info", _info, "Show what a session holds.", remote=True)
+    command("info", _info, "Show what a session or a marker archive holds.", remote=True)
     command(
         "check",
         _check,
-        "Look for everything that can be wrong; exit 1 if anything is.",
+        "Look for everything that can be wrong with a session or a marker archive; exit 1 if "
+        "anything is.",
         remote=True,
     )
     command("recover", _recover, "Close a session whose recording was killed.")

@@ -1,10 +1,12 @@
-"""Looks for everything that can be wrong with a session. Reads all of it, changes nothing."""
+"""Looks for everything that can be wrong with a session or an archive. Changes nothing."""
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from recorder.attrs import read_session_attrs
+from recorder.archive.check import check_archive
+from recorder.archive.plan import FORMAT as ARCHIVE
+from recorder.attrs import read_session_attrs, says_it_is
 from recorder.check_content import check_frames, check_segments, check_stream
 from recorder.check_storage import (
     check_arrays,
@@ -20,14 +22,17 @@ from recorder.reader import Session
 
 
 def check(path: str | os.PathLike[str]) -> list[Finding]:
-    """Return what is wrong with a session; an empty list for a sound one.
+    """Return what is wrong with a session or a marker archive; an empty list for a sound one.
 
     What cannot be read is reported once, and not judged for its content.
 
     Raises:
-        SessionError: Not a session at all.
+        SessionError: Neither a session nor an archive.
     """
-    return list(_check(path, *locate(path)))
+    files, place = locate(path)
+    if says_it_is(place, files, ARCHIVE):
+        return list(check_archive(files, place))
+    return list(_check(path, files, place))
 
 
 def _check(place: str | os.PathLike[str], files: Files, path: Path) -> Iterator[Finding]:

@@ -23,9 +23,16 @@ def sync_directory(path: Path) -> None:
         os.close(fd)
 
 
-def replace_file(path: Path, data: bytes) -> None:
-    """Write `data` to `path`, so that a reader sees the old content or all of the new one."""
-    temporary = path.with_name(path.name + TEMPORARY)
+def replace_file(path: Path, data: bytes, *, temporary: Path | None = None) -> None:
+    """Write `data` to `path`, so that a reader sees the old content or all of the new one.
+
+    Args:
+        path: The file.
+        data: Its content.
+        temporary: Name beside it while it is written, where several may write the same file at
+            the same time; `path` with the suffix `TEMPORARY` when None.
+    """
+    temporary = temporary or path.with_name(path.name + TEMPORARY)
     fd = os.open(temporary, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o644)
     try:
         rest = memoryview(data)

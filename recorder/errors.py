@@ -2,7 +2,7 @@
 
 
 class SessionError(RuntimeError):
-    """A session on disk, or a row offered to it, is not what the format says.
+    """A session or an archive on disk, or a row offered to one, is not what the format says.
 
     The message names the place, what was found there and what was expected.
     """

@@ -31,7 +31,7 @@ class Finding:
     """One thing that is wrong, and where."""
 
     code: str
-    """One of `CODES`."""
+    """One of `CODES`; of an archive, one of `archive.check.CODES`."""
     where: str
     """Path inside the session."""
     message: str

@@ -1,10 +1,14 @@
-"""A session in a page of text."""
+"""A session, or an archive, in a page of text."""
 
 import os
 
 import numpy as np
 
 from recorder.align import NS
+from recorder.archive.info import describe_archive
+from recorder.archive.plan import FORMAT as ARCHIVE
+from recorder.attrs import says_it_is
+from recorder.files import locate
 from recorder.reader import Session, Stream
 from recorder.spec import OUTCOMES, PHASES
 
@@ -14,9 +18,14 @@ _TOLD = ("sensor", "indenter", "operator", "mock", "started_utc", "profile", "re
 def describe(path: str | os.PathLike[str]) -> str:
     """Return what a session holds: origin, streams with their rates, frames and phases.
 
+    Of a marker archive: a line a sensor.
+
     Raises:
-        SessionError: Not a session, or a damaged time column.
+        SessionError: Neither a session nor an archive, or a damaged column.
     """
+    files, place = locate(path)
+    if says_it_is(place, files, ARCHIVE):
+        return describe_archive(path)
     session = Session(path)
     lines = [f"{session.name}  status {session.status}, {len(session.runs)} run(s)"]
     if session.warning:

@@ -19,10 +19,10 @@ from recorder.layout import CHUNKS_PER_SHARD, Layout
 from recorder.records import HEADER, Record, RecordLog, scan
 
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
-INDEX_BYTES = CHUNKS_PER_SHARD * 16 + 4
+CRC_BYTES = 4
 
 Index = NDArray[np.uint64]
-"""(CHUNKS_PER_SHARD, 2): offset and length of each inner chunk, MISSING twice for none."""
+"""(slots, 2): offset and length of each inner chunk, MISSING twice for none."""
 
 
 class OpenShard:
@@ -87,30 +87,30 @@ class OpenShard:
         self._log.close()
 
 
-def packed_index(entries: list[tuple[int, int]]) -> bytes:
-    """Return the bytes that close a shard: 64 offsets and lengths and their checksum."""
-    index = np.full((CHUNKS_PER_SHARD, 2), MISSING, "<u8")
+def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) -> bytes:
+    """Return the bytes that close a shard: an offset and a length a slot, and their checksum."""
+    index = np.full((slots, 2), MISSING, "<u8")
     index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
     data = index.tobytes()
-    return data + int(google_crc32c.value(data)).to_bytes(4, "little")
+    return data + int(google_crc32c.value(data)).to_bytes(CRC_BYTES, "little")
 
 
-def read_index(path: Path, files: Files = LOCAL) -> Index:
-    """Return the index of a sealed shard.
+def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) -> Index:
+    """Return the index of a sealed shard that has room for so many chunks.
 
     Raises:
         SessionError: No such shard, or its index is damaged.
     """
     try:
-        tail = files.tail(path, INDEX_BYTES)
+        tail = files.tail(path, 16 * slots + CRC_BYTES)
     except FileNotFoundError:
         raise SessionError(f"{files.name(path)}: shard missing") from None
-    if len(tail) != INDEX_BYTES:
+    if len(tail) != 16 * slots + CRC_BYTES:
         found = len(tail)
         raise SessionError(f"{files.name(path)}: {found} bytes, too short for a shard index")
-    if int(google_crc32c.value(tail[:-4])) != int.from_bytes(tail[-4:], "little"):
+    if int(google_crc32c.value(tail[:-CRC_BYTES])) != int.from_bytes(tail[-CRC_BYTES:], "little"):
         raise SessionError(f"{files.name(path)}: checksum of the shard index does not match")
-    return np.frombuffer(tail[:-4], "<u8").reshape(CHUNKS_PER_SHARD, 2)
+    return np.frombuffer(tail[:-CRC_BYTES], "<u8").reshape(slots, 2)
 
 
 def chunk_count(index: Index) -> int:

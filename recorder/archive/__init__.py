@@ -1,0 +1,40 @@
+"""Marker archives: binary images, references and labels of many sensors, which training reads.
+
+`docs/data-format.md` is the contract; this package is its one implementation.
+"""
+
+from recorder.archive.check import check_archive
+from recorder.archive.info import describe_archive
+from recorder.archive.marker_counts import marker_flags
+from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
+from recorder.archive.plan import (
+    FORMAT,
+    FORMAT_VERSION,
+    ArchivePlan,
+    MarkerCount,
+    SensorPlan,
+)
+from recorder.archive.reader import ArchivedSensor, MarkerArchive
+from recorder.archive.table import COLUMNS, GIVEN, NO_PHASE
+from recorder.archive.writer import ArchiveWriter, SensorWriter
+
+__all__ = [
+    "COLUMNS",
+    "FORMAT",
+    "FORMAT_VERSION",
+    "GIVEN",
+    "NO_PHASE",
+    "PRESETS",
+    "ArchivePlan",
+    "ArchiveWriter",
+    "ArchivedSensor",
+    "LocationPairs",
+    "MarkerArchive",
+    "MarkerCount",
+    "SensorPlan",
+    "SensorWriter",
+    "check_archive",
+    "describe_archive",
+    "location_pairs",
+    "marker_flags",
+]

@@ -1,0 +1,230 @@
+"""One array of a marker archive on disk: rows in chunks, chunks in shards, one shard a file.
+
+A shard is written whole, in one go, under a name of its writer's own, and renamed when the disk
+has it. All codecs are core Zarr v3: `sharding_indexed` over `bytes`, `zstd` and `crc32c`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import google_crc32c
+import numcodecs.zstd
+import numpy as np
+
+from recorder.durable import TEMPORARY, replace_file, write_json
+from recorder.errors import SessionError
+from recorder.files import LOCAL, Files, read_document
+from recorder.images import decompress
+from recorder.shard import CRC_BYTES, packed_index
+
+Array = np.ndarray[Any, Any]
+
+ZSTD_LEVEL = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ArraySpec:
+    """What an array is, wherever it lies."""
+
+    dtype: str
+    """Zarr data type, e.g. `float64`."""
+    shape: tuple[int, ...]
+    """Rows, then the shape of one."""
+    dims: tuple[str, ...]
+    """Dimension names, the first being `row`."""
+    units: str
+    """Units as stored; `1` for a pure number."""
+    description: str
+    """One sentence for whoever finds the array without us."""
+    chunk_rows: int
+    """Rows that are compressed together."""
+    shard_rows: int
+    """Rows of one file, a multiple of `chunk_rows`."""
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+    """What else is stored with it."""
+
+    def document(self) -> dict[str, Any]:
+        """Return the array's metadata as Zarr v3 has it."""
+        inner = [self.chunk_rows, *self.shape[1:]]
+        outer = [self.shard_rows, *self.shape[1:]]
+        little = {"name": "bytes", "configuration": {"endian": "little"}}
+        zstd = {"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}}
+        sharding = {
+            "chunk_shape": inner,
+            "codecs": [little, zstd, {"name": "crc32c"}],
+            "index_codecs": [little, {"name": "crc32c"}],
+            "index_location": "end",
+        }
+        return {
+            "zarr_format": 3,
+            "node_type": "array",
+            "shape": list(self.shape),
+            "data_type": self.dtype,
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": outer}},
+            # With dots all shards lie in one directory: one name to make durable, not a path.
+            "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
+            "fill_value": _fill_value(self.dtype),
+            "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
+            "attributes": {
+                "units": self.units,
+                "description": self.description,
+                **self.attrs,
+            },
+            "dimension_names": list(self.dims),
+            "storage_transformers": [],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayLayout:
+    """An array at its place."""
+
+    path: Path
+    """Directory of the array."""
+    spec: ArraySpec
+    """What it is."""
+    files: Files = field(default=LOCAL, repr=False, compare=False)
+    """What the directory is in."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Little-endian numpy type."""
+        return np.dtype(self.spec.dtype).newbyteorder("<")
+
+    @property
+    def rows(self) -> int:
+        """Declared length."""
+        return self.spec.shape[0]
+
+    @property
+    def slots(self) -> int:
+        """Chunks that a shard has room for."""
+        return self.spec.shard_rows // self.spec.chunk_rows
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return math.ceil(self.rows / self.spec.shard_rows)
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks that hold rows."""
+        return math.ceil(self.rows / self.spec.chunk_rows)
+
+    @property
+    def chunk_shape(self) -> tuple[int, ...]:
+        """Shape of a decoded chunk."""
+        return (self.spec.chunk_rows, *self.spec.shape[1:])
+
+    def shard(self, number: int) -> Path:
+        """Return the path of a shard."""
+        return self.path / f"c.{number}{'.0' * (len(self.spec.shape) - 1)}"
+
+    def rows_of_shard(self, number: int) -> slice:
+        """Return the rows that a shard holds."""
+        first = number * self.spec.shard_rows
+        return slice(first, min(first + self.spec.shard_rows, self.rows))
+
+    def create(self) -> None:
+        """Write the metadata, replacing what is there."""
+        self.path.mkdir(exist_ok=True)
+        write_json(self.path / "zarr.json", self.spec.document())
+
+    def write_shard(self, number: int, values: Array) -> None:
+        """Write all rows of a shard; equal rows give equal bytes.
+
+        Raises:
+            SessionError: Not the rows of that shard, or of another type.
+        """
+        rows = self.rows_of_shard(number)
+        due = (rows.stop - rows.start, *self.spec.shape[1:])
+        if values.shape != due or values.dtype != self.dtype:
+            raise SessionError(
+                f"{self.path}: found {values.dtype} {values.shape} for shard {number}, "
+                f"expected {self.spec.dtype} {due}"
+            )
+        step = self.spec.chunk_rows
+        chunks = [
+            self._encoded(values[first : first + step]) for first in range(0, len(values), step)
+        ]
+        ends = np.cumsum([len(chunk) for chunk in chunks]).tolist()
+        entries = [(end - len(chunk), len(chunk)) for end, chunk in zip(ends, chunks, strict=True)]
+        data = b"".join((*chunks, packed_index(entries, self.slots)))
+        path = self.shard(number)
+        replace_file(path, data, temporary=own_temporary(path))
+
+    def decoded(self, data: bytes) -> Array:
+        """Return the rows of a chunk (chunk_rows, ...), padding of the last one included.
+
+        Raises:
+            SessionError: The chunk is damaged.
+        """
+        body, crc = data[:-CRC_BYTES], data[-CRC_BYTES:]
+        if int(google_crc32c.value(body)) != int.from_bytes(crc, "little"):
+            raise SessionError(f"{self.files.name(self.path)}: checksum of a chunk does not match")
+        plain = decompress(body)
+        due = math.prod(self.chunk_shape) * self.dtype.itemsize
+        if len(plain) != due:
+            where = self.files.name(self.path)
+            raise SessionError(f"{where}: found a chunk of {len(plain)} bytes, expected {due}")
+        return np.frombuffer(plain, self.dtype).reshape(self.chunk_shape)
+
+    def _encoded(self, rows: Array) -> bytes:
+        if len(rows) < self.spec.chunk_rows:
+            whole = np.zeros(self.chunk_shape, self.dtype)
+            whole[: len(rows)] = rows
+            rows = whole
+        body: bytes = numcodecs.zstd.compress(np.ascontiguousarray(rows).tobytes(), ZSTD_LEVEL)
+        return body + int(google_crc32c.value(body)).to_bytes(CRC_BYTES, "little")
+
+    @classmethod
+    def load(cls, path: Path, files: Files = LOCAL) -> Self:
+        """Return the layout that an array's metadata describes.
+
+        Raises:
+            SessionError: Not an array of this kind.
+        """
+        document = read_document(files, path / "zarr.json")
+        where = files.name(path)
+        try:
+            (sharding,) = (codec["configuration"] for codec in document["codecs"])
+            attributes = dict(document["attributes"])
+            spec = ArraySpec(
+                document["data_type"],
+                tuple(document["shape"]),
+                tuple(document["dimension_names"]),
+                attributes.pop("units", ""),
+                attributes.pop("description", ""),
+                sharding["chunk_shape"][0],
+                document["chunk_grid"]["configuration"]["chunk_shape"][0],
+                attributes,
+            )
+            if spec.chunk_rows < 1 or spec.shard_rows % spec.chunk_rows:
+                raise ValueError(f"chunks of {spec.chunk_rows} in shards of {spec.shard_rows}")
+            expected = spec.document()
+            found = {key: document[key] for key in expected if key != "attributes"}
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise SessionError(f"{where}: not an array of an archive: {error!r}") from error
+        for key, value in found.items():
+            if value != expected[key]:
+                raise SessionError(f"{where}: found {key} {value}, expected {expected[key]}")
+        return cls(path, spec, files)
+
+
+def own_temporary(path: Path) -> Path:
+    """Return a name beside a file that no other writer of the same file uses."""
+    return path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}{TEMPORARY}")
+
+
+def _fill_value(dtype: str) -> Any:
+    # What is missing should look missing, as far as the type allows.
+    if dtype == "bool":
+        return False
+    return "NaN" if dtype.startswith("float") else 0

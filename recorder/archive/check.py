@@ -1,0 +1,183 @@
+"""Looks for everything that can be wrong with an archive. Reads all of it, changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from recorder.archive.array import ArrayLayout
+from recorder.archive.array_reader import ArrayReader
+from recorder.archive.ledger import Ledger
+from recorder.archive.marker_counts import marker_flags
+from recorder.archive.plan import COMPLETE
+from recorder.archive.reader import ArchivedSensor, read_archive_attrs
+from recorder.archive.table import COLUMNS, Limits, allowed, misplaced
+from recorder.errors import SessionError
+from recorder.files import Files
+from recorder.findings import Finding
+from recorder.markers import PACKED
+
+Kind = tuple[str, tuple[int, ...], str]
+
+CODES = {
+    "unfinished": "units are missing, or the tables are",
+    "metadata": "a zarr.json that is missing or not as the format has it",
+    "wrong-dtype": "a column of another type, shape or unit than prescribed",
+    "unequal-lengths": "a column that is not as long as there are frames",
+    "missing-chunk": "data that an array declares and that is not there",
+    "bad-crc": "bytes that are not those that were written",
+    "nan": "values that are no numbers, where there must be some",
+    "bad-code": "codes without a name, and rows that point nowhere",
+    "marker-count": "frames whose markers are not those of their reference",
+    "left-behind": "files that only an archive being written has",
+}
+"""Everything that a check of an archive can find, by code."""
+
+_NAMED = 3  # rows that a finding tells the reason of
+_LISTED = 20  # rows that a finding lists
+
+
+def check_archive(files: Files, path: Path) -> Iterator[Finding]:
+    """Yield what is wrong with an archive; nothing for a sound one.
+
+    Args:
+        files: What it is in.
+        path: Its directory.
+
+    Raises:
+        SessionError: Not an archive at all.
+    """
+    attrs = read_archive_attrs(path, files)
+    if attrs["status"] != COMPLETE:
+        yield Finding("unfinished", ".", _progress(files, path, attrs["sensors"]))
+        return
+    left = [file for file in files.listed(path) if file.suffix in (".tmp", ".npz")]
+    if left:
+        message = f"{len(left)} files, first {left[0].relative_to(path)}"
+        yield Finding("left-behind", ".", message)
+    for name in attrs["sensors"]:
+        try:
+            sensor = ArchivedSensor(path / name, files)
+            structure = [*_check_structure(sensor), *_check_shared(sensor)]
+        except SessionError as error:
+            yield Finding("metadata", name, str(error))
+            continue
+        yield from structure
+        damage = list(_check_chunks(sensor))
+        yield from damage
+        if not structure and not damage:
+            content = list(_check_content(sensor, len(attrs["indenters"])))
+            yield from content
+            if not any(finding.where.endswith("table/reference") for finding in content):
+                yield from _check_counts(sensor)
+
+
+def _progress(files: Files, path: Path, names: list[str]) -> str:
+    if not files.local:
+        return "status is not 'complete': it was copied while it was being written"
+    done = sum(len(Ledger(path / name).done()) for name in names)
+    units = sum(ArrayLayout.load(path / name / "markers").shards for name in names)
+    return f"{done} of {units} units are there; start what made it again: it goes on where it was"
+
+
+def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
+    for name, layout in _layouts(sensor).items():
+        where = f"{sensor.name}/{name}"
+        spec = layout.spec
+        found = (spec.dtype, spec.shape[1:], spec.units)
+        expected = _prescribed(sensor, name, found)
+        if found != expected:
+            yield Finding("wrong-dtype", where, f"found {found}, expected {expected}")
+        if name not in ("references", "sources") and layout.rows != len(sensor):
+            message = f"found {layout.rows} rows, the sensor has {len(sensor)} frames"
+            yield Finding("unequal-lengths", where, message)
+
+
+def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
+    """Find fields of another sensor that are not as many as the frames."""
+    if sensor.keeps_displacement or sensor.fields is None:
+        return
+    if len(sensor.fields) != len(sensor):
+        owner, rows = sensor.attrs.get("displacement_of"), len(sensor.fields)
+        message = f"displacement_of {owner} has {rows} rows, the sensor has {len(sensor)} frames"
+        yield Finding("unequal-lengths", sensor.name, message)
+
+
+def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
+    """Return type, shape of a row and units that an array must have."""
+    if name in ("markers", "references"):
+        return ("uint8", (PACKED,), "1")
+    if name == "displacement":
+        return ("float16", sensor.lattice.shape, "px")
+    if name == "sources":
+        return ("uint8", found[1], "1")
+    column = COLUMNS[name.removeprefix("table/")]
+    return (column.dtype, column.shape, column.units)
+
+
+def _layouts(sensor: ArchivedSensor) -> dict[str, ArrayLayout]:
+    names = ["markers", "references", "sources", *(f"table/{name}" for name in COLUMNS)]
+    if sensor.keeps_displacement:
+        names.insert(1, "displacement")
+    return {name: ArrayLayout.load(sensor.path / name, sensor.files) for name in names}
+
+
+def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
+    """Decode every chunk: each carries a checksum."""
+    for name, layout in _layouts(sensor).items():
+        reader = ArrayReader(layout)
+        missing: list[str] = []
+        damaged: list[str] = []
+        for number in range(layout.chunks):
+            shard, place = divmod(number, layout.slots)
+            try:
+                layout.decoded(reader.fetch(shard, [place])[0])
+            except SessionError as error:
+                (missing if str(error).endswith("missing") else damaged).append(str(error))
+        for code, messages in (("missing-chunk", missing), ("bad-crc", damaged)):
+            if messages:
+                message = f"{len(messages)} found, first: {messages[0]}"
+                yield Finding(code, f"{sensor.name}/{name}", message)
+
+
+def _check_content(sensor: ArchivedSensor, indenters: int) -> Iterator[Finding]:
+    limits = Limits(indenters, len(sensor.references), len(sensor.sources))
+    for name in COLUMNS:
+        values = sensor.table[name]
+        rows = np.flatnonzero(misplaced(name, values, limits))
+        if rows.size:
+            code = "nan" if values.dtype.kind == "f" else "bad-code"
+            message = f"{_some(rows)}: found {values[rows[0]]}; allowed: {allowed(name, limits)}"
+            yield Finding(code, f"{sensor.name}/table/{name}", message)
+    fields = sensor.fields
+    if fields is None or not sensor.keeps_displacement:
+        return
+    step = fields.layout.spec.shard_rows
+    for first in range(0, len(fields), step):
+        infinite = np.isinf(fields.read(slice(first, first + step)))
+        wrong = np.asarray(infinite.any(axis=(1, 2, 3)))
+        if wrong.any():
+            message = f"{_some(np.flatnonzero(wrong) + first)}: found infinity, allowed: px or NaN"
+            yield Finding("nan", f"{sensor.name}/displacement", message)
+
+
+def _check_counts(sensor: ArchivedSensor) -> Iterator[Finding]:
+    try:
+        flags = marker_flags(sensor)
+    except SessionError as error:
+        yield Finding("marker-count", sensor.name, str(error))
+        return
+    if flags:
+        share = len(flags) / len(sensor)
+        reasons = "; ".join(map(str, flags[:_NAMED]))
+        rows = _some(np.array([flag.row for flag in flags]))
+        message = f"{share:.3%} of the frames, {rows}. {reasons}"
+        yield Finding("marker-count", f"{sensor.name}/markers", message)
+
+
+def _some(rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> str:
+    listed = ", ".join(map(str, rows[:_LISTED].tolist()))
+    more = len(rows) - _LISTED
+    return f"row{'s' * (len(rows) > 1)} {listed}" + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,116 @@
+"""Location pairs: frames of two sensors that were pressed at the same place, in the same phase.
+
+Of each press, four frames are paired: the last of each of its four phases (the supplement). The
+authors' code takes the press's first frame, before contact, instead of the last of `normal_dec`:
+preset `authors_code`. Frames without a phase, as presses without shear have them, are paired by
+their last one alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import SessionError
+from recorder.spec import PHASES
+
+Array = np.ndarray[Any, Any]
+Table = Mapping[str, Array]
+
+PRESETS = ("supplement", "authors_code")
+"""Which four frames of a press are paired."""
+
+_UNLOADED = PHASES.index("normal_dec")
+_FIRST = len(PHASES)  # stands for the first frame where a phase's code would
+_CODES = len(PHASES) + 2  # the phases, no phase, and the first frame
+
+
+@dataclass(frozen=True, slots=True)
+class LocationPairs:
+    """Rows that belong together, ascending by location and then by phase."""
+
+    source: NDArray[np.int64]
+    """Rows of the source sensor (n,)."""
+    target: NDArray[np.int64]
+    """Rows of the target sensor (n,)."""
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self.source)
+
+
+def location_pairs(source: Table, target: Table, preset: str = "supplement") -> LocationPairs:
+    """Return the location pairs of two sensors' tables.
+
+    A location or a phase that only one of them has is left out.
+
+    Args:
+        source: Table of one sensor: columns `location`, `target`, `indenter`, `phase`, `frame`.
+        target: Table of the other.
+        preset: One of `PRESETS`.
+
+    Raises:
+        SessionError: An unknown preset, or a location that several presses of one sensor share.
+    """
+    if preset not in PRESETS:
+        raise SessionError(f"preset: found {preset!r}; known: {', '.join(PRESETS)}")
+    source_keys, source_rows = _chosen(source, preset)
+    target_keys, target_rows = _chosen(target, preset)
+    _, one, other = np.intersect1d(
+        source_keys, target_keys, assume_unique=True, return_indices=True
+    )
+    return LocationPairs(source_rows[one], target_rows[other])
+
+
+def _chosen(table: Table, preset: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return keys of location and phase, ascending and different, and the row of each."""
+    rows = np.flatnonzero(table["location"] >= 0)
+    location = table["location"][rows].astype(np.int64)
+    phase, frame = table["phase"][rows].astype(np.int64), table["frame"][rows]
+    _require_one_press(location, table["indenter"][rows], table["target"][rows])
+    order = np.lexsort((frame, phase, location))
+    rows, location, phase = rows[order], location[order], phase[order]
+    last = _ends(location, phase)
+    keys, chosen = location[last] * _CODES + phase[last], rows[last]
+    if preset == "authors_code":
+        pressed = phase[last] != _UNLOADED
+        begun, first = _first_frames(table, np.unique(location[phase >= 0]))
+        keys = np.concatenate([keys[pressed], begun * _CODES + _FIRST])
+        chosen = np.concatenate([chosen[pressed], first])
+    # No phase has code -1: it sorts before the phases of its location all the same.
+    order = np.argsort(keys)
+    return keys[order], chosen[order].astype(np.int64)
+
+
+def _first_frames(
+    table: Table, locations: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return locations, and the row of the first frame at each."""
+    rows = np.flatnonzero(np.isin(table["location"], locations))
+    order = np.lexsort((table["frame"][rows], table["location"][rows]))
+    found, first = np.unique(table["location"][rows][order], return_index=True)
+    return found.astype(np.int64), rows[order][first]
+
+
+def _ends(location: NDArray[np.int64], phase: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return where runs of equal location and phase end (n,)."""
+    ends = np.ones(len(location), np.bool_)
+    ends[:-1] = (np.diff(location) != 0) | (np.diff(phase) != 0)
+    return ends
+
+
+def _require_one_press(location: NDArray[np.int64], indenter: Array, target: Array) -> None:
+    order = np.argsort(location, kind="stable")
+    location, indenter, target = location[order], indenter[order], target[order]
+    torn = (np.diff(location) == 0) & ((np.diff(indenter) != 0) | (np.diff(target) != 0))
+    if torn.any():
+        row = int(np.flatnonzero(torn)[0])
+        raise SessionError(
+            f"location {location[row]}: belongs to target {target[row]} of indenter "
+            f"{indenter[row]} and to target {target[row + 1]} of indenter {indenter[row + 1]}; "
+            "expected one press"
+        )

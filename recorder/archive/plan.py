@@ -1,0 +1,267 @@
+"""What an archive will hold, known before any of it is made: the same plan finds it again."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.archive.array import ArrayLayout, ArraySpec
+from recorder.archive.ledger import Ledger
+from recorder.archive.table import write_whole
+from recorder.durable import read_json, sync_directory
+from recorder.errors import SessionError
+from recorder.layout import write_group
+from recorder.markers import PACKED, SMALLEST_PX, Lattice
+
+FORMAT = "tactile-rig markers"
+FORMAT_VERSION = 1
+WRITING, COMPLETE = "writing", "complete"
+
+_CREATING = ".creating"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+_ARCHIVE_KEYS = ("format", "format_version", "status", "sensors", "indenters")
+_SENSOR_KEYS = ("mm_per_px", "marker_check", "displacement_of")
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerCount:
+    """How the markers of a sensor are to be counted when the archive is checked."""
+
+    smallest_px: int = SMALLEST_PX
+    """Patches of fewer pixels are not counted."""
+    tolerance: int = 0
+    """So many markers may be missing or new beside what the image's border explains."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorPlan:
+    """One sensor of an archive."""
+
+    name: str
+    """Name of its group."""
+    rows: int
+    """Number of frames."""
+    chunk_rows: int
+    """Frames that are compressed together: those of one press, if they are few."""
+    unit_rows: int
+    """Frames that are written at once, a multiple of `chunk_rows`; the last unit may be shorter."""
+    references: NDArray[np.uint8]
+    """Packed masks of the untouched sensor (K, 38400)."""
+    mm_per_px: float
+    """Size of a pixel on the untouched surface [mm]."""
+    lattice: Lattice | None = None
+    """Where the displacement field is kept; None keeps none."""
+    displacement_of: str | None = None
+    """Name of the sensor whose fields are this one's too, row by row: another pattern on the same
+    surface, seen by the same camera."""
+    marker_count: MarkerCount | None = field(default_factory=MarkerCount)
+    """How markers are counted; None where frames may well have another number of patches."""
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+    """What else is known of it: pattern, camera, what it was made from. Anything JSON holds."""
+
+    def __post_init__(self) -> None:
+        """Refuse what the format cannot hold.
+
+        Raises:
+            SessionError: Naming the field, what was found and what is allowed.
+        """
+        if not _NAME.fullmatch(self.name):
+            raise SessionError(
+                f"sensor: found name {self.name!r}; allowed: letters, digits, dot, dash and "
+                "underscore, not first a sign"
+            )
+        for name in ("rows", "chunk_rows", "unit_rows"):
+            if getattr(self, name) < 1:
+                raise SessionError(
+                    f"{self.name}.{name}: found {getattr(self, name)}, expected at least 1"
+                )
+        if self.unit_rows % self.chunk_rows:
+            raise SessionError(
+                f"{self.name}.unit_rows: found {self.unit_rows}, expected a multiple of "
+                f"chunk_rows {self.chunk_rows}"
+            )
+        found = self.references
+        most = np.iinfo(np.int16).max
+        if found.dtype != np.uint8 or found.ndim != 2 or found.shape[1] != PACKED:
+            raise SessionError(
+                f"{self.name}.references: found {found.dtype} {found.shape}, expected uint8 "
+                f"(K, {PACKED})"
+            )
+        if not 1 <= len(found) <= most:
+            raise SessionError(
+                f"{self.name}.references: found {len(found)}, expected 1 to {most} of them"
+            )
+        if not 0 < self.mm_per_px < np.inf:
+            raise SessionError(
+                f"{self.name}.mm_per_px: found {self.mm_per_px}, expected more than 0"
+            )
+        if self.lattice is not None and self.displacement_of is not None:
+            raise SessionError(
+                f"{self.name}.displacement_of: found {self.displacement_of!r} beside a lattice; "
+                "allowed: one of them"
+            )
+        _refuse_own(self.name, self.attrs, _SENSOR_KEYS)
+
+    def arrays(self) -> dict[str, ArraySpec]:
+        """Return the arrays that are written unit by unit."""
+        arrays = {
+            "markers": ArraySpec(
+                "uint8",
+                (self.rows, PACKED),
+                ("row", "byte"),
+                "1",
+                "mask of 480 x 640 pixels, row-major, first pixel in the highest bit, 1 = marker",
+                self.chunk_rows,
+                self.unit_rows,
+            )
+        }
+        if self.lattice is not None:
+            arrays["displacement"] = ArraySpec(
+                "float16",
+                (self.rows, *self.lattice.shape),
+                ("row", "lattice_row", "lattice_column", "component"),
+                "px",
+                "what is seen at pixel p of the untouched image is seen at p + d(p); components "
+                "column, row; NaN where there is no material",
+                self.chunk_rows,
+                self.unit_rows,
+                {"step_px": self.lattice.step_px, "margin_px": self.lattice.margin_px},
+            )
+        return arrays
+
+    def create(self, path: Path) -> None:
+        """Write the group of the sensor, without a single frame."""
+        path.mkdir()
+        own = {
+            "mm_per_px": float(self.mm_per_px),
+            "marker_check": None if self.marker_count is None else asdict(self.marker_count),
+            "displacement_of": self.displacement_of,
+        }
+        write_group(path, {**self.attrs, **own})
+        references = ArraySpec(
+            "uint8",
+            self.references.shape,
+            ("reference", "byte"),
+            "1",
+            "masks of the untouched sensor, packed as markers are",
+            1,
+            len(self.references),
+        )
+        write_whole(path / "references", references, self.references)
+        for name, spec in self.arrays().items():
+            ArrayLayout(path / name, spec).create()
+        Ledger(path).create()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchivePlan:
+    """A whole archive. Without times or chance, so that two runs of one plan are one."""
+
+    sensors: tuple[SensorPlan, ...]
+    """Its sensors, with different names."""
+    indenters: tuple[str, ...]
+    """Names of the indenters, by code; the same codes in all sensors."""
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+    """What else is known of it. Anything JSON holds."""
+
+    def __post_init__(self) -> None:
+        """Refuse what the format cannot hold.
+
+        Raises:
+            SessionError: No sensors or indenters, names that repeat, or a sensor that shares the
+                fields of one that has none, or not as many.
+        """
+        for what, names in (
+            ("sensors", [sensor.name for sensor in self.sensors]),
+            ("indenters", list(self.indenters)),
+        ):
+            if not names or len(set(names)) != len(names):
+                raise SessionError(f"{what}: found {names}, expected names that differ")
+        keeping = {one.name: one.rows for one in self.sensors if one.lattice is not None}
+        for one in self.sensors:
+            if one.displacement_of is not None and keeping.get(one.displacement_of) != one.rows:
+                raise SessionError(
+                    f"{one.name}.displacement_of: found {one.displacement_of!r}; allowed: a sensor "
+                    f"of {one.rows} rows with a lattice"
+                )
+        _refuse_own("archive", self.attrs, _ARCHIVE_KEYS)
+
+
+def begin(path: Path, plan: ArchivePlan) -> None:
+    """Create the archive of a plan, or make sure that the one at `path` is of the same plan.
+
+    A new archive appears whole, status `writing`, or not at all. One process at a time begins it.
+
+    Raises:
+        SessionError: Something else lies there, or the plan holds what JSON cannot.
+    """
+    building = path.with_name(path.name + _CREATING)
+    shutil.rmtree(building, ignore_errors=True)
+    try:
+        _build(building, plan)
+        if path.exists():
+            _require_same(building, path)
+        else:
+            for folder in (building, *(e for e in building.rglob("*") if e.is_dir())):
+                sync_directory(folder)
+            building.rename(path)
+            sync_directory(path.parent)
+    finally:
+        # There is nothing under this name once it was renamed.
+        shutil.rmtree(building, ignore_errors=True)
+
+
+def _build(path: Path, plan: ArchivePlan) -> None:
+    path.mkdir(parents=True)
+    own = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "status": WRITING,
+        "sensors": [sensor.name for sensor in plan.sensors],
+        "indenters": list(plan.indenters),
+    }
+    write_group(path, {**plan.attrs, **own})
+    for sensor in plan.sensors:
+        sensor.create(path / sensor.name)
+
+
+def _require_same(planned: Path, there: Path) -> None:
+    for file in sorted(entry for entry in planned.rglob("*") if entry.is_file()):
+        name = file.relative_to(planned)
+        other = there / name
+        if not other.is_file():
+            raise SessionError(f"{there}: is not the archive that was planned: has no {name}")
+        if file.name == "zarr.json":
+            different = _differing(_without_status(file), _without_status(other))
+        else:
+            different = [] if file.read_bytes() == other.read_bytes() else ["the content"]
+        if different:
+            raise SessionError(
+                f"{there}: is not the archive that was planned: {name} differs in "
+                f"{', '.join(different)}; choose another path, or remove it"
+            )
+
+
+def _without_status(path: Path) -> dict[str, Any]:
+    document = read_json(path)
+    attributes = document.pop("attributes", {})
+    return {**document, **{key: attributes[key] for key in attributes if key != "status"}}
+
+
+def _differing(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    lacking = object()
+    keys = sorted(one.keys() | other.keys())
+    return [key for key in keys if one.get(key, lacking) != other.get(key, lacking)]
+
+
+def _refuse_own(where: str, attrs: Mapping[str, Any], own: tuple[str, ...]) -> None:
+    taken = sorted(set(attrs) & set(own))
+    if taken:
+        raise SessionError(f"{where}.attrs: found {', '.join(taken)}, which the format sets itself")

@@ -1,0 +1,252 @@
+"""Opens an archive to read. Changes nothing, and never invents a value."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.archive.array import ArrayLayout
+from recorder.archive.array_reader import ArrayReader, Rows
+from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION
+from recorder.archive.table import COLUMNS
+from recorder.attrs import read_attrs
+from recorder.errors import SessionError
+from recorder.files import LOCAL, Files, locate, read_document
+from recorder.markers import Lattice, unpack
+from recorder.tables import Table
+
+
+class ArchivedSensor:
+    """One sensor of an archive: its frames, their references and their table."""
+
+    def __init__(self, path: Path, files: Files = LOCAL) -> None:
+        """Open a sensor; `MarkerArchive` does it for you.
+
+        Raises:
+            SessionError: Not a sensor of an archive.
+        """
+        self.name, self.path, self.files = path.name, path, files
+        self.attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
+        if not isinstance(self.attrs.get("mm_per_px"), int | float):
+            found = self.attrs.get("mm_per_px")
+            raise SessionError(
+                f"{files.name(path)}: found attrs mm_per_px {found!r}, expected a number"
+            )
+        self.markers = ArrayReader(ArrayLayout.load(path / "markers", files))
+        self._references = ArrayReader(ArrayLayout.load(path / "references", files))
+        self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
+            path / "table", tuple(COLUMNS), self._column
+        )
+        """Columns (n, ...) by name, read when they are first asked for."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.markers)
+
+    @property
+    def mm_per_px(self) -> float:
+        """Size of a pixel on the untouched surface [mm]."""
+        return float(self.attrs["mm_per_px"])
+
+    def packed(self, rows: Rows) -> NDArray[np.uint8]:
+        """Return packed masks (n, 38400).
+
+        Raises:
+            SessionError: No such row, or a chunk that is missing or damaged.
+        """
+        return self.markers.read(rows)
+
+    def masks(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return masks (n, 480, 640), True on a marker.
+
+        Raises:
+            SessionError: No such row, or a chunk that is missing or damaged.
+        """
+        return unpack(self.packed(rows))
+
+    @cached_property
+    def references(self) -> NDArray[np.uint8]:
+        """Packed masks of the untouched sensor (K, 38400); `table["reference"]` says which."""
+        return self._references.all()
+
+    def reference(self, row: int) -> NDArray[np.bool_]:
+        """Return the mask (480, 640) of the untouched sensor that a frame is to be compared with.
+
+        Raises:
+            SessionError: No such row, or a chunk that is missing or damaged.
+        """
+        if not 0 <= row < len(self):
+            raise SessionError(f"{self.name}: no row {row}, the sensor has {len(self)}")
+        return unpack(self.references[int(self.table["reference"][row])])
+
+    @cached_property
+    def keeps_displacement(self) -> bool:
+        """Whether displacement fields are kept in this sensor's own group."""
+        return self.path / "displacement" in self.files.groups(self.path)
+
+    @cached_property
+    def fields(self) -> ArrayReader | None:
+        """The displacement fields, its own or those that it shares; None without.
+
+        Raises:
+            SessionError: Those that it shares are not there.
+        """
+        owner = self.attrs.get("displacement_of")
+        if owner is None and not self.keeps_displacement:
+            return None
+        place = self.path if owner is None else self.path.parent / require_plain_name(owner)
+        return ArrayReader(ArrayLayout.load(place / "displacement", self.files))
+
+    @property
+    def lattice(self) -> Lattice:
+        """Where the displacement fields are kept.
+
+        Raises:
+            SessionError: None are, or they do not say where.
+        """
+        layout = self._required_fields().layout
+        try:
+            return Lattice(int(layout.spec.attrs["step_px"]), int(layout.spec.attrs["margin_px"]))
+        except (KeyError, TypeError, ValueError) as error:
+            where = self.files.name(layout.path)
+            raise SessionError(f"{where}: found no lattice in its attrs: {error!r}") from error
+
+    def displacement(self, rows: Rows) -> NDArray[np.float16]:
+        """Return displacement fields (n, *lattice.shape) [px], NaN where there is no material.
+
+        Raises:
+            SessionError: None are kept, no such row, or a chunk that is missing or damaged.
+        """
+        return self._required_fields().read(rows)
+
+    @cached_property
+    def sources(self) -> list[str]:
+        """Lines of provenance; `table["source"]` says which is a frame's.
+
+        Raises:
+            SessionError: A chunk is missing or damaged, or the archive is still being written.
+        """
+        text = self._whole("sources")
+        return [line.tobytes().rstrip(b"\0").decode() for line in text]
+
+    def _required_fields(self) -> ArrayReader:
+        if self.fields is None:
+            raise SessionError(f"{self.name}: keeps no displacement")
+        return self.fields
+
+    def _column(self, name: str) -> np.ndarray[Any, Any]:
+        return self._whole(f"table/{name}")
+
+    def _whole(self, name: str) -> np.ndarray[Any, Any]:
+        if read_archive_attrs(self.path.parent, self.files)["status"] != COMPLETE:
+            raise SessionError(
+                f"{self.name}/{name}: is made when all units are there; the archive is still "
+                "being written"
+            )
+        return ArrayReader(ArrayLayout.load(self.path / name, self.files)).all()
+
+
+class MarkerArchive(Mapping[str, ArchivedSensor]):
+    """One archive, read-only: its sensors by name.
+
+    One that is still being written opens with the units that are there; `warning` says so.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        storage_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Open an archive.
+
+        Args:
+            path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.markers.zarr`.
+            storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+
+        Raises:
+            SessionError: Not an archive, of a newer format, or out of reach.
+        """
+        self.files, self.path = locate(path, storage_options)
+        self.attrs = read_archive_attrs(self.path, self.files)
+        self._sensors = {
+            name: ArchivedSensor(self.path / name, self.files) for name in self.attrs["sensors"]
+        }
+
+    @property
+    def name(self) -> str:
+        """Where it is, as a person would write it: the path or the URL."""
+        return self.files.name(self.path)
+
+    @property
+    def status(self) -> str:
+        """`writing` or `complete`."""
+        return str(self.attrs["status"])
+
+    @property
+    def indenters(self) -> tuple[str, ...]:
+        """Names of the indenters, by code."""
+        return tuple(self.attrs["indenters"])
+
+    @property
+    def warning(self) -> str | None:
+        """What a reader should know before trusting the archive, or None."""
+        if self.status != COMPLETE:
+            return (
+                f"{self.name}: still being written, or killed while it was; frames may be missing "
+                "and there are no tables (start what made it again: it goes on where it was)"
+            )
+        return None
+
+    def __getitem__(self, name: str) -> ArchivedSensor:
+        """Return a sensor.
+
+        Raises:
+            KeyError: No such sensor.
+        """
+        if name not in self._sensors:
+            raise KeyError(f"{self.name}: no sensor {name!r}; known: {', '.join(self._sensors)}")
+        return self._sensors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._sensors)
+
+    def __len__(self) -> int:
+        """Return the number of sensors."""
+        return len(self._sensors)
+
+
+def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
+    """Return the attributes of an archive.
+
+    Raises:
+        SessionError: Not an archive, of a newer format, or without what every archive says.
+    """
+    attrs = read_attrs(path, files, what="archive", format_=FORMAT, version=FORMAT_VERSION)
+    for key, kind in (("status", str), ("sensors", list), ("indenters", list)):
+        if not isinstance(attrs.get(key), kind):
+            raise SessionError(
+                f"{files.name(path)}: found attrs {key} {attrs.get(key)!r}, expected a "
+                f"{kind.__name__}"
+            )
+    for name in attrs["sensors"]:
+        require_plain_name(name)
+    return attrs
+
+
+def require_plain_name(name: object) -> str:
+    """Return the name of a sensor, which must not lead out of the archive.
+
+    Raises:
+        SessionError: It does.
+    """
+    if not isinstance(name, str) or Path(name).name != name:
+        raise SessionError(f"found sensor {name!r}, expected a plain name")
+    return name

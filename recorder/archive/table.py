@@ -1,0 +1,198 @@
+"""The table of a sensor: what is known of each frame. Columns, and what may stand in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.archive.array import Array, ArrayLayout, ArraySpec
+from recorder.errors import SessionError
+from recorder.spec import PHASES
+
+SOURCE = "source"
+"""The column that the writer fills: it points into the lines of provenance."""
+NO_PHASE = -1
+"""Code of a frame that belongs to no phase."""
+
+_CHUNK_ROWS = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """One column."""
+
+    dtype: str
+    """Zarr data type."""
+    units: str
+    """Units as stored."""
+    description: str
+    """One sentence for whoever finds the array without us."""
+    shape: tuple[int, ...] = ()
+    """Shape of one value."""
+    dims: tuple[str, ...] = ()
+    """Dimension names of one value."""
+    least: int | None = None
+    """Smallest value allowed, of an integer column."""
+    may_be_nan: bool = False
+    """Whether NaN is allowed, in all of a row's values or none."""
+
+
+COLUMNS: Mapping[str, TableColumn] = {
+    "indenter": TableColumn("int16", "1", "code of the indenter, see attrs names", least=0),
+    "seen": TableColumn("bool", "1", "whether models may be trained on the indenter"),
+    "location": TableColumn(
+        "int32",
+        "1",
+        "equal in rows of two sensors that were pressed at the same place; -1: at none",
+        least=-1,
+    ),
+    "target": TableColumn("int16", "1", "number of the target within the indenter", least=0),
+    "phase": TableColumn("int8", "1", "code of the phase, see attrs names; -1: none", least=-1),
+    "depth": TableColumn("float64", "m", "commanded indentation"),
+    "position": TableColumn(
+        "float64",
+        "m",
+        "indenter in the contact frame, x to the right and y up in the image",
+        (2,),
+        ("axis",),
+    ),
+    "wrench": TableColumn(
+        "float64",
+        "N, N m",
+        "Fx Fy Fz [N], Tx Ty Tz [N m]; pressing is negative Fz; NaN without a label",
+        (6,),
+        ("axis",),
+        may_be_nan=True,
+    ),
+    "frame": TableColumn("int32", "1", "number of the frame within its target", least=0),
+    "t_ns": TableColumn("int64", "ns", "time of the frame, on the clock of its source"),
+    "reference": TableColumn("int16", "1", "row of references", least=0),
+    SOURCE: TableColumn("int32", "1", "row of sources", least=0),
+}
+"""Columns of a table in their order."""
+
+GIVEN = tuple(name for name in COLUMNS if name != SOURCE)
+"""The columns that whoever writes an archive supplies."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How many of each there are for codes to point at."""
+
+    indenters: int
+    references: int
+    sources: int | None = None
+    """None while lines of provenance are still being gathered."""
+
+    def of(self, name: str) -> int | None:
+        """Return the first value that a column may not have; None where any may stand."""
+        ends = {"indenter": self.indenters, "reference": self.references, SOURCE: self.sources}
+        return ends.get(name, len(PHASES) if name == "phase" else None)
+
+
+def checked_columns(
+    table: Mapping[str, Any], rows: int, limits: Limits, where: str
+) -> dict[str, Array]:
+    """Return what was given as arrays of the types of a table.
+
+    Args:
+        table: The columns of `GIVEN`, one value a row.
+        rows: How many rows there must be.
+        limits: What codes may point at.
+        where: Begins the message of an error.
+
+    Raises:
+        SessionError: A column is missing, unknown, of another shape or type, or holds a value that
+            may not stand there.
+    """
+    if set(table) != set(GIVEN):
+        raise SessionError(
+            f"{where}: found columns {', '.join(sorted(table))}; expected {', '.join(GIVEN)}"
+        )
+    columns = {}
+    for name in GIVEN:
+        columns[name] = _typed(table[name], COLUMNS[name], rows, f"{where}.{name}")
+        wrong = np.flatnonzero(misplaced(name, columns[name], limits))
+        if wrong.size:
+            found = f"found {columns[name][wrong[0]]} in row {wrong[0]}"
+            raise SessionError(f"{where}.{name}: {found}; allowed: {allowed(name, limits)}")
+    return columns
+
+
+def misplaced(name: str, values: Array, limits: Limits) -> NDArray[np.bool_]:
+    """Return in which rows (n,) of a column something stands that may not."""
+    column, wrong = COLUMNS[name], np.zeros(len(values), np.bool_)
+    if values.dtype.kind == "f":
+        values = values.reshape(len(values), -1)
+        wrong |= ~np.isfinite(values).all(axis=1)
+        if column.may_be_nan:
+            wrong &= ~np.isnan(values).all(axis=1)
+        return wrong
+    end = limits.of(name)
+    if column.least is not None:
+        wrong |= values < column.least
+    if end is not None:
+        wrong |= values >= end
+    return wrong
+
+
+def allowed(name: str, limits: Limits) -> str:
+    """Return what may stand in a column, in words."""
+    column, end = COLUMNS[name], limits.of(name)
+    if column.dtype.startswith("float"):
+        return "finite values" + ", or NaN in all of a row" * column.may_be_nan
+    return f"{column.least} " + ("and more" if end is None else f"to {end - 1}")
+
+
+def column_spec(name: str, rows: int, names: Sequence[str] = ()) -> ArraySpec:
+    """Return the array that a column is stored as: one shard, one file.
+
+    Args:
+        name: One of `COLUMNS`.
+        rows: Length of the table.
+        names: What the codes mean, in their order.
+    """
+    column = COLUMNS[name]
+    return ArraySpec(
+        column.dtype,
+        (rows, *column.shape),
+        ("row", *column.dims),
+        column.units,
+        column.description,
+        _CHUNK_ROWS,
+        -(-rows // _CHUNK_ROWS) * _CHUNK_ROWS,
+        {"names": list(names)} if names else {},
+    )
+
+
+def write_whole(path: Path, spec: ArraySpec, values: Array) -> None:
+    """Write an array of one shard, replacing what is there."""
+    layout = ArrayLayout(path, spec)
+    layout.create()
+    layout.write_shard(0, values)
+
+
+def _typed(values: Any, column: TableColumn, rows: int, where: str) -> Array:
+    dtype, due = np.dtype(column.dtype), (rows, *column.shape)
+    array = np.asarray(values)
+    found = f"{array.dtype} {array.shape}"
+    if array.shape != due or not _same_kind(array.dtype, dtype):
+        raise SessionError(f"{where}: found {found}, expected {column.dtype} {due}")
+    if dtype.kind == "i" and array.size:
+        limits = np.iinfo(dtype)
+        if int(array.min()) < limits.min or int(array.max()) > limits.max:
+            raise SessionError(
+                f"{where}: found values from {array.min()} to {array.max()}, out of range for "
+                f"{column.dtype}"
+            )
+    return array.astype(dtype.newbyteorder("<"))
+
+
+def _same_kind(found: np.dtype[Any], due: np.dtype[Any]) -> bool:
+    """Whether every value survives the conversion, up to floating-point rounding and range."""
+    return found.kind in {"b": "b", "i": "iu", "f": "iuf"}[due.kind]

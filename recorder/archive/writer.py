@@ -1,0 +1,247 @@
+"""Writes an archive unit by unit: in any order, by many processes, twice, killed at any moment.
+
+A unit is a run of rows with a shard of its own in every large array. Its data are written whole
+and made durable; then an entry of the ledger says that it is there and keeps its rows of the
+table. When all units are there, the table is put together from the ledger, the status becomes
+`complete`, and the ledger goes. Every one of these steps gives the same bytes when it is repeated.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.archive.array import Array, ArrayLayout, ArraySpec
+from recorder.archive.ledger import Ledger
+from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, ArchivePlan, begin
+from recorder.archive.table import (
+    COLUMNS,
+    SOURCE,
+    Limits,
+    checked_columns,
+    column_spec,
+    write_whole,
+)
+from recorder.attrs import read_attrs
+from recorder.durable import TEMPORARY, sync_directory
+from recorder.errors import SessionError
+from recorder.files import LOCAL
+from recorder.layout import merge_attrs, write_group
+from recorder.spec import PHASES
+
+_SOURCE_CHUNK = 256
+
+
+class ArchiveWriter:
+    """An archive that is being written. Holds nothing but its path: open it in every process."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Open an archive that `begin` created.
+
+        Raises:
+            SessionError: Not an archive, or of a newer format.
+        """
+        self.path = Path(path)
+        attrs = self._attrs()
+        self.sensors: Mapping[str, SensorWriter] = {
+            name: SensorWriter(self, name, len(attrs["indenters"])) for name in attrs["sensors"]
+        }
+        self._indenters: list[str] = attrs["indenters"]
+
+    @classmethod
+    def begin(cls, path: str | os.PathLike[str], plan: ArchivePlan) -> Self:
+        """Create the archive of a plan, or go on with the one that the same plan began.
+
+        Raises:
+            SessionError: Something else lies there, or the plan holds what JSON cannot.
+        """
+        begin(Path(path), plan)
+        return cls(path)
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is left to do."""
+        return bool(self._attrs()["status"] == COMPLETE)
+
+    def missing(self) -> dict[str, list[int]]:
+        """Return the units of each sensor that are still to be written; empty when complete."""
+        if self.complete:
+            return {}
+        missing = {name: sensor.missing() for name, sensor in self.sensors.items()}
+        return {name: units for name, units in missing.items() if units}
+
+    def finish(self) -> None:
+        """Put the tables together and close the archive. Safe to repeat, by one process at a time.
+
+        Raises:
+            SessionError: Units are missing, or an entry of the ledger is damaged.
+        """
+        missing = self.missing()
+        if missing:
+            name, units = next(iter(missing.items()))
+            count = sum(map(len, missing.values()))
+            raise SessionError(
+                f"{self.path}: {count} units are missing, first {name} unit {units[0]}"
+            )
+        if not self.complete:
+            for sensor in self.sensors.values():
+                sensor.write_table(self._indenters)
+            merge_attrs(self.path, {"status": COMPLETE})
+        for sensor in self.sensors.values():
+            sensor.ledger.remove()
+        for left in self.path.rglob(f"*{TEMPORARY}"):
+            left.unlink(missing_ok=True)
+
+    def _attrs(self) -> dict[str, Any]:
+        return read_attrs(self.path, LOCAL, what="archive", format_=FORMAT, version=FORMAT_VERSION)
+
+
+class SensorWriter:
+    """One sensor of an archive that is being written; `ArchiveWriter.sensors` makes it."""
+
+    def __init__(self, archive: ArchiveWriter, name: str, indenters: int) -> None:
+        """Read what the plan said of the sensor."""
+        self.path = archive.path / name
+        self.ledger = Ledger(self.path)
+        self._archive = archive
+        names = ("markers", "displacement")
+        self._layouts = {
+            array: ArrayLayout.load(self.path / array)
+            for array in names
+            if (self.path / array / "zarr.json").exists()
+        }
+        references = ArrayLayout.load(self.path / "references").rows
+        self._limits = Limits(indenters, references)
+
+    @property
+    def rows(self) -> int:
+        """Number of frames."""
+        return self._markers.rows
+
+    @property
+    def units(self) -> int:
+        """Number of units."""
+        return self._markers.shards
+
+    def rows_of(self, unit: int) -> slice:
+        """Return the rows of a unit.
+
+        Raises:
+            SessionError: No such unit.
+        """
+        if not 0 <= unit < self.units:
+            raise SessionError(f"{self.path}: no unit {unit}, the sensor has {self.units}")
+        return self._markers.rows_of_shard(unit)
+
+    def missing(self) -> list[int]:
+        """Return the units that are still to be written, ascending."""
+        if self._archive.complete:
+            return []
+        done = self.ledger.done()
+        return [unit for unit in range(self.units) if unit not in done]
+
+    def write(
+        self,
+        unit: int,
+        *,
+        packed: NDArray[np.uint8],
+        table: Mapping[str, Any],
+        source: Sequence[str],
+        displacement: NDArray[np.float16] | None = None,
+    ) -> None:
+        """Write a unit whole. One that is there already stays as it is.
+
+        Args:
+            unit: Its number.
+            packed: Packed masks of its n rows (n, 38400).
+            table: The columns of `table.GIVEN`, n values each.
+            source: A line of provenance for each row; rows of one press share theirs.
+            displacement: Fields (n, *lattice.shape) [px], where the plan has a lattice.
+
+        Raises:
+            SessionError: Not what the plan said, or a value that may not stand there.
+        """
+        rows = self.rows_of(unit)
+        count = rows.stop - rows.start
+        where = f"{self.path} unit {unit}"
+        columns = checked_columns(table, count, self._limits, where)
+        _check_lines(source, count, where)
+        given: dict[str, Array | None] = {"markers": packed, "displacement": displacement}
+        large = {name: values for name, values in given.items() if values is not None}
+        if large.keys() != self._layouts.keys():
+            raise SessionError(
+                f"{where}: found {', '.join(large)}, expected {', '.join(self._layouts)}"
+            )
+        if displacement is not None and np.isinf(displacement).any():
+            raise SessionError(f"{where}.displacement: found infinity, expected px or NaN")
+        if self._archive.complete or self.ledger.has(unit):
+            return
+        try:
+            for name, values in large.items():
+                self._layouts[name].write_shard(unit, values)
+            self.ledger.enter(unit, columns, source)
+        except FileNotFoundError:
+            # Somebody else wrote this unit and finished the archive meanwhile.
+            if not self._archive.complete:
+                raise
+
+    def write_table(self, indenters: Sequence[str]) -> None:
+        """Put the table together from the ledger, which must hold every unit.
+
+        Raises:
+            SessionError: An entry is damaged.
+            FileNotFoundError: An entry is not there.
+        """
+        entries = [self.ledger.read(unit) for unit in range(self.units)]
+        lines: dict[str, int] = {}
+        sources = []
+        for entry in entries:
+            rows = [lines.setdefault(line, len(lines)) for line in entry.lines]
+            sources.append(np.array(rows, "<i4")[entry.columns[SOURCE]])
+        path = self.path / "table"
+        path.mkdir(exist_ok=True)
+        write_group(path, {})
+        names = {"indenter": indenters, "phase": PHASES}
+        for name in COLUMNS:
+            parts = [e.columns[name] for e in entries] if name != SOURCE else sources
+            spec = column_spec(name, self.rows, names.get(name, ()))
+            write_whole(path / name, spec, np.concatenate(parts))
+        _write_sources(self.path / "sources", list(lines))
+        for folder in (path, self.path):
+            sync_directory(folder)
+
+    @property
+    def _markers(self) -> ArrayLayout:
+        return self._layouts["markers"]
+
+
+def _check_lines(source: Sequence[str], count: int, where: str) -> None:
+    if isinstance(source, str) or len(source) != count:
+        found = "one text" if isinstance(source, str) else f"{len(source)} lines"
+        raise SessionError(f"{where}.source: found {found}, expected {count} lines, one a row")
+    for line in source:
+        if not isinstance(line, str) or not line or "\n" in line or "\0" in line:
+            raise SessionError(f"{where}.source: found {line!r}, expected one line of text")
+
+
+def _write_sources(path: Path, lines: Sequence[str]) -> None:
+    encoded = [line.encode() for line in lines]
+    width = max(map(len, encoded))
+    text = np.zeros((len(lines), width), np.uint8)
+    for row, data in zip(text, encoded, strict=True):
+        row[: len(data)] = np.frombuffer(data, np.uint8)
+    spec = ArraySpec(
+        "uint8",
+        text.shape,
+        ("source", "byte"),
+        "1",
+        "where samples come from: a line of UTF-8 each, padded with zeros",
+        _SOURCE_CHUNK,
+        -(-len(lines) // _SOURCE_CHUNK) * _SOURCE_CHUNK,
+    )
+    write_whole(path, spec, text)

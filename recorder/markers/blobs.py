@@ -1,0 +1,151 @@
+"""The connected patches of masks: how many, how large, where. numpy alone, many frames at once.
+
+Pixels are connected through their sides, not through their corners. Patches are found from runs of
+set pixels: neighbouring runs of neighbouring rows belong together, and each run is given the number
+of the first run that it is connected to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.markers.packing import Masks
+
+Integers = NDArray[np.int64]
+
+SMALLEST_PX = 12
+"""Patches of fewer pixels are specks, not markers: the least marker of the patterns has 50."""
+_BLOCK = 64  # frames at once
+
+
+@dataclass(frozen=True, slots=True)
+class Blobs:
+    """Patches of some masks, frame by frame, in each from top to bottom."""
+
+    frame: Integers
+    """Which mask (m,)."""
+    area: Integers
+    """Number of pixels (m,)."""
+    centre: NDArray[np.float64]
+    """Mean column and row (m, 2) [px]."""
+    whole: NDArray[np.bool_]
+    """Whether no pixel lies on the border of the image (m,): nothing is cut off."""
+
+    def __len__(self) -> int:
+        """Return the number of patches."""
+        return len(self.frame)
+
+    def only(self, chosen: NDArray[np.bool_] | slice) -> Blobs:
+        """Return some of them."""
+        return Blobs(self.frame[chosen], self.area[chosen], self.centre[chosen], self.whole[chosen])
+
+
+def count_markers(mask: Masks, smallest_px: int = SMALLEST_PX) -> int:
+    """Return the number of patches of at least `smallest_px` pixels in one mask (h, w).
+
+    Raises:
+        ValueError: Not one bool image.
+    """
+    return len(find_blobs(_one(mask), smallest_px))
+
+
+def marker_centres(mask: Masks, smallest_px: int = SMALLEST_PX) -> NDArray[np.float64]:
+    """Return the mean column and row (m, 2) [px] of the patches in one mask (h, w).
+
+    Raises:
+        ValueError: Not one bool image.
+    """
+    return find_blobs(_one(mask), smallest_px).centre
+
+
+def find_blobs(masks: Masks, smallest_px: int = 1) -> Blobs:
+    """Return the patches of masks (n, h, w) that have at least `smallest_px` pixels.
+
+    Raises:
+        ValueError: Not bool (n, h, w).
+    """
+    if masks.dtype != np.bool_ or masks.ndim != 3:
+        raise ValueError(f"masks: found {masks.dtype} {masks.shape}; expected bool (n, h, w)")
+    starts = range(0, max(len(masks), 1), _BLOCK)
+    parts = [_find(masks[first : first + _BLOCK], first) for first in starts]
+    blobs = Blobs(
+        np.concatenate([part.frame for part in parts]),
+        np.concatenate([part.area for part in parts]),
+        np.concatenate([part.centre for part in parts]),
+        np.concatenate([part.whole for part in parts]),
+    )
+    return blobs.only(blobs.area >= smallest_px)
+
+
+def _one(mask: Masks) -> Masks:
+    if mask.ndim != 2:
+        raise ValueError(f"mask: found {mask.dtype} {mask.shape}; expected one bool (h, w)")
+    return mask[None]
+
+
+def _find(masks: Masks, first_frame: int) -> Blobs:
+    height, width = masks.shape[1:]
+    line, left, right = _runs(masks)
+    patch = _patches(*_touching(line, left, right, height, width), len(line))
+    row, pixels = line % height, right - left
+    count = int(patch.max(initial=-1)) + 1
+    area = np.bincount(patch, pixels, count)
+    column_sum = np.bincount(patch, 0.5 * (left + right - 1) * pixels, count)
+    row_sum = np.bincount(patch, row * pixels, count)
+    cut = (row == 0) | (row == height - 1) | (left == 0) | (right == width)
+    frame = np.zeros(count, np.int64)
+    frame[patch] = line // height + first_frame
+    return Blobs(
+        frame,
+        area.astype(np.int64),
+        np.stack([column_sum / area, row_sum / area], axis=-1),
+        np.bincount(patch, cut, count) == 0,
+    )
+
+
+def _runs(masks: Masks) -> tuple[Integers, Integers, Integers]:
+    """Return the runs of set pixels: line (over all frames), first column, column behind."""
+    frames, height, width = masks.shape
+    # With an unset pixel at either end of a line, every run begins and ends within it.
+    framed = np.zeros((frames, height, width + 2), np.bool_)
+    framed[..., 1:-1] = masks
+    changes = np.flatnonzero(framed[..., 1:] != framed[..., :-1])
+    line, left = np.divmod(changes[0::2], width + 1)
+    return line, left, changes[1::2] - line * (width + 1)
+
+
+def _touching(
+    line: Integers, left: Integers, right: Integers, height: int, width: int
+) -> tuple[Integers, Integers]:
+    """Return the pairs of runs (e,), (e,) that share a side: each with those in the next row."""
+    pitch = width + 1
+    below = (line + 1) * pitch
+    begin = np.searchsorted(line * pitch + right, below + left, side="right")
+    end = np.searchsorted(line * pitch + left, below + right, side="left")
+    # The line after a frame's last belongs to the next frame.
+    count = np.where((line + 1) % height == 0, 0, np.maximum(end - begin, 0))
+    upper = np.repeat(np.arange(len(line)), count)
+    before = np.repeat(np.cumsum(count) - count, count)
+    return upper, np.arange(len(upper)) - before + np.repeat(begin, count)
+
+
+def _patches(upper: Integers, lower: Integers, runs: int) -> Integers:
+    """Return the number of the patch of each run (runs,), numbered by their first runs.
+
+    Every run points to an earlier run of its patch or to itself. Each round joins the patches of
+    touching runs by their ends and shortens all ways to one step, so that rounds are few.
+    """
+    root = np.arange(runs)
+    while True:
+        first, second = root[upper], root[lower]
+        if np.array_equal(first, second):
+            break
+        least = np.minimum(first, second)
+        np.minimum.at(root, first, least)
+        np.minimum.at(root, second, least)
+        while not np.array_equal(shorter := root[root], root):
+            root = shorter
+    return np.unique(root, return_inverse=True)[1]

@@ -1,0 +1,181 @@
+"""The marker image of a uSkin: a disc a taxel, which moves with shear and grows with pressure.
+
+Taxel i lies at (i % 4, i // 4) on axes that run from -1 to 4 over the image, y **up**: taxel 0 is
+at the lower left, and a positive y count moves its disc towards smaller rows. Sizes are those of a
+scatter plot, typographic points squared at 100 dots an inch (1 point = 1/72 inch).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.markers.packing import HEIGHT, WIDTH, Masks
+
+Array = NDArray[np.float64]
+
+TAXELS, SIDE = 16, 4
+_POINTS_PER_INCH = 72.0
+_BLOCK = 64  # frames drawn at once: their rims stay in the cache
+
+
+@dataclass(frozen=True, slots=True)
+class DiscMap:
+    """From counts to discs. The defaults are the paper's Methods and the authors' publisher."""
+
+    shear_per_count: float = 2e-4
+    """S_X = S_Y: shift of a disc for a count of x or y [pitch]."""
+    size_per_count: float = 0.2
+    """S_D: growth of a disc for a count of z [points^2]."""
+    size_min: float = 300.0
+    """Size of an untouched disc, and the least [points^2]: 24.06 px in diameter."""
+    size_max: float = 6000.0
+    """The largest [points^2]: 107.6 px in diameter."""
+    shift_max: float = 0.6
+    """A disc moves no farther than this along either axis [pitch]."""
+    centre_min: float = -0.6
+    """No centre lies below this [pitch]."""
+    centre_max: float = 3.6
+    """No centre lies above this [pitch]."""
+    axis_min: float = -1.0
+    """Where the axes begin, at the left and at the bottom [pitch]."""
+    axis_max: float = 4.0
+    """Where the axes end [pitch]."""
+    dots_per_inch: float = 100.0
+    """Pixels of an inch."""
+    least_coverage: float = 50 / 255
+    """A pixel is set when the disc covers more than this share: grey above 50 of 255."""
+
+    def __post_init__(self) -> None:
+        """Refuse a map that draws nothing.
+
+        Raises:
+            ValueError: Limits the wrong way round, or a coverage that is no share below a half.
+        """
+        for low, high in (
+            ("size_min", "size_max"),
+            ("centre_min", "centre_max"),
+            ("axis_min", "axis_max"),
+        ):
+            if not getattr(self, low) < getattr(self, high):
+                raise ValueError(
+                    f"{low}: found {getattr(self, low)}; allowed: less than {high}, "
+                    f"{getattr(self, high)}"
+                )
+        for name in ("size_min", "dots_per_inch"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: found {getattr(self, name)}; allowed: more than 0")
+        if not self.shift_max >= 0:
+            raise ValueError(f"shift_max: found {self.shift_max}; allowed: 0 or more")
+        if not 0 < self.least_coverage <= 0.5:
+            raise ValueError(
+                f"least_coverage: found {self.least_coverage}; allowed: above 0, up to 0.5"
+            )
+
+
+PAPER = DiscMap()
+"""What the paper draws."""
+
+
+def draw_discs(counts: NDArray[np.integer | np.floating], disc_map: DiscMap = PAPER) -> Masks:
+    """Return the marker images (..., 480, 640) of taxel counts.
+
+    Args:
+        counts: x, y, z of the 16 taxels (..., 16, 3), relative to the untouched sensor [counts].
+        disc_map: How counts become discs.
+
+    Raises:
+        ValueError: Another shape, or counts that are not finite.
+    """
+    centre, radius = place_discs(counts, disc_map)
+    lead = radius.shape[:-1]
+    centre, radius = centre.reshape(-1, TAXELS, 2), radius.reshape(-1, TAXELS)
+    masks = np.zeros((len(radius), HEIGHT, WIDTH), np.bool_)
+    for first in range(0, len(radius), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        _fill(masks[block], centre[block], radius[block], disc_map.least_coverage)
+    return masks.reshape(*lead, HEIGHT, WIDTH)
+
+
+def place_discs(
+    counts: NDArray[np.integer | np.floating], disc_map: DiscMap = PAPER
+) -> tuple[Array, Array]:
+    """Return centres (..., 16, 2) as column and row, and radii (..., 16) of the discs [px].
+
+    Args:
+        counts: x, y, z of the 16 taxels (..., 16, 3), relative to the untouched sensor [counts].
+        disc_map: How counts become discs.
+
+    Raises:
+        ValueError: Another shape, or counts that are not finite.
+    """
+    counts = np.asarray(counts, np.float64)
+    if counts.shape[-2:] != (TAXELS, 3):
+        raise ValueError(f"counts: found shape {counts.shape}; expected (..., {TAXELS}, 3)")
+    if not np.isfinite(counts).all():
+        raise ValueError("counts: found NaN or infinity; allowed: finite counts")
+    taxel = np.arange(TAXELS)
+    home = np.stack([taxel % SIDE, taxel // SIDE], axis=-1)
+    limit = disc_map.shift_max
+    shift = np.clip(counts[..., :2] * disc_map.shear_per_count, -limit, limit)
+    place = np.clip(home + shift, disc_map.centre_min, disc_map.centre_max)
+    share = (place - disc_map.axis_min) / (disc_map.axis_max - disc_map.axis_min)
+    centre = np.stack([share[..., 0] * WIDTH, (1.0 - share[..., 1]) * HEIGHT], axis=-1)
+    grown = disc_map.size_min + disc_map.size_per_count * counts[..., 2]
+    size = np.clip(grown, disc_map.size_min, disc_map.size_max)
+    radius = 0.5 * np.sqrt(size) * disc_map.dots_per_inch / _POINTS_PER_INCH
+    return centre, radius
+
+
+def _fill(masks: Masks, centre: Array, radius: Array, coverage: float) -> None:
+    """Set the pixels of masks (n, 480, 640) that discs cover; touches only the rows they are on."""
+    reach = int(np.ceil(radius.max())) + 1
+    row = np.floor(centre[..., 1, None]) + np.arange(-reach, reach + 2)
+    half = _half_chord(radius[..., None], row - centre[..., 1, None], coverage)
+    left = np.clip(np.ceil(centre[..., 0, None] - half), 0, WIDTH)
+    right = np.clip(np.floor(centre[..., 0, None] + half) + 1, 0, WIDTH)
+    drawn = (half >= 0) & (row >= 0) & (row < HEIGHT) & (right > left)
+    frame = np.broadcast_to(np.arange(len(masks))[:, None, None], drawn.shape)[drawn]
+    line = frame * HEIGHT + row[drawn].astype(np.int64)
+    used = np.zeros(len(masks) * HEIGHT, np.bool_)
+    used[line] = True
+    place = np.cumsum(used)[line] - 1
+    # Discs open and close runs; a pixel is set where more were opened than closed up to it.
+    steps = np.zeros((np.count_nonzero(used), WIDTH + 1), np.int8)
+    np.add.at(steps, (place, left[drawn].astype(np.int64)), 1)
+    np.add.at(steps, (place, right[drawn].astype(np.int64)), -1)
+    np.cumsum(steps, axis=1, dtype=np.int8, out=steps)
+    masks.reshape(-1, WIDTH)[used] = steps[:, :WIDTH] > 0
+
+
+def _half_chord(radius: Array, across: Array, coverage: float) -> Array:
+    """Return how far from its middle a row of pixels is covered [px]; negative: nowhere.
+
+    A pixel of the rim is cut by an edge that is straight to 1 / (24 radius) of its area. The
+    direction of that edge depends on where in the row it is, so the end is found by iteration.
+
+    Args:
+        radius: Of the discs [px].
+        across: From the centre to the row of pixel centres [px].
+        coverage: The share that the disc must cover.
+    """
+    half = np.sqrt(np.maximum(radius**2 - across**2, 0.0))
+    for _ in range(3):
+        square = (radius + _beyond_edge(half, across, coverage)) ** 2 - across**2
+        half = np.sqrt(np.maximum(square, 0.0))
+    return np.where(square >= 0, half, -1.0)
+
+
+def _beyond_edge(along: Array, across: Array, share: float) -> Array:
+    """Return how far outside a straight edge the centre of a pixel covered by a share lies [px].
+
+    The edge is normal to (along, across). It cuts off a triangle of the unit square when it passes
+    one corner, and a trapezium when it passes two.
+    """
+    along, across = np.abs(along), np.abs(across)
+    length = np.maximum(np.hypot(along, across), 1e-9)
+    long, short = np.maximum(along, across) / length, np.minimum(along, across) / length
+    triangle = 0.5 * (long + short) - np.sqrt(2.0 * long * short * share)
+    return np.where(2.0 * share * long >= short, long * (0.5 - share), triangle)

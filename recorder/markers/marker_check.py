@@ -1,0 +1,172 @@
+"""Has every marker of the reference stayed? A count that knows of the image's border.
+
+Pressing moves markers and neither makes nor destroys them, so a frame has as many as the untouched
+image, but for those that cross the border. Counting only markers that lie fully inside does not
+help: one that is pushed against the border is lost to that count although it is there, and a whole
+column of them may be cut at once. So *all* patches are counted, cut ones too, and the border may
+explain a difference:
+
+- a marker of the reference **may have left** if it was within a marker's travel of the border, or
+  cut by it, and no marker of the frame is near its place;
+- a marker of the frame **may have come in** if it is that near to the border and no marker of the
+  reference is near its place.
+
+Near, and the travel, are half the distance between neighbours in the reference unless said
+otherwise. A frame is flagged when more are missing than may have left, or more are new than may
+have come in. Equal counts are never flagged, whatever the displacements in between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.markers.blobs import SMALLEST_PX, Blobs, find_blobs
+from recorder.markers.packing import HEIGHT, WIDTH, Masks, require_masks
+
+Chosen = NDArray[np.bool_]
+
+_MERGED = 1.5
+"""A patch is taken for two markers grown together above so many times the largest's area."""
+_NAMED = 3  # places that a reason names
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerFlag:
+    """A frame whose markers are not those of its reference."""
+
+    row: int
+    """Number of the frame."""
+    found: int
+    """Markers in it."""
+    expected: int
+    """Markers in the reference."""
+    reason: str
+    """What the border cannot explain, in words."""
+
+    def __str__(self) -> str:
+        """Return the line that is printed."""
+        return f"row {self.row}: {self.found} markers, reference {self.expected}: {self.reason}"
+
+
+class MarkerCheck:
+    """Compares frames with one reference."""
+
+    def __init__(
+        self,
+        reference: Masks,
+        *,
+        smallest_px: int = SMALLEST_PX,
+        tolerance: int = 0,
+        travel_px: float | None = None,
+    ) -> None:
+        """Find the markers of a reference.
+
+        Args:
+            reference: The untouched mask (480, 640).
+            smallest_px: Patches of fewer pixels are not counted.
+            tolerance: So many markers may be missing or new beside what the border explains.
+            travel_px: How far a marker near the border may move [px]; half the median distance
+                to the nearest neighbour when None.
+
+        Raises:
+            ValueError: No mask, a reference without markers, or a negative tolerance or travel.
+        """
+        require_masks(reference)
+        if tolerance < 0:
+            raise ValueError(f"tolerance: found {tolerance}; allowed: 0 or more")
+        self._blobs = find_blobs(reference[None], smallest_px)
+        if not len(self._blobs):
+            raise ValueError(f"reference: found no patch of {smallest_px} px or more")
+        self.smallest_px, self.tolerance = smallest_px, tolerance
+        self.travel_px = _half_pitch(self._blobs) if travel_px is None else travel_px
+        if not self.travel_px >= 0:
+            raise ValueError(f"travel_px: found {travel_px}; allowed: 0 or more")
+
+    @property
+    def expected(self) -> int:
+        """Number of markers in the reference, cut ones too."""
+        return len(self._blobs)
+
+    def flags(self, masks: Masks, first_row: int = 0) -> list[MarkerFlag]:
+        """Return a flag for each frame whose markers are not those of the reference.
+
+        Args:
+            masks: Frames (n, 480, 640).
+            first_row: Number of the first of them.
+
+        Raises:
+            ValueError: Not bool (n, 480, 640).
+        """
+        require_masks(masks)
+        blobs = find_blobs(masks, self.smallest_px)
+        first = np.searchsorted(blobs.frame, np.arange(len(masks) + 1))
+        flags = []
+        for frame in np.flatnonzero(np.abs(np.diff(first) - self.expected) > self.tolerance):
+            found = blobs.only(slice(first[frame], first[frame + 1]))
+            reason = self._reason(found)
+            if reason is not None:
+                flags.append(MarkerFlag(int(frame) + first_row, len(found), self.expected, reason))
+        return flags
+
+    def _reason(self, found: Blobs) -> str | None:
+        """Return what is wrong with a frame of another count; None if the border explains it."""
+        stayed, known = _matched(self._blobs.centre, found.centre, self.travel_px)
+        missing = self.expected - len(found)
+        if missing > 0:
+            near = self._near_border(self._blobs)
+            may_have_left = int(np.count_nonzero(~stayed & near))
+            if missing <= may_have_left + self.tolerance:
+                return None
+            reason = f"{missing} missing, {may_have_left} may have left the image"
+            reason += _places("; none near", self._blobs.only(~stayed & ~near))
+            merged = found.only(found.area > _MERGED * self._blobs.area.max())
+            return reason + _places("; grown together at", merged)
+        near = self._near_border(found)
+        may_have_come = int(np.count_nonzero(~known & near))
+        if -missing <= may_have_come + self.tolerance:
+            return None
+        reason = f"{-missing} too many, {may_have_come} may have come into the image"
+        return reason + _places("; new at", found.only(~known & ~near))
+
+    def _near_border(self, blobs: Blobs) -> Chosen:
+        edge = np.array([WIDTH - 1, HEIGHT - 1])
+        inset = np.minimum(blobs.centre, edge - blobs.centre).min(axis=1, initial=np.inf)
+        return np.asarray(~blobs.whole | (inset <= self.travel_px))
+
+
+def _half_pitch(blobs: Blobs) -> float:
+    """Return half the median distance from a marker to its nearest neighbour [px]."""
+    if len(blobs) < 2:
+        return 0.5 * min(WIDTH, HEIGHT)
+    apart = _distances(blobs.centre, blobs.centre)
+    np.fill_diagonal(apart, np.inf)
+    return 0.5 * float(np.median(apart.min(axis=1)))
+
+
+def _matched(
+    one: NDArray[np.float64], other: NDArray[np.float64], reach: float
+) -> tuple[Chosen, Chosen]:
+    """Return which of either (n,), (m,) are each other's nearest, and within reach [px]."""
+    ours, theirs = np.zeros(len(one), np.bool_), np.zeros(len(other), np.bool_)
+    if len(one) and len(other):
+        apart = _distances(one, other)
+        nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
+        here = np.arange(len(one))
+        ours = (back[nearest] == here) & (apart[here, nearest] <= reach)
+        theirs[nearest[ours]] = True
+    return ours, theirs
+
+
+def _distances(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(one[:, None] - other[None], axis=-1), np.float64)
+
+
+def _places(said: str, blobs: Blobs) -> str:
+    if not len(blobs):
+        return ""
+    named = ", ".join(f"({column:.0f}, {row:.0f})" for column, row in blobs.centre[:_NAMED])
+    more = len(blobs) - _NAMED
+    return f"{said} {named}" + (f" and {more} more" if more > 0 else "")
