@@ -216,6 +216,13 @@ def test_a_scene_beyond_the_table_is_refused_by_what_is_beyond(planner, scene, s
         plan(scene, "20 %", planner=planner)
 
 
+def test_a_body_narrower_than_the_tables_only_rules_out_the_layer(planner):
+    narrow = replace(SCENE, body=Body(size_x=6.5e-3, size_y=6.5e-3))
+    assert planner.errors.outside(probe(narrow).features, "layer")
+    assert {offer.choice.tier for offer in plan(narrow, "20 %", planner=planner).offers} == {"fem"}
+    assert plan(SCENE, "20 %", planner=planner).offers[0].choice.tier == "layer"
+
+
 def test_a_device_that_was_never_timed_is_refused(planner):
     with pytest.raises(SceneError, match=r"device: 'cuda:0' with a tolerance; allowed: cpu"):
         plan(SCENE, "20 %", "cuda:0", planner=planner)

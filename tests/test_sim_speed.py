@@ -134,6 +134,10 @@ def test_a_runs_iterations_are_weighed_with_the_meshes_they_ran_on(
         int(one.quality.cg.sum()) * one.record["mesh"]["nodes"] for one in results
     )
     assert run.groups == len({tuple(one.record["mesh"]["cells"]) for one in results})
+    late = [one.quality.newton[2:].mean() for one in results]
+    assert run.newton_first == pytest.approx(
+        sum(one.quality.newton[1] for one in results) - sum(late)
+    )
     assert run.failed == 0
 
 
@@ -247,7 +251,14 @@ def made_up(folder: Path) -> list[Record]:
         Machine("Two Cores", "cpu", 8.0, 21, 2e10, 8e10, 1e11, "made up"),
     )
     whole = Run("presses", "all", 162, 420.0, memory=2**30, processes=2, spacing_mm=0.667)
-    counts = {"newton": 20_000, "cg": 600_000, "elements": 10**6, "nodes": 1_200_000, "groups": 7}
+    counts = {
+        "newton": 20_000,
+        "newton_first": 1000.0,
+        "cg": 600_000,
+        "elements": 10**6,
+        "nodes": 1_200_000,
+        "groups": 7,
+    }
     weighed = {
         "newton_elements": 120_000_000,
         "newton_nodes": 150_000_000,
@@ -295,6 +306,7 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert graded.endswith("| not measured (2.50 %) |")
     two = next(line for line in lines if line.startswith("| two processes"))
     assert "| 2.00 | 22 s, 11 s |" in two
+    assert sum("6.2 Newton iterations a press more, 5.00 % of all" in line for line in lines) == 1
     assert any(line.startswith("| graph capture |") and "not measured" in line for line in lines)
     floor = floor_of(records[0].runs["presses", "all"], records[0].machine)
     assert f"| measured / floor | {420 / floor.seconds:.1f} | not measured |" in lines

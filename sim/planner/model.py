@@ -36,6 +36,9 @@ LEAST = 1e-6
 """Errors below are no smaller than this."""
 BAR_FLOOR: dict[Kind, float] = {"share": 1e-3, "force": 1e-3, "marker": 5e-3}
 """Least difference of two meshes that an error bar is made from: a smaller one is chance."""
+UNSEEN = {"layer": ("steps",), "fem": ("steps", "width")}
+"""Features that do not tell a tier's error. `fem` meshes the sides, and `side` says how near they
+are; `layer` has none."""
 SLACK = 0.05
 """How far beyond the table's features a scene may lie, in shares of their range."""
 
@@ -77,13 +80,13 @@ class Model:
         margin = self.margins[_without_precision(choice), features.group, kind]
         return float(np.exp(self.fits[choice.tier, kind](row)[0] + margin))
 
-    def outside(self, features: Features) -> list[tuple[str, float, float, float]]:
-        """Features beyond the table: name, value, least and largest allowed."""
+    def outside(self, features: Features, tier: str) -> list[tuple[str, float, float, float]]:
+        """Features beyond the table that count for a tier: name, value, least, largest allowed."""
         slack = SLACK * (self.high - self.low)
         least, most = self.low - slack, self.high + slack
         found = []
         for name, value, a, b in zip(NAMES, features.values(), least, most, strict=True):
-            if name != "steps" and not a <= value <= b:
+            if name not in UNSEEN[tier] and not a <= value <= b:
                 found.append((name, float(value), float(a), float(b)))
         return found
 

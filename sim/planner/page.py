@@ -58,7 +58,8 @@ markers in `layer`.
 Groups: an indenter is smooth where its sharpest radius is above 0.6 of the width of the contact,
 else edged; it presses or shears; viscous scenes are one group. Scenes whose features lie beyond
 the table's (and a twentieth of their range) are refused by name, as are domes, inertia and
-gravity. `mpm` is never chosen: at every error `fem` takes less time ([accuracy.md](accuracy.md)).
+gravity; a body narrower or wider than the table's only rules out `layer`, which has no sides.
+`mpm` is never chosen: at every error `fem` takes less time ([accuracy.md](accuracy.md)).
 """
 
 _BARS = """

@@ -178,7 +178,7 @@ def _check_effects(scene: Scene) -> None:
 
 
 def _check_inside(model: Model, looked: Probe) -> None:
-    outside = model.outside(looked.features)
+    outside = model.outside(looked.features, "fem")
     if outside:
         said_ = "; ".join(
             f"{WHAT[name]} is {value:.3g}, allowed: {low:.3g} to {high:.3g}"
@@ -191,13 +191,15 @@ def _check_inside(model: Model, looked: Probe) -> None:
 
 
 def _offers(planner: Planner, looked: Probe, kind: Kind, device: str) -> list[Offer]:
-    """Every choice with its predictions, from cheap to dear."""
+    """Every choice that is known for such scenes, with its predictions, from cheap to dear."""
     scale = looked.scales[kind]
     features = looked.features
     known = planner.errors.choices()
     offers = []
     for choice in all_choices():
         if Choice(choice.tier, choice.cells) not in known:
+            continue
+        if planner.errors.outside(features, choice.tier):
             continue
         offers.append(
             Offer(

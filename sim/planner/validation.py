@@ -85,7 +85,7 @@ def validate(model: Model, table: Table) -> Validation:
     outside: dict[str, tuple[str, ...]] = {}
     for scene, mine in rows.items():
         features = next(iter(mine.values())).features
-        beyond = model.outside(features)
+        beyond = model.outside(features, "fem")
         if beyond:
             outside[scene] = tuple(name for name, *_ in beyond)
             continue
@@ -103,7 +103,8 @@ def _verdict(
     kind: Kind,
     tolerance: float,
 ) -> Verdict:
-    order = sorted(mine, key=lambda choice: choice.cells)
+    known = [choice for choice in mine if not model.outside(features, choice.tier)]
+    order = sorted(known, key=lambda choice: choice.cells)
     within = [choice for choice in order if model.error(features, choice, kind) <= tolerance]
     group = features.group
     if not within:
@@ -136,7 +137,7 @@ def each_bar(model: Model, table: Table) -> list[Verdict]:
     """The error bar of every row of covered scenes, promised or not."""
     found = []
     for row in table.rows:
-        if row.choice.precision != "float32" or model.outside(row.features):
+        if row.choice.precision != "float32" or model.outside(row.features, row.choice.tier):
             continue
         for kind in KINDS:
             if math.isnan(row.bar[kind]) or math.isinf(row.error[kind]):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from sim.fem.grading import FOR_EDGES
 from sim.speed.campaign import REFERENCE_FILE, presses_file
 from sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
 from sim.speed.forces import SHALLOW_MM, Errors, errors, read_forces
@@ -22,9 +23,9 @@ _INTRO = """# Speed
 
 The paper's work: 18 indenters at 9 places ({places} mm along x and y), pressed to {depths} mm, with
 friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames each, by the `fem`
-tier with elements as high as the table says, half as wide where the indenter comes and growing
-outwards from there, tolerance 1e-3. Seconds are wall time with kernels
-compiled, from scenes to results; compiling is told apart. Made by `make speed`.
+tier with elements as high as the table says, {finer:g} times as wide where the indenter comes and
+growing outwards from there, tolerance 1e-3. Seconds are wall time with kernels compiled, from
+scenes to results; compiling is told apart. Made by `make speed`.
 """
 _ERRORS = """
 Error: |F - Fref| / |Fref| of every press and depth that the reference has: all 18 indenters in the
@@ -69,7 +70,10 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
     reference = read_forces(folder / REFERENCE_FILE)
     places = ", ".join(f"{place:g}" for place in PLACES_MM)
     depths = ", ".join(f"{depth:g}" for depth in DEPTHS_MM)
-    lines = [_INTRO.format(places=places, depths=depths, friction=FRICTION, whole=WHOLE)]
+    finer = FOR_EDGES.finer
+    lines = [
+        _INTRO.format(places=places, depths=depths, friction=FRICTION, whole=WHOLE, finer=finer)
+    ]
     found = [
         (errors(forces, reference, from_mm=SHALLOW_MM), errors(forces, reference))
         for forces in (read_forces(presses_file(record.path)) for record in records)

@@ -60,6 +60,8 @@ class Run:
     nodes: int = 0
     newton: int = 0
     """Newton iterations of all presses; time steps of `mpm`."""
+    newton_first: float = math.nan
+    """How many more of them the first depths took than a later depth of the same presses."""
     cg: int = 0
     newton_elements: int = 0
     """Newton iterations times elements, summed over presses."""

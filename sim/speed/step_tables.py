@@ -52,13 +52,29 @@ def steps_section(records: Sequence[Record], reference: Forces) -> list[str]:
         ]
         lines += [_step_line(step, record, base, off) for step in steps_on(record.machine.device)]
         if record.machine.device != "cpu":
+            lines += _warm_start(record)
             continue
         for old in REPLACED:
             lines.append(
                 f"| {old.name} | {old.predicted} | {old.reason} | "
                 f"{_once(old.measured, record, old is REPLACED[0])} | - | - | - | - | - |"
             )
+        lines += _warm_start(record)
     return lines
+
+
+def _warm_start(record: Record) -> list[str]:
+    """What a start from `layer` could save at most."""
+    run = record.get("presses", "all")
+    if run is None or not run.newton or not math.isfinite(run.newton_first):
+        return []
+    most = percent(max(run.newton_first, 0.0) / run.newton)
+    return [
+        "",
+        "Not built: a warm start from `layer`. Every depth but the first starts from a prediction; "
+        f"the first takes {run.newton_first / run.presses:.1f} Newton iterations a press more, "
+        f"{most} of all: no start could save more, and `layer` takes time as well.",
+    ]
 
 
 def _once(measured: str, record: Record, tangent: bool) -> str:

@@ -12,6 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sim.accuracy.spent import Spent, peak_memory, spent_by
 from sim.body import Body
 from sim.errors import SimulationDiverged
@@ -100,11 +103,17 @@ def counted(run: Run, outcomes: Sequence[Outcome]) -> Run:
         elements=sum(mesh["elements"] for mesh in meshes),
         nodes=sum(mesh["nodes"] for mesh in meshes),
         newton=sum(newton),
+        newton_first=sum(_first(one.quality.newton) for one in solved),
         cg=sum(cg),
         newton_elements=sum(n * mesh["elements"] for n, mesh in zip(newton, meshes, strict=True)),
         newton_nodes=sum(n * mesh["nodes"] for n, mesh in zip(newton, meshes, strict=True)),
         cg_nodes=sum(n * mesh["nodes"] for n, mesh in zip(cg, meshes, strict=True)),
     )
+
+
+def _first(newton: NDArray[np.int64]) -> float:
+    """Iterations of the first depth beyond those of a later one; the first frame only touches."""
+    return float(newton[1] - newton[2:].mean()) if len(newton) > 2 else 0.0
 
 
 def warm_up(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sim.verbs.options import Verbs
 
 TRAINING_SEED, HELD_OUT_SEED = 1, 2
-TRAINING_BATCHES, HELD_OUT_BATCHES = 11, 12
+TRAINING_BATCHES, HELD_OUT_BATCHES = 11, 14
 """Of ten scenes each; viscous ones are a third of them."""
 SECONDS_BATCHES = 6
 
