@@ -37,6 +37,7 @@ VENDORS = {
     "foxglove_schemas_protobuf": {"recorder/export"},
     "pyarrow": {"recorder/export"},
     "fsspec": {"recorder/remote"},
+    "bpy": {"sim/render"},
 }
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()

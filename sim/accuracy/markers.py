@@ -6,17 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.body import Body
+from sim.camera import DISTANCE, FOCAL, Camera
+
+__all__ = ["DISTANCE", "FOCAL", "MARKERS", "marker_places", "seen"]
 
 Array = NDArray[np.float64]
 
-LENS, FILM = 35e-3, 36e-3
-"""Focal length and width of the film [m]: Blender's defaults, which the paper renders with."""
-WIDTH = 640
-"""Pixels along the film."""
-DISTANCE = 21.11e-3
-"""From the pinhole to the untouched top [m]; the camera looks up at it from below."""
-FOCAL = LENS / FILM * WIDTH
-"""Focal length in pixels: a pixel sees DISTANCE / FOCAL = 33.9 um of the untouched top."""
 MARKERS = 14
 """Markers along each side of the body."""
 
@@ -30,6 +25,6 @@ def marker_places(body: Body) -> tuple[Array, Array]:
 def seen(place: Array) -> Array:
     """Pixels (..., 2), from the middle of the image, of points (..., 3) in the contact frame [m].
 
-    p = FOCAL (x, y) / (DISTANCE + z): what is pressed comes nearer and looks larger.
+    The paper's camera; x to the right and y up.
     """
-    return FOCAL * place[..., :2] / (DISTANCE + place[..., 2:])
+    return Camera.paper().on_film(place)

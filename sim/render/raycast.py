@@ -1,0 +1,132 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""The same picture by other means: rays through a fine mesh, markers by their formula.
+
+A check of `Renderer` that shares neither its interpolation, nor its rasteriser, nor its distance
+textures with it. Slow: some 0.1 s for each ray a pixel.
+"""
+
+import functools
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial import cKDTree
+
+from sim.body import Body
+from sim.camera import HEIGHT, WIDTH, Camera
+from sim.patterns import Pattern
+from sim.render.top import heights
+
+Array = NDArray[np.float64]
+
+SPACING = 0.05e-3
+"""Distance of the mesh's points [m]: half of what is checked."""
+
+
+@functools.cache
+def _kernel():
+    @wp.kernel(enable_backward=False, module="unique")
+    def cast(
+        # Settings:
+        start: wp.vec3,
+        # In: the mesh, material points of its corners, directions
+        mesh: wp.uint64,
+        corner: wp.array[wp.vec2],
+        triangle: wp.array2d[int],
+        direction: wp.array[wp.vec3],
+        # Out:
+        material_out: wp.array[wp.vec2],
+    ):
+        k = wp.tid()
+        query = wp.mesh_query_ray(mesh, start, direction[k], 1.0e3)
+        if not query.result:
+            material_out[k] = wp.vec2(wp.NAN, wp.NAN)
+            return
+        a = corner[triangle[query.face, 0]]
+        b = corner[triangle[query.face, 1]]
+        c = corner[triangle[query.face, 2]]
+        material_out[k] = a * query.u + b * query.v + c * (1.0 - query.u - query.v)
+
+    return cast
+
+
+def smooth(x: Array, y: Array, values: Array, to_x: Array, to_y: Array) -> Array:
+    """Values (X, Y, ...) at x, y as piecewise cubics at to_x, to_y; slopes through three values."""
+    slope = np.gradient(values, x, axis=0, edge_order=2)
+    along = CubicHermiteSpline(x, values, slope, axis=0)(to_x)
+    slope = np.gradient(along, y, axis=1, edge_order=2)
+    return CubicHermiteSpline(y, along, slope, axis=1)(to_y)
+
+
+def cast_rays(
+    body: Body,
+    camera: Camera,
+    x: Array,
+    y: Array,
+    surface: Array,
+    *,
+    samples: int = 1,
+    spacing: float = SPACING,
+) -> Array:
+    """Material point, x and y [m], that each sample sees (480 n, 640 n, 2) for n `samples`.
+
+    `surface` is one frame (X, Y, 3) [m]; the camera must have no mount of its own.
+    """
+    fine_x, fine_y = (
+        np.linspace(-size / 2, size / 2, round(size / spacing) + 1)
+        for size in (body.size_x, body.size_y)
+    )
+    moved = smooth(x, y, surface.astype(float), fine_x, fine_y)
+    material = np.stack(np.meshgrid(fine_x, fine_y, indexing="ij"), axis=-1)
+    rest = heights(body, material[..., 0], material[..., 1])
+    place = np.concatenate([material, rest[..., None]], axis=-1) + moved
+    triangles = _triangles(len(fine_x), len(fine_y))
+    mesh = wp.Mesh(
+        points=wp.array(place.reshape(-1, 3), dtype=wp.vec3, device="cpu"),
+        indices=wp.array(triangles.ravel(), dtype=wp.int32, device="cpu"),
+    )
+    column = (np.arange(WIDTH * samples) + 0.5) / samples - WIDTH / 2
+    row = (np.arange(HEIGHT * samples) + 0.5) / samples - HEIGHT / 2
+    right, down = np.meshgrid(column, row)
+    rays = np.stack([right, -down, np.full_like(right, camera.focal)], axis=-1) / camera.focal
+    found = wp.empty(right.size, dtype=wp.vec2, device="cpu")
+    wp.launch(
+        _kernel(),
+        dim=right.size,
+        inputs=[
+            wp.vec3(0.0, 0.0, -camera.distance),
+            mesh.id,
+            wp.array(material.reshape(-1, 2), dtype=wp.vec2, device="cpu"),
+            wp.array(triangles, dtype=wp.int32, device="cpu"),
+            wp.array(rays.reshape(-1, 3), dtype=wp.vec3, device="cpu"),
+        ],
+        outputs=[found],
+        device="cpu",
+    )
+    return found.numpy().astype(float).reshape(*right.shape, 2)
+
+
+def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]:
+    """Mask (480, 640) of what `cast_rays` saw: True where markers cover half a pixel or more.
+
+    A point is held against the marker with the nearest centre alone: markers must be less than 0.7
+    times as wide as they are apart.
+    """
+    points = material.reshape(-1, 2)
+    seen = np.isfinite(points[:, 0])
+    centres = pattern.centres
+    inside = np.zeros(len(points), bool)
+    _, nearest = cKDTree(centres).query(points[seen])
+    inside[seen] = pattern.marker_distance(points[seen] - centres[nearest]) <= 0
+    count = inside.reshape(HEIGHT, samples, WIDTH, samples).sum(axis=(1, 3))
+    return 2 * count >= samples**2
+
+
+def _triangles(across: int, along: int) -> NDArray[np.int32]:
+    """Corners (n, 3) of two triangles a cell, cut the other way than the rasteriser's."""
+    number = np.arange(across * along).reshape(across, along)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    cells = np.stack([np.stack([a, b, d], -1), np.stack([b, c, d], -1)], axis=2)
+    return cells.reshape(-1, 3).astype(np.int32)

@@ -1,0 +1,101 @@
+"""The camera: a pinhole whose formula, mount and inverse are what they say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import recorder.markers
+from sim.accuracy.markers import seen
+from sim.body import Body
+from sim.camera import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
+from sim.errors import SceneError
+
+PLACES = np.random.default_rng(3).uniform(-8e-3, 8e-3, (200, 2))
+FLAT = np.concatenate([PLACES, np.zeros((200, 1))], axis=1)
+MOUNTED = Camera(shift=(12.5, -7.25), rotation=0.2)
+
+
+def test_the_papers_camera_sees_33_9_micrometres_a_pixel() -> None:
+    camera = Camera.paper()
+    assert camera.focal == pytest.approx(622.2, abs=0.03)
+    assert camera.mm_per_px == pytest.approx(0.0339, abs=5e-5)
+    assert camera.project(np.zeros(3)) == pytest.approx((319.5, 239.5))
+
+
+def test_an_image_is_as_large_as_a_mask() -> None:
+    assert (WIDTH, HEIGHT) == (recorder.markers.WIDTH, recorder.markers.HEIGHT)
+
+
+def test_x_is_to_the_right_and_y_is_up() -> None:
+    column, row = Camera.paper().project(np.array([1e-3, 2e-3, 0.0]))
+    assert column == pytest.approx(319.5 + FOCAL * 1e-3 / DISTANCE)
+    assert row == pytest.approx(239.5 - FOCAL * 2e-3 / DISTANCE)
+
+
+def test_what_is_pressed_comes_nearer_and_looks_larger() -> None:
+    column = Camera.paper().project(np.array([1e-3, 0.0, -2e-3]))[0]
+    assert column == pytest.approx(319.5 + FOCAL * 1e-3 / (DISTANCE - 2e-3))
+
+
+def test_a_camera_of_a_scale_has_that_scale() -> None:
+    camera = Camera.of_scale(0.0249)
+    assert camera.mm_per_px == pytest.approx(0.0249)
+    step = np.diff(camera.project(np.array([[0.0, 0, 0], [0.0249e-3, 0, 0]])), axis=0)
+    assert step[0] == pytest.approx((1, 0))
+
+
+def test_a_mount_turns_the_image_anticlockwise_and_then_shifts_it() -> None:
+    turned = Camera(rotation=math.pi / 2, shift=(3.0, 5.0))
+    column, row = turned.project(np.array([1e-3, 0.0, 0.0]))
+    assert column == pytest.approx(319.5 + 3)
+    assert row == pytest.approx(239.5 - FOCAL * 1e-3 / DISTANCE + 5)
+    plain, mounted = Camera.paper().project(FLAT), MOUNTED.project(FLAT)
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(plain, axis=0), axis=1),
+        np.linalg.norm(np.diff(mounted, axis=0), axis=1),
+    )
+
+
+@pytest.mark.parametrize("camera", [Camera.paper(), MOUNTED, Camera.of_scale(0.05)])
+@pytest.mark.parametrize("body", [Body(), Body(dome_radius=60e-3)], ids=["flat", "dome"])
+def test_places_are_those_whose_image_the_pixels_are(camera: Camera, body: Body) -> None:
+    height = np.array([body.height(float(x), float(y)) for x, y in PLACES])
+    pixels = camera.project(np.concatenate([PLACES, height[:, None]], axis=1))
+    np.testing.assert_allclose(camera.places(pixels, body), PLACES, atol=1e-15)
+
+
+def test_a_ray_beside_a_domes_sphere_sees_nothing() -> None:
+    far = Camera(distance=0.2)
+    places = far.places(np.array([[319.5, 239.5], [0.0, 0.0]]), Body(dome_radius=60e-3))
+    assert places[0] == pytest.approx((0, 0))
+    assert np.isnan(places[1]).all()
+
+
+def test_markers_of_the_accuracy_page_are_seen_by_the_same_camera() -> None:
+    points = np.concatenate([FLAT[:, :2], -np.abs(FLAT[:, :1])], axis=1)
+    by_hand = FOCAL * points[:, :2] / (DISTANCE + points[:, 2:])
+    assert np.array_equal(seen(points), by_hand)
+    flipped = Camera.paper().project(points) - (319.5, 239.5)
+    np.testing.assert_allclose(flipped * (1, -1), by_hand, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"focal": 0.0}, "camera.focal: 0.0 px; allowed: 1 to 1e"),
+        ({"distance": math.nan}, "camera.distance: nan m"),
+        ({"shift": (0.0, math.inf)}, r"camera.shift\[1\]: inf px"),
+        ({"rotation": 4.0}, "camera.rotation: 4.0 rad"),
+    ],
+)
+def test_what_is_no_camera_is_refused(change: dict, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        Camera(**change)
+
+
+def test_a_scale_in_metres_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"camera.mm_per_px: 2.49e-05 mm"):
+        Camera.of_scale(0.0249e-3)

@@ -1,0 +1,307 @@
+"""Patterns: the markers they promise, and signed distances that are what geometry says."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
+
+from sim.body import Body
+from sim.errors import SceneError
+from sim.patterns import (
+    HOMOGENEOUS,
+    NAMES,
+    SIMULATED,
+    ImagePattern,
+    Pattern,
+    distance_texture,
+    hexagon,
+    named,
+    rings,
+    staggered,
+)
+from sim.patterns.contour import contour, distance_to
+from sim.patterns.sheet import draw_sheet
+
+COUNTS = {
+    "Array": (225, 100, 80, 99),
+    "Circle": (320, 115, 111, 124),
+    "Diamond": (245, 100, 81, 81),
+}
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_simulated_patterns_have_the_published_number_of_markers(kind: str) -> None:
+    counts = tuple(len(named(f"{kind}{index}")) for index in (1, 2, 3, 4))
+    assert counts == COUNTS[kind]
+
+
+def test_there_are_12_simulated_5_homogeneous_patterns_and_127_pins() -> None:
+    assert len(SIMULATED) == 12
+    assert HOMOGENEOUS == ("Array-I", "Array-II", "Circle-I", "Circle-II", "Diamond-I")
+    assert len(named("TacPalm")) == 127
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_markers_are_a_quarter_to_half_as_wide_as_they_are_apart(name: str) -> None:
+    pattern = named(name)
+    apart = cKDTree(pattern.centres).query(pattern.centres, k=2)[0][:, 1]
+    assert apart.min() > 0
+    assert 0.25 <= pattern.size / np.median(apart) <= 0.45
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "TacPalm"])
+def test_markers_lie_wholly_on_the_papers_gel(name: str) -> None:
+    named(name).check_within(20e-3, 20e-3)
+
+
+def test_a_pattern_that_does_not_fit_is_refused_by_its_furthest_marker() -> None:
+    with pytest.raises(SceneError, match=r"'TacPalm'.*beyond the gel.*20 x 20 mm"):
+        distance_texture(named("TacPalm"), Body())
+
+
+@pytest.mark.parametrize("kind", ["Array", "Circle"])
+def test_the_second_gelsight_is_the_first_one_moved_and_turned(kind: str) -> None:
+    first, second = named(f"{kind}-I"), named(f"{kind}-II")
+    apart = [np.linalg.norm(np.diff(p.centres, axis=0), axis=1) for p in (first, second)]
+    np.testing.assert_allclose(*apart, rtol=1e-12)
+    far = np.linalg.norm(first.centres - second.centres, axis=1)
+    assert 0.3e-3 < far.max() < 1.5e-3
+
+
+def test_a_moved_pattern_turns_about_the_middle_and_then_shifts() -> None:
+    moved = Pattern("one", "square", 1e-3, ((2e-3, 0.0),)).moved((1e-3, 0.0), math.pi / 2)
+    assert moved.centres[0] == pytest.approx((1e-3, 2e-3))
+    assert moved.angle == pytest.approx(math.pi / 2)
+
+
+def test_layouts_count_as_they_say() -> None:
+    assert [len(hexagon(count, 1.0)) for count in (0, 1, 2, 6)] == [1, 7, 19, 127]
+    assert len(rings((6, 12), 1.0, middle=True)) == 19
+    radii = np.hypot(*np.array(rings((5, 9), 2.0, middle=False)).T)
+    assert sorted(np.round(radii, 9).tolist()) == [2.0] * 5 + [4.0] * 9
+    assert len(staggered(5, 3, 1.0, 1.0, shorter=True)) == 14
+    assert len(staggered(5, 3, 1.0, 1.0, shorter=False)) == 15
+
+
+def outline(pattern: Pattern, count: int) -> np.ndarray:
+    """Points of the edges of all markers, evenly spaced along each."""
+    turn = 2 * np.pi * np.arange(count) / count
+    if pattern.shape == "disc":
+        edge = pattern.size / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    else:
+        start = pattern.angle + (0 if pattern.shape == "diamond" else np.pi / 4)
+        half = pattern.size / 2 * (1 if pattern.shape == "diamond" else np.sqrt(2))
+        corner = half * np.exp(1j * (start + np.pi / 2 * np.arange(5)))
+        share = np.linspace(0, 1, count // 4, endpoint=False)[:, None]
+        sides = (corner[:4] * (1 - share) + corner[1:] * share).T.ravel()
+        edge = np.stack([sides.real, sides.imag], axis=1)
+    return (pattern.centres[:, None] + edge).reshape(-1, 2)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        named("Circle4"),
+        named("Diamond4"),
+        named("Array4").moved((0.2e-3, 0.1e-3), 0.3),
+        named("Diamond3").moved((0.0, 0.1e-3), -0.05),
+    ],
+    ids=lambda pattern: pattern.shape,
+)
+def test_distance_is_that_to_the_nearest_point_of_an_outline(pattern: Pattern) -> None:
+    x = np.linspace(-3e-3, 3e-3, 61)
+    y = np.linspace(-2.5e-3, 3e-3, 53)
+    band = 0.4e-3
+    found = pattern.distance(x, y, band)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    size = cKDTree(outline(pattern, 1600)).query(points)[0]
+    np.testing.assert_allclose(
+        np.abs(found), np.minimum(size, np.where(found < 0, 1, band)), atol=2e-6
+    )
+    area = pattern.marker_distance(np.zeros(2))
+    assert area == pytest.approx(found.min(), abs=0.1e-3)
+
+
+def test_inside_is_negative_and_covers_the_area_of_the_markers() -> None:
+    x = np.linspace(-10e-3, 10e-3, 2001)
+    pixel = float(x[1] - x[0]) ** 2
+    for shape, area in (("disc", math.pi / 4), ("square", 1.0), ("diamond", 0.5)):
+        pattern = Pattern("one", shape, 1e-3, ((0.0, 0.0), (3e-3, -2e-3)))  # type: ignore[arg-type]
+        share = np.clip(0.5 - pattern.distance(x, x, 0.1e-3) / 10e-6, 0, 1)
+        assert share.sum() * pixel == pytest.approx(2 * area * 1e-6, rel=2e-3)
+
+
+def test_a_texture_read_in_between_is_within_a_micrometre() -> None:
+    pattern = named("Circle1")
+    texture = distance_texture(pattern, Body())
+    points = np.random.default_rng(1).uniform(-9.9e-3, 9.9e-3, (20000, 2))
+    index = (points - texture.corner)[:, ::-1].T / texture.step
+    read = map_coordinates(texture.values, index, order=1)
+    exact = cKDTree(pattern.centres).query(points)[0] - pattern.size / 2
+    near = np.abs(exact) < 0.12e-3
+    assert np.abs(read - exact)[near].max() < 1e-6
+    assert np.abs(read - exact)[np.abs(exact) < 30e-6].max() < 0.4e-6
+
+
+def test_textures_reach_from_border_to_border_and_lie_symmetrically() -> None:
+    texture = distance_texture(named("Array1"), Body(size_x=19.999e-3, size_y=20e-3), step=30e-6)
+    rows, columns = texture.values.shape
+    assert texture.corner == pytest.approx(
+        (-(columns - 1) / 2 * texture.step, -(rows - 1) / 2 * texture.step)
+    )
+    assert texture.corner[0] <= -9.9995e-3
+    np.testing.assert_allclose(texture.values, texture.values[::-1, ::-1], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shape": "star"}, "pattern.shape: 'star'; allowed: disc, square, diamond"),
+        ({"size": 0.5}, r"pattern.size: 0.5 m; allowed: 1e-05 to 0.1 m"),
+        ({"size": math.nan}, "pattern.size: nan"),
+        ({"places": ()}, "pattern.places: none"),
+        ({"places": ((0.0, 0.0), (math.inf, 0.0))}, r"pattern.places\[1\]: inf"),
+        ({"places": ((0.0,),)}, r"pattern.places\[0\]: \(0.0,\)"),
+        ({"angle": 10.0}, "pattern.angle: 10.0 rad"),
+    ],
+)
+def test_what_is_no_pattern_is_refused(change: dict, message: str) -> None:
+    fields = {"name": "x", "shape": "disc", "size": 1e-3, "places": ((0.0, 0.0),)} | change
+    with pytest.raises(SceneError, match=message):
+        Pattern(**fields)
+
+
+def test_an_unknown_name_is_answered_with_those_there_are() -> None:
+    with pytest.raises(SceneError, match=r"'Array5'; allowed: Array1, Array2.*TacPalm"):
+        named("Array5")
+
+
+def test_the_contour_of_a_ramp_is_a_line_at_its_threshold() -> None:
+    level = np.arange(6.0)[None, :].repeat(4, axis=0) - 2.3
+    ends = contour(level).reshape(-1, 2)
+    assert ends[:, 0] == pytest.approx(np.full(6, 2.3))
+    assert sorted(ends[:, 1].tolist()) == [0, 1, 1, 2, 2, 3]
+
+
+@pytest.mark.parametrize(("middle", "joined"), [(-0.5, True), (0.5, False)])
+def test_a_saddle_is_joined_or_split_by_its_mean(middle: float, joined: bool) -> None:
+    level = np.array([[-1.0, 1.0], [1.0, -1.0]]) + middle
+    segments = contour(level)
+    assert len(segments) == 2
+    # Corners that are cut off are the positive ones if the negative ones are joined.
+    cut = [(1.0, 0.0), (0.0, 1.0)] if joined else [(0.0, 0.0), (1.0, 1.0)]
+    for corner in cut:
+        near = np.abs(segments - np.array(corner)).sum(axis=2).max(axis=1)
+        assert near.min() < 1
+
+
+def test_the_contour_of_a_disc_is_closed_and_its_distance_exact() -> None:
+    row, column = np.mgrid[0:60, 0:60]
+    level = np.hypot(row - 30.2, column - 28.7) - 17.3
+    segments = contour(level)
+    ends = np.round(segments.reshape(-1, 2), 9)
+    _, counts = np.unique(ends, axis=0, return_counts=True)
+    assert (counts == 2).all()
+    points = np.random.default_rng(0).uniform(0, 59, (3000, 2))
+    exact = np.abs(np.hypot(points[:, 1] - 30.2, points[:, 0] - 28.7) - 17.3)
+    np.testing.assert_allclose(distance_to(segments, points, 5.0), np.minimum(exact, 5), atol=0.02)
+    assert (distance_to(np.zeros((0, 2, 2)), points, 5.0) == 5).all()
+
+
+def disc_image(pattern: Pattern, pixels: int, soft: bool) -> np.ndarray:
+    """Grey levels of a 20 mm gel: markers black on white."""
+    along = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 20e-3
+    pixel = 20e-3 / pixels
+    distance = pattern.distance(along, along, 4 * pixel)[::-1]
+    share = np.clip(0.5 - distance / pixel, 0, 1) if soft else distance <= 0
+    return np.round(255 * (1 - share))
+
+
+@pytest.mark.parametrize(("soft", "within"), [(True, 0.15), (False, 0.75)])
+def test_an_image_gives_edges_to_a_fraction_of_its_pixels(soft: bool, within: float) -> None:
+    pattern = named("Circle3").moved((0.07e-3, 0.21e-3))
+    image = ImagePattern("drawn", disc_image(pattern, 567, soft), 20e-3)
+    x = np.linspace(-4e-3, 4e-3, 401)
+    found, exact = image.distance(x, x, 0.2e-3), pattern.distance(x, x, 0.2e-3)
+    # Where the two sides of a marker are equally near, a bump of its outline decides.
+    near = np.abs(exact) < 0.15e-3
+    assert np.abs(found - exact)[near].max() < within * image.pixel
+
+
+def test_light_markers_are_the_negative_of_dark_ones() -> None:
+    levels = disc_image(named("Array3"), 200, soft=True)
+    x = np.linspace(-3e-3, 3e-3, 61)
+    dark = ImagePattern("dark", levels, 20e-3).distance(x, x, 0.3e-3)
+    light = ImagePattern("light", 255 - levels, 20e-3, ink="light").distance(x, x, 0.3e-3)
+    np.testing.assert_allclose(light, dark, atol=1e-12)
+
+
+def test_a_marker_that_the_image_cuts_ends_with_the_image() -> None:
+    levels = np.full((20, 20), 255.0)
+    levels[5:15, 15:] = 0
+    image = ImagePattern("cut", levels, 20e-3)
+    distance = image.distance(np.array([7e-3, 9.9e-3, 10.1e-3, 11e-3]), np.array([0.0]), 2e-3)[0]
+    assert distance == pytest.approx([-2e-3, -0.1e-3, 0.1e-3, 1e-3], abs=1e-6)
+
+
+def test_images_are_read_from_files_with_the_first_row_on_top(tmp_path: Path) -> None:
+    levels = np.full((40, 40), 255, np.uint8)
+    levels[2:8, 30:36] = 0
+    for suffix in (".png", ".jpg"):
+        path = tmp_path / f"corner{suffix}"
+        Image.fromarray(levels).save(path, quality=95)
+        image = ImagePattern.read(path, width=20e-3)
+        assert image.name == "corner"
+        x = (np.arange(41) - 20) * 0.5e-3
+        row, column = np.unravel_index(image.distance(x, x, 1e-3).argmin(), (41, 41))
+        assert (x[column], x[row]) == pytest.approx((6.5e-3, 7.5e-3), abs=1.1e-3)
+
+
+def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
+    text = tmp_path / "text.png"
+    text.write_text("not an image")
+    with pytest.raises(SceneError, match=r"text.png: no whole image"):
+        ImagePattern.read(text, width=20e-3)
+    cut = tmp_path / "cut.png"
+    Image.fromarray(np.zeros((100, 100), np.uint8)).save(cut)
+    cut.write_bytes(cut.read_bytes()[:60])
+    with pytest.raises(SceneError, match=r"cut.png: no whole image"):
+        ImagePattern.read(cut, width=20e-3)
+    with pytest.raises(FileNotFoundError):
+        ImagePattern.read(tmp_path / "none.png", width=20e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"levels": np.full((5, 5), 255.0)}, "no pixel darker than 127.5; levels run from 255"),
+        ({"levels": np.full((5, 5), math.nan)}, "not finite"),
+        ({"levels": np.zeros((5, 5, 3))}, r"shape \(5, 5, 3\)"),
+        ({"width": 20.0}, "width: 20.0 m"),
+        ({"ink": "red"}, "ink: 'red'"),
+    ],
+)
+def test_an_image_without_markers_is_refused(change: dict, message: str) -> None:
+    fields = {"name": "x", "levels": np.zeros((5, 5)), "width": 20e-3} | change
+    with pytest.raises(SceneError, match=message):
+        ImagePattern(**fields)
+
+
+def test_the_sheet_shows_markers_where_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "sheet.png"
+    draw_sheet(path, ["Array3", "Circle-II"], tile=160)
+    with Image.open(path) as picture:
+        pixels = np.asarray(picture.convert("L")).astype(float)
+    gap = 160 // 12
+    for index, name in enumerate(("Array3", "Circle-II")):
+        left = gap + index * (160 + gap)
+        for x, y in itertools.islice(named(name).places, 30):
+            column, row = left + 80 + x / 20e-3 * 160, gap + 80 - y / 20e-3 * 160
+            assert pixels[int(row), int(column)] < 120

@@ -1,0 +1,457 @@
+"""Rendering: material points where a ray finds them, masks where markers are, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.ndimage import binary_dilation, label
+from scipy.spatial import cKDTree
+
+from recorder.markers import Lattice, count_markers, pack
+from sim.body import Body
+from sim.camera import Camera
+from sim.errors import SceneError
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+from sim.motion import press
+from sim.patterns import SIMULATED, ImagePattern, Pattern, distance_texture, named
+from sim.render import Renderer, Textures, iou, mismatch
+from sim.render.bench import measure
+from sim.render.check import lines
+from sim.render.cubic import cubic_taps
+from sim.render.from_lattice import without_gaps
+from sim.render.raycast import cast_rays, marked, smooth
+from sim.render.states import State, dent, fold, state_of
+from sim.scene import Scene
+from sim.simulate import simulate
+
+PIXEL = 33.93e-6
+NAMES = ("Array1", "Circle1", "Diamond1", "Array4")
+PATTERNS = [named(name) for name in NAMES]
+ASIDE = dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))
+DOME = dent(Body(dome_radius=60e-3), at=(-1e-3, 2e-3))
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda:0",
+        marks=[
+            pytest.mark.gpu,
+            pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device"),
+        ],
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Body())
+
+
+@pytest.fixture(scope="module")
+def textures(renderer: Renderer) -> Textures:
+    return renderer.textures(PATTERNS)
+
+
+def masks(renderer: Renderer, textures: Textures, state: State) -> np.ndarray:
+    return renderer.see(state.x, state.y, state.surface[None]).masks(textures)[0]
+
+
+# Interpolation
+
+
+@pytest.mark.parametrize("axis", [np.linspace(-1, 1, 9), np.array([0.0, 1, 1.5, 4, 4.2, 6])])
+def test_parabolas_come_out_exactly_and_weights_sum_to_one(axis: np.ndarray) -> None:
+    places = np.linspace(axis[0], axis[-1], 101)
+    taps = cubic_taps(axis, places)
+    index = taps.first[:, None] + np.arange(4)
+    assert taps.weight.sum(axis=1) == pytest.approx(1, abs=1e-6)
+    for power in (0, 1, 2):
+        found = (axis[index] ** power * taps.weight).sum(axis=1)
+        assert found == pytest.approx(places**power, abs=1e-5)
+
+
+def test_the_curve_and_its_slope_are_continuous_and_go_on_straight() -> None:
+    axis = np.array([0.0, 1, 1.5, 4, 4.2, 6])
+    values = np.array([0.0, 2, -1, 3, 1, 0])
+
+    def curve(places: np.ndarray) -> np.ndarray:
+        taps = cubic_taps(axis, places)
+        return (values[taps.first[:, None] + np.arange(4)] * taps.weight).sum(axis=1)
+
+    assert curve(axis) == pytest.approx(values, abs=1e-6)
+    step = 1e-3
+    before = (curve(axis) - curve(axis - step)) / step
+    after = (curve(axis + step) - curve(axis)) / step
+    assert after == pytest.approx(before, abs=0.05)
+    beyond = np.array([-0.9, -0.5, -0.1, 6.2, 6.6, 7.0])
+    assert np.diff(curve(beyond)[:3]) == pytest.approx([0.4 * before[0]] * 2, rel=2e-2)
+    assert np.diff(curve(beyond)[3:]) == pytest.approx([0.4 * after[-1]] * 2, rel=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("axis", "message"),
+    [
+        (np.array([0.0, 1, 2]), r"shape \(3,\); allowed: at least 4"),
+        (np.array([0.0, 2, 1, 3]), "does not rise"),
+        (np.array([0.0, 1, np.nan, 3]), "does not rise"),
+        (np.linspace(0, 0.1, 5), "asked for 0 to 1; allowed: within"),
+    ],
+)
+def test_an_axis_that_is_none_is_refused(axis: np.ndarray, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        cubic_taps(axis, np.linspace(0, 1, 5))
+
+
+# The material map
+
+
+@pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
+def test_every_pixel_sees_what_a_ray_through_it_hits(state: State) -> None:
+    renderer = Renderer(state.body)
+    seen = renderer.see(state.x, state.y, state.surface[None]).material()[0]
+    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    assert np.array_equal(np.isnan(seen), np.isnan(rays))
+    off = np.linalg.norm(seen - rays, axis=-1) / PIXEL
+    assert np.nanmax(off) < 0.03
+    assert np.nanmean(off) < 0.002
+
+
+def test_a_fold_shows_the_part_that_is_nearer_to_the_camera(renderer: Renderer) -> None:
+    state = fold()
+    seen = renderer.see(state.x, state.y, state.surface[None]).material()[0]
+    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    off = np.linalg.norm(seen - rays, axis=-1) / PIXEL
+    assert np.nanmax(off) < 0.1
+    # Along a row the material jumps from one sheet to the other: what lies between is hidden.
+    x = seen[240, :, 0]
+    assert np.diff(x[np.isfinite(x)]).max() > 1e-3
+
+
+def test_the_map_is_that_of_the_projected_points(renderer: Renderer) -> None:
+    x, y = np.array([-3.1e-3, 0.4e-3, 2.7e-3]), np.array([-4e-3, 0.3e-3, 5e-3])
+    moved = smooth(ASIDE.x, ASIDE.y, ASIDE.surface.astype(float), x, y)
+    rest = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((3, 3))], axis=-1)
+    pixels = renderer.camera.project(rest + moved)
+    seen = renderer.see(ASIDE.x, ASIDE.y, ASIDE.surface[None]).material()[0]
+    for (column, row), place in zip(pixels.reshape(-1, 2), rest.reshape(-1, 3), strict=True):
+        c, r = int(column), int(row)
+        right, down = column - c, row - r
+        near = seen[r : r + 2, c : c + 2]
+        upper = near[0, 0] * (1 - right) + near[0, 1] * right
+        lower = near[1, 0] * (1 - right) + near[1, 1] * right
+        assert upper * (1 - down) + lower * down == pytest.approx(place[:2], abs=0.02 * PIXEL)
+
+
+@pytest.mark.parametrize("mounted", [Camera(), Camera(shift=(9.0, -4.0), rotation=0.15)])
+def test_beside_the_gel_nothing_is_seen(mounted: Camera) -> None:
+    body = Body(size_x=12e-3, size_y=9e-3)
+    seen = Renderer(body, mounted).untouched().material()[0]
+    pixels = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
+    places = mounted.places(pixels, body)
+    beyond = np.abs(places) - (6e-3, 4.5e-3)
+    clear = (np.abs(beyond) > 1e-3 * PIXEL).all(axis=-1)
+    on_gel = (beyond < 0).all(axis=-1)
+    assert np.array_equal(np.isfinite(seen[..., 0])[clear], on_gel[clear])
+    np.testing.assert_allclose(seen[on_gel & clear], places[on_gel & clear], atol=2e-3 * PIXEL)
+
+
+def test_two_frames_at_once_are_the_two_frames(renderer: Renderer) -> None:
+    second = dent(at=(2e-3, -1e-3), depth=0.4e-3)
+    both = renderer.see(ASIDE.x, ASIDE.y, np.stack([ASIDE.surface, second.surface]))
+    alone = renderer.see(ASIDE.x, ASIDE.y, second.surface[None])
+    assert len(both) == 2
+    assert np.array_equal(both.material()[1], alone.material()[0], equal_nan=True)
+
+
+# Masks
+
+
+@pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
+def test_masks_are_those_of_rays_and_formulas(state: State) -> None:
+    renderer = Renderer(state.body)
+    drawn = masks(renderer, renderer.textures(PATTERNS), state)
+    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    for pattern, mask in zip(PATTERNS, drawn, strict=True):
+        truth = marked(pattern, rays, 1)
+        assert iou(mask, truth) > 0.996
+        assert mismatch(mask, truth) < 3e-4
+
+
+def test_one_sample_a_pixel_is_near_the_half_that_many_count_and_three_are_nearer() -> None:
+    drawn = {}
+    for samples in (1, 3, 7):
+        renderer = Renderer(ASIDE.body, samples=samples)
+        drawn[samples] = masks(renderer, renderer.textures(PATTERNS), ASIDE)
+    one, three = (mismatch(drawn[samples], drawn[7]) for samples in (1, 3))
+    assert one < 1.5e-4
+    assert three < 0.8 * one
+
+
+def test_several_samples_are_counted(renderer: Renderer) -> None:
+    fine = Renderer(Body(), samples=3)
+    textures = fine.textures(PATTERNS[:1])
+    view = fine.see(ASIDE.x, ASIDE.y, ASIDE.surface[None])
+    exact = cKDTree(PATTERNS[0].centres).query(view.material()[0, 600:840, 900:1140])[0]
+    share = (exact <= PATTERNS[0].size / 2).reshape(80, 3, 80, 3).mean(axis=(1, 3))
+    grey = view.coverage(textures)[0, 0, 200:280, 300:380]
+    # The texture's edge is 0.2 um off; so one sample of a pixel may be.
+    assert np.abs(grey / 255 - share).max() < 1.01 * 2 / 9
+    assert np.abs(grey / 255 - share).mean() < 1e-3
+    assert mismatch(view.masks(textures)[0, 0, 200:280, 300:380], share >= 0.5) < 2e-3
+
+
+def test_the_untouched_gel_is_its_reference_bit_for_bit(
+    renderer: Renderer, textures: Textures
+) -> None:
+    reference = renderer.untouched()
+    for axis in (ASIDE.x, np.linspace(-9.95e-3, 9.95e-3, 40)):
+        still = np.zeros((1, len(axis), len(axis), 3), np.float32)
+        view = renderer.see(axis, axis, still)
+        assert np.array_equal(view.packed(textures), reference.packed(textures))
+        assert np.array_equal(view.material(), reference.material(), equal_nan=True)
+        field = renderer.displacement(axis, axis, still)
+        assert np.nanmax(np.abs(field)) == 0
+        back = renderer.see_displacement(field)
+        assert np.array_equal(back.material(), reference.material(), equal_nan=True)
+
+
+def test_the_reference_is_the_pattern_as_the_camera_sees_it(
+    renderer: Renderer, textures: Textures
+) -> None:
+    pixels = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
+    places = renderer.camera.places(pixels, renderer.body)
+    places[(np.abs(places) > 10e-3).any(axis=-1)] = np.nan
+    for pattern, mask in zip(PATTERNS, renderer.untouched().masks(textures)[0], strict=True):
+        assert mismatch(mask, marked(pattern, places, 1)) < 2e-4
+
+
+def test_packed_bits_are_those_of_the_masks(renderer: Renderer, textures: Textures) -> None:
+    view = renderer.see(ASIDE.x, ASIDE.y, ASIDE.surface[None])
+    assert view.packed(textures).shape == (1, 4, 38400)
+    assert np.array_equal(pack(view.masks(textures)), view.packed(textures))
+    place = view.material()[0]
+    texture = distance_texture(named("Circle1"), Body())
+    row, column = ((place - texture.corner) / texture.step)[..., ::-1].reshape(-1, 2).T
+    seen = np.isfinite(row)
+    r, c = row[seen].astype(int), column[seen].astype(int)
+    down, right = row[seen] - r, column[seen] - c
+    low = texture.values[r, c] * (1 - right) + texture.values[r, c + 1] * right
+    high = texture.values[r + 1, c] * (1 - right) + texture.values[r + 1, c + 1] * right
+    distance = low * (1 - down) + high * down
+    inside = view.masks(textures)[0, 1].ravel()
+    assert not inside[~seen].any()
+    # float32 and float64 may differ where the distance is a nanometre.
+    clear = np.abs(distance) > 5e-9
+    assert np.array_equal(inside[seen][clear], (distance <= 0)[clear])
+
+
+def test_grey_images_are_the_share_of_each_pixel(renderer: Renderer, textures: Textures) -> None:
+    view = renderer.see(ASIDE.x, ASIDE.y, ASIDE.surface[None])
+    grey = view.coverage(textures)[0] / 255
+    fine = Renderer(Body(), samples=5)
+    counted = fine.see(ASIDE.x, ASIDE.y, ASIDE.surface[None]).coverage(fine.textures(PATTERNS))[0]
+    assert np.abs(grey - counted / 255).mean() < 0.004
+    assert grey.mean(axis=(1, 2)) == pytest.approx((counted / 255).mean(axis=(1, 2)), rel=5e-3)
+    assert mismatch(grey >= 0.5, view.masks(textures)[0]) < 2e-4
+
+
+def test_symmetric_dents_give_mirror_images_within_a_pixel(
+    renderer: Renderer, textures: Textures
+) -> None:
+    state = dent(depth=1.5e-3)
+    # Array1 and Array4 are symmetric about both axes.
+    for mask in masks(renderer, textures, state)[[0, 3]]:
+        for mirrored in (mask[:, ::-1], mask[::-1]):
+            assert not (mask & ~binary_dilation(mirrored)).any()
+            assert mismatch(mask, mirrored) < 1e-3
+
+
+def test_mirrored_dents_give_mirrored_images(renderer: Renderer, textures: Textures) -> None:
+    right, left = (
+        masks(renderer, textures, dent(at=(side * 3e-3, 0.0), aside=(side * 0.5e-3, 0.0)))[0]
+        for side in (1, -1)
+    )
+    assert mismatch(right[:, ::-1], left) < 1e-3
+    assert not (left & ~binary_dilation(right[:, ::-1])).any()
+
+
+@pytest.mark.parametrize("name", ["Array3", "Circle4", "Diamond3"])
+def test_no_marker_is_lost_or_made(name: str) -> None:
+    camera = Camera.of_scale(0.05)
+    renderer = Renderer(Body(), camera)
+    textures = renderer.textures([named(name)])
+    states = [ASIDE, dent(depth=1.5e-3), dent(at=(-5e-3, 4e-3), aside=(0.0, -0.8e-3))]
+    assert count_markers(renderer.untouched().masks(textures)[0, 0]) == len(named(name))
+    for state in states:
+        assert count_markers(masks(renderer, textures, state)[0]) == len(named(name))
+
+
+def test_markers_at_the_gels_border_are_drawn_up_to_it() -> None:
+    body = Body(size_x=12e-3, size_y=9e-3)
+    pattern = Pattern("edge", "square", 1e-3, ((5.5e-3, 4.0e-3), (-5.5e-3, -4.0e-3)))
+    renderer = Renderer(body)
+    mask = renderer.untouched().masks(renderer.textures([pattern]))[0, 0]
+    _, count = label(mask)
+    assert count == 2
+    assert mask.sum() * PIXEL**2 == pytest.approx(2e-6, rel=0.05)
+    # The gel's border moves outwards, and the marker on it does too.
+    x, y = np.linspace(-6e-3, 6e-3, 13), np.linspace(-4.5e-3, 4.5e-3, 13)
+    surface = np.zeros((1, 13, 13, 3), np.float32)
+    surface[..., 0] = 0.05 * x[:, None]
+    wider = renderer.see(x, y, surface).masks(renderer.textures([pattern]))[0, 0]
+    edges = [np.nonzero(each.any(axis=0))[0].max() for each in (mask, wider)]
+    assert edges[1] - edges[0] == pytest.approx(0.05 * 6e-3 / PIXEL, abs=1)
+    assert wider.sum() > mask.sum()
+
+
+def test_an_image_of_a_pattern_renders_as_the_pattern(renderer: Renderer) -> None:
+    pattern = named("Circle2")
+    along = ((np.arange(1134) + 0.5) / 1134 - 0.5) * 20e-3
+    share = np.clip(0.5 - pattern.distance(along, along, 0.1e-3)[::-1] / (20e-3 / 1134), 0, 1)
+    drawn = ImagePattern("drawn", 255 * (1 - share), 20e-3)
+    both = masks(renderer, renderer.textures([pattern, drawn]), ASIDE)
+    assert iou(*both) > 0.995
+
+
+# Displacement of the image
+
+
+def test_the_lattice_tells_where_material_went(renderer: Renderer) -> None:
+    lattice = Lattice()
+    field = renderer.displacement(ASIDE.x, ASIDE.y, ASIDE.surface[None])
+    assert field.shape == (1, 57, 73, 2)
+    assert field.dtype == np.float16
+    for row, column in ((28, 36), (20, 45), (33, 30), (8, 20)):
+        pixel = np.array([lattice.columns[column], lattice.rows[row]])
+        place = renderer.camera.places(pixel, renderer.body)
+        moved = smooth(ASIDE.x, ASIDE.y, ASIDE.surface.astype(float), place[:1], place[1:])[0, 0]
+        after = renderer.camera.project(np.append(place, 0) + moved)
+        assert field[0, row, column] == pytest.approx(after - pixel, abs=0.02)
+    # The gel ends at 24.8 and 614.2 px.
+    assert np.isnan(field[0, 28, lattice.columns < 24]).all()
+    assert np.isnan(field[0, 28, lattice.columns > 615]).all()
+    assert np.isfinite(field[0, 28, (lattice.columns > 25) & (lattice.columns < 614)]).all()
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera(), Camera(shift=(20.0, -10.0), rotation=-0.1), Camera.of_scale(0.0249)]
+)
+@pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
+def test_masks_follow_from_the_stored_displacement(camera: Camera, state: State) -> None:
+    renderer = Renderer(state.body, camera)
+    textures = renderer.textures(PATTERNS)
+    direct = masks(renderer, textures, state)
+    field = renderer.displacement(state.x, state.y, state.surface[None])
+    back = renderer.see_displacement(field).masks(textures)[0]
+    for one, other in zip(back, direct, strict=True):
+        assert iou(one, other) > 0.997
+        assert mismatch(one, other) < 3e-4
+
+
+def test_a_field_goes_on_straight_beside_the_gel() -> None:
+    row, column = np.mgrid[0:20, 0:30].astype(float)
+    field = np.stack([0.5 * column - row, 2 + 0.25 * row], axis=-1)[None]
+    known = (np.abs(row - 9) + np.abs(column - 14)) < 9
+    holes = np.where(known[..., None], field, np.nan)
+    filled = without_gaps(holes, known)
+    reached = (np.abs(row - 9) + np.abs(column - 14)) < 11
+    np.testing.assert_allclose(filled[0][reached], field[0][reached], atol=1e-4)
+    assert np.isfinite(filled).all()
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: replace(s, surface=s.surface * np.nan), "surface: not finite"),
+        (lambda s: replace(s, surface=s.surface[:-1]), r"shape \(1, 60, 61, 3\); allowed"),
+        (lambda s: replace(s, surface=s.surface * 1e3), "is it in metres"),
+        (lambda s: replace(s, surface=s.surface * 8), "down; allowed: up to the gel's thickness"),
+        (lambda s: replace(s, x=s.x * 0.8), "surface_x: -0.008 to 0.008"),
+        (lambda s: replace(s, y=s.y[::-1]), "surface_y: does not rise"),
+    ],
+)
+def test_what_is_no_surface_is_refused(
+    renderer: Renderer, change: Callable[[State], State], message: str
+) -> None:
+    state = change(ASIDE)
+    with pytest.raises(SceneError, match=message):
+        renderer.see(state.x, state.y, state.surface[None])
+
+
+def test_a_field_of_another_camera_is_refused(renderer: Renderer) -> None:
+    with pytest.raises(SceneError, match=r"shape \(1, 5, 5, 2\); allowed: \(frames, 57, 73, 2\)"):
+        renderer.see_displacement(np.zeros((1, 5, 5, 2)))
+    other = Renderer(Body(size_x=10e-3, size_y=10e-3))
+    field = other.displacement(*(np.linspace(-5e-3, 5e-3, 9),) * 2, np.zeros((1, 9, 9, 3), "f4"))
+    with pytest.raises(SceneError, match="not finite at places that see the gel"):
+        renderer.see_displacement(field)
+
+
+def test_options_that_mean_nothing_are_refused() -> None:
+    with pytest.raises(SceneError, match="the camera would sit in it"):
+        Renderer(Body(), Camera.of_scale(0.005))
+    with pytest.raises(SceneError, match=r"render.samples: 2; allowed: 1, 3, 5, 7, 9"):
+        Renderer(Body(), samples=2)
+    with pytest.raises(SceneError, match=r"render.spacing: 1 m"):
+        Renderer(Body(), spacing=1)
+    with pytest.raises(SceneError, match="patterns: none"):
+        Renderer(Body()).textures([])
+    steps = {"Array1": 2e-5, "Circle1": 4e-5}
+    unlike = [distance_texture(named(name), Body(), step=step) for name, step in steps.items()]
+    with pytest.raises(SceneError, match=r"'Circle1'.*allowed: as 'Array1'"):
+        Textures(unlike, "cpu")
+
+
+# Solved presses, other devices, what measures
+
+
+@pytest.mark.slow
+def test_the_check_and_the_bench_measure_what_they_say() -> None:
+    found = {line.what: line for line in lines([ASIDE], ray_samples=1, device="cpu")}
+    assert found["untouched and deformed"].differ > 0.01
+    assert found["1 x 1 samples, 1 x 1 rays a pixel"].overlap > 0.996
+    assert found["from displacement every 10 px, direct"].differ_most < 3e-4
+    assert "| dent | float16 and float32 every 5 px | 0.99" in "\n".join(map(str, found.values()))
+    stages = measure(frames=2, samples=1, spacing=0.2e-3, device="cpu", repeats=1)
+    assert [count for _, _, count in stages] == [2, 2, 2, 24, 24, 24, 2, 2, 24, 12]
+    assert all(seconds >= 0 for _, seconds, _ in stages)
+
+
+def test_a_solved_press_renders_as_rays_see_it_and_symmetrically(
+    renderer: Renderer, textures: Textures
+) -> None:
+    result = simulate(Scene(sphere(4e-3), press([1.2e-3])), numerics=Numerics(spacing=1e-3))
+    state = state_of("pressed", result, -1)
+    drawn = masks(renderer, textures, state)
+    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    field = renderer.displacement(state.x, state.y, state.surface[None])
+    back = renderer.see_displacement(field).masks(textures)[0]
+    for pattern, mask, again in zip(PATTERNS, drawn, back, strict=True):
+        assert iou(mask, marked(pattern, rays, 1)) > 0.995
+        assert iou(again, mask) > 0.99
+    for mask in drawn[[0, 3]]:
+        assert not (mask & ~binary_dilation(mask[:, ::-1])).any()
+        assert not (mask & ~binary_dilation(mask[::-1])).any()
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_devices_agree_and_repeat_themselves_bit_for_bit(device: str) -> None:
+    patterns = [named(name) for name in SIMULATED]
+    found = []
+    for where in ("cpu", device, device):
+        renderer = Renderer(Body(), device=where)
+        packed = [
+            renderer.see(state.x, state.y, state.surface[None]).packed(renderer.textures(patterns))
+            for state in (ASIDE, fold())
+        ]
+        found.append(np.concatenate(packed))
+    host, first, second = (np.unpackbits(each, axis=-1).astype(bool) for each in found)
+    assert np.array_equal(first, second)
+    assert mismatch(host, first) < 2e-5
