@@ -42,10 +42,10 @@ def test_simulated_patterns_have_the_published_number_of_markers(kind: str) -> N
     assert counts == COUNTS[kind]
 
 
-def test_there_are_12_simulated_5_homogeneous_patterns_and_127_pins() -> None:
+def test_there_are_12_simulated_5_homogeneous_patterns_56_markers_and_127_pins() -> None:
     assert len(SIMULATED) == 12
     assert HOMOGENEOUS == ("Array-I", "Array-II", "Circle-I", "Circle-II", "Diamond-I")
-    assert len(named("TacPalm")) == 127
+    assert (len(named("GelSight")), len(named("TacPalm"))) == (56, 127)
 
 
 @pytest.mark.parametrize("name", NAMES)

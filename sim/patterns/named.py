@@ -1,4 +1,4 @@
-"""The patterns by name: the paper's 12 simulated ones, its five GelSights, TacPalm's pins.
+"""The patterns by name: the paper's 12 simulated ones, its GelSights, TacPalm's pins.
 
 Of the authors' textures only the number of markers is known (225, 100, 80, 99; 320, 115, 111, 124;
 245, 100, 81, 81, over the whole gel of 20 x 20 mm). Everything else here is assumed: "array" is
@@ -7,7 +7,8 @@ that are turned or staggered; markers are 25 to 45 % as wide as they are apart, 
 across the upper or lower border of the paper's image.
 
 Of the real GelSights the markers' pitch of 2.4 mm is known (5 rows of 7 in view) and that two of
-them had their elastomer moved or turned; shape, size and the amount are assumed.
+them had their elastomer moved or turned; shape, size and the amount are assumed. Of the GelSight
+that is compared with other sensors, that 56 markers are in view.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ _PATTERNS = (
     _CIRCLE,
     _CIRCLE.moved(*MOVED_CIRCLE, name="Circle-II"),
     _pattern("Diamond-I", "diamond", 0.80, staggered(6, 11, 3.4 * MM, 1.7 * MM, shorter=True)),
+    _pattern("GelSight", "disc", 0.60, rows(8, 7, 1.75 * MM)),
     _pattern("TacPalm", "disc", 1.10, hexagon(6, 2.6 * MM)),
 )
 _BY_NAME = {pattern.name: pattern for pattern in _PATTERNS}

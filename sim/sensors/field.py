@@ -1,0 +1,159 @@
+"""The displacement of a sensor's top: the one deformation that every signal is made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import map_coordinates
+
+from sim.body import Body
+from sim.errors import SceneError
+from sim.result import Result
+
+Array = NDArray[np.float64]
+Places = NDArray[np.float32]
+
+EVEN_STEP = 0.2e-3
+"""Step of the even grid that slopes are taken on [m]: a few times finer than any mesh."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceField:
+    """Displacement of the material points of a top, at F moments; contact frame, SI units.
+
+    Raises:
+        SceneError: Axes that do not ascend, shapes that do not fit, or a number that is not finite.
+    """
+
+    x: Array
+    """x of the untouched points (X,) [m]."""
+    y: Array
+    """y of the untouched points (Y,) [m]."""
+    displacement: Places
+    """(F, X, Y, 3) [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y"):
+            axis = getattr(self, name)
+            if axis.ndim != 1 or len(axis) < 2 or not (np.diff(axis) > 0).all():
+                raise SceneError(
+                    f"field.{name}: shape {axis.shape}; allowed: 2 or more ascending numbers"
+                )
+        allowed = (len(self.x), len(self.y), 3)
+        shape = self.displacement.shape
+        if self.displacement.ndim != 4 or shape[1:] != allowed:
+            raise SceneError(
+                f"field.displacement: shape {shape!r}; allowed: (frames, x, y, 3) with "
+                f"{len(self.x)} x and {len(self.y)} y"
+            )
+        if not np.isfinite(self.displacement).all():
+            bad = int((~np.isfinite(self.displacement)).any(axis=(1, 2, 3)).argmax())
+            raise SceneError(f"field.displacement: frame {bad} holds NaN or inf; allowed: finite")
+
+    @classmethod
+    def of(cls, result: Result) -> SurfaceField:
+        """The surface of a simulated scene."""
+        return cls(result.surface_x, result.surface_y, result.surface)
+
+    @classmethod
+    def untouched(cls, body: Body) -> SurfaceField:
+        """One frame of a top that nothing has touched."""
+        x, y = (np.linspace(-size / 2, size / 2, 4) for size in (body.size_x, body.size_y))
+        return cls(x, y, np.zeros((1, 4, 4, 3), np.float32))
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.displacement)
+
+    def at(self, places: Array) -> Array:
+        """Displacement (F, n, 3) of the material points (n, 2) [m]; beside the grid its edge's."""
+        across_x = cubic_weights(self.x, places[:, 0])
+        across_y = cubic_weights(self.y, places[:, 1])
+        frames, rows, columns, _ = self.displacement.shape
+        # (n, X) @ (F, X, Y * 3): every place's own line along y, then one point of each.
+        flat = self.displacement.reshape(frames, rows, columns * 3).astype(float)
+        lines = (across_x @ flat).reshape(frames, len(places), columns, 3)
+        moved: Array = np.einsum("fnyc,ny->fnc", lines, across_y)
+        return moved
+
+    def resampled(self, x: Array, y: Array) -> SurfaceField:
+        """The field on another grid; a cubic in between, beside the old grid its edge's values."""
+        across_x, across_y = cubic_weights(self.x, x), cubic_weights(self.y, y)
+        planes = np.moveaxis(self.displacement, 3, 1).astype(float)
+        moved = np.moveaxis(across_x @ planes @ across_y.T, 1, 3)
+        return SurfaceField(x, y, moved.astype(np.float32))
+
+    def even(self, step: float = EVEN_STEP) -> SurfaceField:
+        """The field on an even grid of about `step` [m] over the same rectangle."""
+        axes = []
+        for axis in (self.x, self.y):
+            count = max(2, round((axis[-1] - axis[0]) / step) + 1)
+            axes.append(np.linspace(axis[0], axis[-1], count))
+        return self.resampled(*axes)
+
+    def shifted(self, x: float, y: float) -> SurfaceField:
+        """The field with the whole top displaced by (x, y) [m] on top of what it did."""
+        shift = np.array([x, y, 0.0], np.float32)
+        return replace(self, displacement=self.displacement + shift)
+
+    def turned(self, angle: float) -> SurfaceField:
+        """The field seen from a frame that is turned by `angle` about z [rad]; an even grid.
+
+        What is at X there was at R X here, R the turn: u'(X) = R^T u(R X). The rectangle itself is
+        taken to lie along the axes of either frame.
+        """
+        if angle == 0:
+            return self
+        even = self.even()
+        cosine, sine = np.cos(angle), np.sin(angle)
+        x, y = np.meshgrid(even.x, even.y, indexing="ij")
+        steps = even.x[1] - even.x[0], even.y[1] - even.y[0]
+        places = np.stack(
+            [
+                (cosine * x - sine * y - even.x[0]) / steps[0],
+                (sine * x + cosine * y - even.y[0]) / steps[1],
+            ]
+        )
+        moved = np.empty_like(even.displacement)
+        for frame, seen in zip(even.displacement, moved, strict=True):
+            for component in range(3):
+                map_coordinates(
+                    frame[..., component],
+                    places,
+                    output=seen[..., component],
+                    order=3,
+                    mode="nearest",
+                )
+        back = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]], np.float32)
+        return replace(even, displacement=moved @ back)
+
+
+def cubic_weights(known: Array, wanted: Array) -> Array:
+    """Weights (W, K) that take values at `known` (K,) to `wanted` (W,); beyond the ends, the end's.
+
+    A cubic Hermite curve through the values with three-point slopes: exact for parabolas, C1, and
+    every value reaches no further than two intervals.
+    """
+    unit = np.eye(len(known))
+    slopes = np.gradient(unit, known, axis=0, edge_order=2 if len(known) > 2 else 1)
+    curve = CubicHermiteSpline(known, unit, slopes, axis=0)
+    weights: Array = curve(np.clip(wanted, known[0], known[-1]))
+    return weights
+
+
+def outward_normals(field: SurfaceField) -> Array:
+    """Unit normals (F, X, Y, 3) of the displaced top, out of the material.
+
+    The cross product of the displaced grid's two tangents: right at any rotation and stretch.
+    """
+    u = field.displacement.astype(float)
+    tangent_x = np.gradient(u, field.x, axis=1, edge_order=1) + np.array([1.0, 0.0, 0.0])
+    tangent_y = np.gradient(u, field.y, axis=2, edge_order=1) + np.array([0.0, 1.0, 0.0])
+    normal = np.cross(tangent_x, tangent_y)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    # A surface folded flat has no normal; it keeps the untouched one.
+    unit: Array = np.where(length > 0, normal / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+    return unit

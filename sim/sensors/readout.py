@@ -1,0 +1,209 @@
+"""From the deformation of a sensor's top to the marker images, counts and pictures it gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.markers import HEIGHT, WIDTH, Lattice, draw_discs, pack
+from sim.camera import Camera
+from sim.errors import SceneError
+from sim.patterns import Pattern
+from sim.render import Renderer
+from sim.sensors.field import SurfaceField
+from sim.sensors.life import Placement
+from sim.sensors.pins import tip_coverage
+from sim.sensors.seeds import generator
+from sim.sensors.segmentation import Segmenter
+from sim.sensors.sensor import CameraSignal, SimulatedSensor
+from sim.sensors.shading import skin_normals
+from sim.sensors.taxels import Counts, TaxelPad, TaxelSignal
+
+Array = NDArray[np.float64]
+Masks = NDArray[np.bool_]
+COVERED = 128
+"""Least coverage of a marker's pixel, of 255."""
+
+
+class Readout(Protocol):
+    """What gives marker images of a sensor's deformation."""
+
+    patterns: tuple[str, ...]
+    """Names of the patterns (P) that it gives images of."""
+
+    def masks(self, top: SurfaceField, first: int = 0) -> Masks:
+        """Marker images (F, P, 480, 640); `first` is the number of the first frame."""
+
+
+def readout(
+    sensor: SimulatedSensor,
+    *,
+    seed: int | None = None,
+    session: tuple[str | int, ...] = (),
+    device: str = "cpu",
+) -> CameraReadout | TaxelReadout:
+    """What reads this sensor.
+
+    Args:
+        sensor: Which one.
+        seed: Of all that its life and its noise draw; None leaves out both.
+        session: What tells its frames from those of other sessions, such as the indenter.
+        device: Where images are rendered, `cpu` or `cuda:0` and the like.
+    """
+    if isinstance(sensor.signal, TaxelSignal):
+        return TaxelReadout(sensor, sensor.signal, seed, session)
+    return CameraReadout(sensor, sensor.signal, seed, session, device)
+
+
+class TaxelReadout:
+    """Counts of a pad of taxels, and the image of discs that is drawn from them."""
+
+    patterns = ("taxels",)
+
+    def __init__(
+        self,
+        sensor: SimulatedSensor,
+        signal: TaxelSignal,
+        seed: int | None,
+        session: tuple[str | int, ...],
+    ) -> None:
+        self._pad = TaxelPad(sensor.body, signal)
+        self._placement = _placement(sensor, seed)
+        self._seed, self._names = seed, (sensor.name, *session)
+
+    def counts(self, top: SurfaceField, first: int = 0) -> Counts:
+        """Counts (F, 16, 3) less the untouched pad's."""
+        return self._pad.counts(self._placement.field(top), self._noise(len(top), first))
+
+    def raw(self, top: SurfaceField, first: int = 0) -> Counts:
+        """Counts (F, 16, 3) as the device sends them."""
+        return self._pad.raw(self._placement.field(top), self._noise(len(top), first))
+
+    def masks(self, top: SurfaceField, first: int = 0) -> Masks:
+        """Images of discs (F, 1, 480, 640)."""
+        return draw_discs(self.counts(top, first))[:, None]
+
+    def _noise(self, frames: int, first: int) -> Array | None:
+        if self._seed is None:
+            return None
+        return np.stack(
+            [
+                generator(self._seed, "taxels", *self._names, first + frame).normal(size=(16, 3))
+                for frame in range(frames)
+            ]
+        )
+
+
+class CameraReadout:
+    """What a camera below the gel sees: masks of markers, how they moved, pictures in colour."""
+
+    def __init__(
+        self,
+        sensor: SimulatedSensor,
+        signal: CameraSignal,
+        seed: int | None,
+        session: tuple[str | int, ...],
+        device: str,
+    ) -> None:
+        self._signal, self._placement = signal, _placement(sensor, seed)
+        self.camera = _framed(sensor, signal, seed)
+        self._patterns = signal.drawn()
+        self.patterns = signal.patterns
+        self._renderer = Renderer(sensor.body, self.camera, device=device)
+        self._textures = self._renderer.textures(self._patterns)
+        errors = sensor.life.segmentation
+        self._segmenters = (
+            []
+            if errors is None or seed is None
+            else [Segmenter(errors, seed, sensor.name, name, *session) for name in self.patterns]
+        )
+
+    def seen(self, top: SurfaceField) -> SurfaceField:
+        """What the camera looks at, in the sensor's frame: the skin, or the tips of its pins."""
+        turned = self._placement.field(top)
+        return turned if self._signal.pins is None else self._signal.pins.tips(turned)
+
+    def coverage(self, top: SurfaceField) -> NDArray[np.uint8]:
+        """Share of each pixel that markers cover (F, P, 480, 640), 255 for all of it."""
+        seen = self.seen(top)
+        if self._signal.pins is not None:
+            return np.stack([self._tips(seen, pattern) for pattern in self._patterns], axis=1)
+        view = self._renderer.see(seen.x, seen.y, seen.displacement)
+        return view.coverage(self._textures)
+
+    def masks(self, top: SurfaceField, first: int = 0) -> Masks:
+        """Masks (F, P, 480, 640), with the errors of segmentation if the sensor has them."""
+        if not self._segmenters and self._signal.pins is None:
+            seen = self.seen(top)
+            return self._renderer.see(seen.x, seen.y, seen.displacement).masks(self._textures)
+        coverage = self.coverage(top)
+        if not self._segmenters:
+            return coverage >= COVERED
+        found = [
+            segmenter.seen(coverage[:, index], first)
+            for index, segmenter in enumerate(self._segmenters)
+        ]
+        return np.stack(found, axis=1)
+
+    def packed(self, top: SurfaceField, first: int = 0) -> NDArray[np.uint8]:
+        """The same masks as packed bits (F, P, 38400); nothing is unpacked on the way."""
+        if self._segmenters or self._signal.pins is not None:
+            return pack(self.masks(top, first))
+        seen = self.seen(top)
+        return self._renderer.see(seen.x, seen.y, seen.displacement).packed(self._textures)
+
+    def displacement(
+        self, top: SurfaceField, lattice: Lattice | None = None
+    ) -> NDArray[np.float16]:
+        """How far what the untouched image shows at a lattice of pixels has moved [px].
+
+        (F, rows, columns, 2); NaN where the untouched image shows no gel.
+        """
+        seen = self.seen(top)
+        return self._renderer.displacement(seen.x, seen.y, seen.displacement, lattice)
+
+    def pictures(self, top: SurfaceField) -> NDArray[np.uint8]:
+        """Pictures (F, 480, 640, 3) of the lit skin, the first pattern's markers over it.
+
+        Raises:
+            SceneError: The sensor has no lamps.
+        """
+        shading = self._signal.shading
+        if shading is None:
+            raise SceneError("signal.shading: None; allowed: a sensor with lamps")
+        seen = self.seen(top)
+        view = self._renderer.see(seen.x, seen.y, seen.displacement)
+        material = view.material()
+        coverage = view.coverage(self._textures)[:, 0] / 255.0
+        normals, x, y = skin_normals(seen)
+        return np.stack(
+            [
+                shading.image(normals[frame], x, y, material[frame], coverage[frame])
+                for frame in range(len(top))
+            ]
+        )
+
+    def _tips(self, tips: SurfaceField, pattern: Pattern) -> NDArray[np.uint8]:
+        """Coverage (F, 480, 640) by rigid, round tips of pins."""
+        centres = pattern.centres
+        places = np.concatenate([centres, np.zeros((len(centres), 1))], axis=1) + tips.at(centres)
+        nearness = self.camera.focal / (self.camera.distance + places[..., 2])
+        return tip_coverage(
+            self.camera.project(places), pattern.size / 2 * nearness, width=WIDTH, height=HEIGHT
+        )
+
+
+def _placement(sensor: SimulatedSensor, seed: int | None) -> Placement:
+    mount = sensor.life.mount
+    return Placement() if mount is None or seed is None else mount.drawn(seed, sensor.name)
+
+
+def _framed(sensor: SimulatedSensor, signal: CameraSignal, seed: int | None) -> Camera:
+    camera, framing = signal.camera(), sensor.life.framing
+    if framing is None or seed is None:
+        return camera
+    column, row, turn = framing.drawn(seed, sensor.name)
+    return replace(camera, shift=(column, row), rotation=turn)

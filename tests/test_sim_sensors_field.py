@@ -1,0 +1,114 @@
+"""The displacement field that signals are made from: interpolation, turns, slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim.body import Body
+from sim.errors import SceneError
+from sim.sensors.field import SurfaceField, cubic_weights, outward_normals
+
+Array = NDArray[np.float64]
+
+X = np.concatenate([np.linspace(-10e-3, -3e-3, 8), np.linspace(-2.4e-3, 10e-3, 22)])
+Y = np.linspace(-8e-3, 8e-3, 25)
+
+
+def field_of(function: object, x: Array = X, y: Array = Y) -> SurfaceField:
+    across, along = np.meshgrid(x, y, indexing="ij")
+    values = np.stack(np.broadcast_arrays(*function(across, along)), axis=-1)  # type: ignore[operator]
+    return SurfaceField(x, y, values[None].astype(np.float32))
+
+
+def bump(x: Array, y: Array) -> tuple[Array, Array, Array]:
+    bell = np.exp(-((x - 1e-3) ** 2 + (y + 2e-3) ** 2) / 3e-3**2)
+    return 40.0 * x * bell * 1e-3, -30.0 * y * bell * 1e-3, -1e-3 * bell
+
+
+def test_interpolation_is_exact_for_parabolas_on_uneven_axes() -> None:
+    wanted = np.linspace(X[0], X[-1], 71)
+    weights = cubic_weights(X, wanted)
+    for power in range(3):
+        np.testing.assert_allclose(weights @ (1e3 * X) ** power, (1e3 * wanted) ** power, atol=1e-9)
+
+
+def test_beyond_the_grid_the_edge_goes_on() -> None:
+    weights = cubic_weights(X, np.array([-1.0, 1.0]))
+    np.testing.assert_allclose(weights, np.eye(len(X))[[0, -1]], atol=1e-12)
+
+
+def test_a_value_reaches_no_further_than_two_intervals() -> None:
+    even = np.arange(9.0)
+    reach = np.abs(cubic_weights(even, np.linspace(0, 8, 200)))
+    far = np.abs(np.linspace(0, 8, 200)[:, None] - even[None, :]) >= 2
+    assert reach[far].max() < 1e-12
+
+
+def test_points_and_grids_are_interpolated_alike() -> None:
+    field = field_of(bump)
+    x, y = np.linspace(-5e-3, 5e-3, 11), np.linspace(-4e-3, 4e-3, 9)
+    grid = field.resampled(x, y).displacement[0]
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(field.at(places)[0].reshape(grid.shape), grid, atol=1e-9)
+
+
+def test_a_turned_field_is_the_same_one_seen_from_a_turned_frame() -> None:
+    angle = 0.05
+    turned = field_of(bump).turned(angle)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    places = np.random.default_rng(1).uniform(-6e-3, 6e-3, (50, 2))
+    there = np.stack(bump(*(places @ turn.T).T), axis=-1)
+    expected = np.concatenate([there[:, :2] @ turn, there[:, 2:]], axis=1)
+    np.testing.assert_allclose(turned.at(places)[0], expected, atol=2e-6)
+
+
+def test_a_turn_of_nothing_is_the_field_itself() -> None:
+    field = field_of(bump)
+    assert field.turned(0.0) is field
+
+
+def test_a_shift_moves_the_whole_top() -> None:
+    field = field_of(bump)
+    change = field.shifted(3e-6, -2e-6).displacement - field.displacement
+    np.testing.assert_allclose(change, np.broadcast_to([3e-6, -2e-6, 0], change.shape), atol=1e-9)
+
+
+def test_normals_follow_a_plane_of_any_slope() -> None:
+    slope = np.array([0.7, -1.3])
+    tilted = field_of(lambda x, y: (0 * x, 0 * y, slope[0] * x + slope[1] * y))
+    normal = np.append(-slope, 1.0) / np.sqrt(1 + slope @ slope)
+    found = outward_normals(tilted)[0]
+    np.testing.assert_allclose(found, np.broadcast_to(normal, found.shape), atol=1e-5)
+
+
+def test_normals_follow_a_rigid_turn_of_a_right_angle() -> None:
+    upright = field_of(lambda x, y: (-x, 0 * y, x))
+    found = outward_normals(upright)[0]
+    np.testing.assert_allclose(found, np.broadcast_to([-1.0, 0, 0], found.shape), atol=1e-5)
+
+
+def test_an_untouched_top_does_not_move() -> None:
+    still = SurfaceField.untouched(Body(size_x=30e-3))
+    assert (still.x[0], still.x[-1], still.y[-1]) == (-15e-3, 15e-3, 10e-3)
+    assert len(still) == 1
+    assert not still.displacement.any()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"x": X[::-1]}, r"field\.x: .*allowed: 2 or more ascending"),
+        ({"y": Y[:-1]}, r"field\.displacement: shape .*24 y"),
+        ({"displacement": np.zeros((30, 25, 3), np.float32)}, r"displacement: shape \(30, 25, 3\)"),
+        (
+            {"displacement": np.full((2, 30, 25, 3), np.nan, np.float32)},
+            r"displacement: frame 0 holds NaN",
+        ),
+    ],
+)
+def test_what_is_no_field_is_refused(change: dict[str, Array], said: str) -> None:
+    given = {"x": X, "y": Y, "displacement": np.zeros((1, 30, 25, 3), np.float32), **change}
+    with pytest.raises(SceneError, match=said):
+        SurfaceField(**given)  # type: ignore[arg-type]

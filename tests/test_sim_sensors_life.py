@@ -1,0 +1,184 @@
+"""What makes sensors differ: draws by seed and name, with the stated spread; off is off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sim.errors import SceneError
+from sim.motion import press
+from sim.sensors import Drift, Framing, Grip, Life, Mount, Placement, Segmentation, Segmenter
+from sim.sensors.pins import tip_coverage
+from sim.sensors.seeds import generator
+from sim.sensors.segmentation import softened
+
+MANY = [f"sensor {index}" for index in range(400)]
+
+
+def test_draws_depend_on_seed_and_names_alone() -> None:
+    draws = [generator(1, "a", 2).random() for _ in range(3)]
+    assert len(set(draws)) == 1
+    others = [(2, "a", 2), (1, "b", 2), (1, "a", 3), (1, "a"), (1, 2, "a")]
+    assert draws[0] not in [generator(*other).random() for other in others]
+
+
+def test_a_negative_seed_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"seed: -1"):
+        generator(-1, "a")
+
+
+def test_mounts_are_drawn_evenly_within_their_limits() -> None:
+    mount = Mount(shift=0.3e-3, turn=math.radians(2))
+    placed = [mount.drawn(0, name) for name in MANY]
+    assert placed[0] == mount.drawn(0, MANY[0])
+    for values, most in (
+        ([each.shift_x for each in placed], 0.3e-3),
+        ([each.shift_y for each in placed], 0.3e-3),
+        ([each.turn for each in placed], math.radians(2)),
+    ):
+        assert max(map(abs, values)) <= most
+        assert np.std(values) == pytest.approx(most / math.sqrt(3), rel=0.1)
+        assert abs(np.mean(values)) < 0.1 * most
+
+
+def test_a_placement_moves_the_press_on_the_gel_against_the_sensors_shift() -> None:
+    motion = Placement(shift_x=1e-3, shift_y=-2e-3).motion(press([1e-3], at=(3e-3, 4e-3)))
+    assert motion.tip[-1] == pytest.approx((2e-3, 6e-3, -1e-3))
+
+
+def test_grips_lean_within_their_limit_and_differ_between_indenters() -> None:
+    grip = Grip(tilt=math.radians(1.5))
+    leans = np.array([grip.drawn(3, "array-i", name) for name in MANY])
+    assert np.abs(leans).max() <= math.radians(1.5)
+    np.testing.assert_allclose(leans.std(axis=0), math.radians(1.5) / math.sqrt(3), rtol=0.1)
+    assert len(np.unique(leans[:, 0])) == len(MANY)
+
+
+def test_framings_are_drawn_evenly_within_their_limits() -> None:
+    drawn = np.array([Framing(4.0, 0.01).drawn(0, name) for name in MANY])
+    assert (np.abs(drawn).max(axis=0) <= [4.0, 4.0, 0.01]).all()
+    np.testing.assert_allclose(drawn.std(axis=0) * math.sqrt(3), [4.0, 4.0, 0.01], rtol=0.1)
+
+
+def test_a_skin_creeps_as_a_random_walk_that_begins_at_home() -> None:
+    walks = np.array([Drift(5e-6).drawn(90, 0, "array-i", name) for name in MANY])
+    assert not walks[:, 0].any()
+    np.testing.assert_allclose(walks[:, 40].std(axis=0), 5e-6 * math.sqrt(40), rtol=0.1)
+    np.testing.assert_allclose(walks[:, 89].std(axis=0), 5e-6 * math.sqrt(89), rtol=0.1)
+    np.testing.assert_array_equal(Drift(5e-6).drawn(5, 0, "a"), Drift(5e-6).drawn(9, 0, "a")[:5])
+
+
+def test_nothing_is_on_unless_asked_for() -> None:
+    life = Life()
+    assert [life.mount, life.grip, life.framing, life.drift, life.segmentation] == [None] * 5
+    assert Mount(0.0, 0.0).drawn(0, "a") == Placement()
+    assert Grip(0.0).drawn(0, "a", "b") == (0.0, 0.0)
+
+
+def discs(count: int = 20) -> np.ndarray:
+    """Grey images of a grid of 6 x 8 discs of radius 9 px, at random places within a pixel."""
+    column, row = np.meshgrid(np.arange(8) * 72.0 + 60, np.arange(6) * 72.0 + 60)
+    places = np.stack([column.ravel(), row.ravel()], axis=1)
+    offsets = np.random.default_rng(1).uniform(0, 1, (count, 1, 2))
+    return tip_coverage(places + offsets, np.full((count, 48), 9.0), width=640, height=480)
+
+
+def test_softening_is_the_gaussian_of_a_pixel_as_closely_as_five_weights_can_be() -> None:
+    image = np.zeros((9, 11), np.uint8)
+    image[4, 5] = 255
+    soft = softened(image).astype(float) / (256 * 255)
+    across, down = soft.sum(axis=0), soft.sum(axis=1)
+    np.testing.assert_allclose(across[3:8], np.array([1, 4, 6, 4, 1]) / 16)
+    np.testing.assert_allclose(down[2:7], across[3:8])
+    assert across @ (np.arange(11) - 5) ** 2 == pytest.approx(1.0)
+    assert (softened(np.full((4, 4), 255, np.uint8)) == 256 * 255).all()
+
+
+def test_segmentation_of_nothing_gives_the_plain_masks() -> None:
+    grey = discs()
+    np.testing.assert_array_equal(Segmenter(Segmentation(), 0, "a").seen(grey), grey >= 128)
+
+
+def test_a_vanishing_jitter_changes_next_to_nothing() -> None:
+    grey = discs()
+    seen = Segmenter(Segmentation(jitter_px=1e-6), 0, "a").seen(grey)
+    assert (seen != (grey >= 128)).mean() < 0.02 * (grey >= 128).mean()
+
+
+def test_edges_waver_by_the_stated_deviation() -> None:
+    """A straight edge at a place within a pixel that varies from row to row, found by counting."""
+    jitter = 0.4
+    rows = np.arange(480)
+    edge = 320 + 20 * rows / 480
+    share = np.clip(edge[:, None] + 0.5 - np.arange(640), 0, 1)
+    grey = np.rint(255 * np.broadcast_to(share, (60, 480, 640))).astype(np.uint8)
+    seen = Segmenter(Segmentation(jitter_px=jitter, correlation_px=4.0), 0, "a").seen(grey)
+    moved = seen.sum(axis=2) - (edge + 0.5)
+    # Counting whole pixels adds the variance of an even spread over one of them.
+    assert moved.var() == pytest.approx(jitter**2 + 1 / 12, rel=0.08)
+    assert abs(moved.mean()) < 0.03
+
+
+def test_jitter_hangs_together_along_an_edge() -> None:
+    def flips(correlation: float) -> int:
+        grey = np.zeros((4, 480, 640), np.uint8)
+        grey[:, :, :320] = 255
+        errors = Segmentation(jitter_px=1.0, correlation_px=correlation)
+        width = Segmenter(errors, 0, "a").seen(grey).sum(axis=2)
+        return int((np.diff(width, axis=1) != 0).sum())
+
+    assert flips(20.0) < 0.5 * flips(4.0)
+
+
+def test_the_stated_share_of_markers_is_missed_whole() -> None:
+    grey = discs(100)
+    plain = grey >= 128
+    seen = Segmenter(Segmentation(missing=0.05), 0, "a").seen(grey)
+    assert not (seen & ~plain).any()
+    share = 1 - seen.sum() / plain.sum()
+    assert share == pytest.approx(0.05, abs=4 * math.sqrt(0.05 * 0.95 / 4800))
+    kept = seen[:, 60:72, 60:72].any(axis=(1, 2))
+    assert (seen[:, 50:72, 50:72].sum(axis=(1, 2))[kept] > 230).all()
+
+
+def test_only_markers_that_reach_into_the_rim_are_lost_there() -> None:
+    grey = discs(20)
+    plain = grey >= 128
+    seen = Segmenter(Segmentation(rim_px=60.0, rim_missing=1.0), 0, "a").seen(grey)
+    inside = np.zeros((480, 640), bool)
+    inside[100:-100, 100:-100] = True
+    np.testing.assert_array_equal(seen[:, inside], plain[:, inside])
+    assert not seen[:, :60].any()
+    assert not seen[:, :, :60].any()
+
+
+def test_a_frame_has_the_same_errors_in_any_batch_and_others_in_another_session() -> None:
+    grey = discs(6)
+    errors = Segmentation(jitter_px=0.5, missing=0.02)
+    whole = Segmenter(errors, 0, "a").seen(grey)
+    np.testing.assert_array_equal(Segmenter(errors, 0, "a").seen(grey[4:], first=4), whole[4:])
+    assert (Segmenter(errors, 0, "b").seen(grey) != whole).any()
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Mount(0.02, 0.0), r"mount\.shift: 0\.02 m; allowed: 0 to 0\.01 m"),
+        (lambda: Mount(0.0, 2.0), r"mount\.turn: 2\.0 rad"),
+        (lambda: Grip(1.0), r"grip\.tilt: 1\.0 rad"),
+        (lambda: Framing(-1.0, 0.0), r"framing\.shift_px: -1\.0 px"),
+        (lambda: Drift(float("nan")), r"drift\.step: nan m"),
+        (lambda: Segmentation(jitter_px=2.0), r"segmentation\.jitter_px: 2\.0 px; allowed: 0 to 1"),
+        (lambda: Segmentation(missing=1.5), r"segmentation\.missing: 1\.5"),
+    ],
+)
+def test_lives_that_mean_nothing_are_refused(make: object, said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        make()  # type: ignore[operator]
+
+
+def test_what_is_no_grey_image_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"coverage: bool of shape"):
+        Segmenter(Segmentation(), 0).seen(np.zeros((1, 480, 640), bool))  # type: ignore[arg-type]

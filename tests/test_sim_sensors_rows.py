@@ -1,0 +1,161 @@
+"""Rows of sensors: they are what they should be, and errors say where and what."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sim.errors import SceneError
+from sim.indenters import sphere
+from sim.motion import press
+from sim.sensors import (
+    HETEROGENEOUS,
+    HOMOGENEOUS,
+    MATERIAL,
+    NAMES,
+    CameraSignal,
+    SimulatedSensor,
+    TaxelSignal,
+    read_sensor,
+    sensor,
+)
+from sim.sensors.catalogue import ROWS
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_row_is_read_and_named_as_its_file(name: str) -> None:
+    assert sensor(name).name == name
+    assert sensor(name).description
+
+
+def test_the_groups_are_the_papers() -> None:
+    groups = {*HOMOGENEOUS, *MATERIAL, *HETEROGENEOUS, "gel"}
+    assert groups == set(NAMES)
+    assert len(HOMOGENEOUS) == 5
+    assert len(MATERIAL) == 7
+
+
+def test_trajectories_have_the_papers_numbers_of_targets() -> None:
+    def targets(name: str) -> int:
+        trajectory = sensor(name).trajectory
+        return 0 if trajectory is None else len(trajectory)
+
+    assert {targets(name) for name in HOMOGENEOUS} == {240}
+    assert {targets(name) for name in MATERIAL} == {48}
+    assert {targets(name) for name in HETEROGENEOUS} == {160}
+
+
+def test_skins_grow_softer_with_their_ratio() -> None:
+    moduli = [sensor(name).body.modulus for name in MATERIAL]
+    assert moduli == [3.0e5, 2.5e5, 2.1e5, 1.8e5, 1.55e5, 1.35e5, 1.2e5]
+
+
+def test_homogeneous_sensors_share_a_body_and_a_life_and_differ_in_patterns() -> None:
+    rows = [sensor(name) for name in HOMOGENEOUS]
+    assert len({row.body for row in rows}) == 1
+    assert len({row.life for row in rows}) == 1
+    signals = [row.signal for row in rows if isinstance(row.signal, CameraSignal)]
+    assert len({signal.patterns for signal in signals}) == 5
+
+
+def test_the_units_of_keys_are_taken_to_si() -> None:
+    uskin = sensor("uskin")
+    assert isinstance(uskin.signal, TaxelSignal)
+    assert uskin.body.thickness == pytest.approx(4e-3)
+    assert uskin.signal.pitch == pytest.approx(4.7e-3)
+    assert uskin.signal.moment == pytest.approx(0.9e-3)
+    assert uskin.speed == pytest.approx(5e-3)
+
+
+def test_a_press_deeper_than_the_sensor_is_meant_for_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"1\.4 mm deep into gelsight; allowed: up to 1\.3 mm"):
+        sensor("gelsight").scene(sphere(4e-3), press([1.4e-3]))
+
+
+def test_an_unknown_name_lists_the_known() -> None:
+    with pytest.raises(SceneError, match=r"sensor: 'digit'; allowed: .*gelsight"):
+        sensor("digit")
+
+
+BASE = """
+extends: gelsight.yaml
+description: a test
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mine.yaml"
+    parent = (ROWS / "gelsight.yaml").read_text()
+    (folder / "gelsight.yaml").write_text(parent)
+    path.write_text(text)
+    return path
+
+
+def read(folder: Path, text: str) -> SimulatedSensor:
+    return read_sensor(written(folder, text))
+
+
+def test_a_row_says_only_what_differs(tmp_path: Path) -> None:
+    mine = read(tmp_path, BASE + "body: {modulus_kpa: 200.0}\n")
+    assert mine.name == "mine"
+    assert mine.body.modulus == 2e5
+    assert mine.body.thickness == sensor("gelsight").body.thickness
+
+
+def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
+    signal = (
+        "signal: {kind: taxels, pitch_mm: 4.0, magnet_depth_mm: 1.0, hall_depth_mm: 1.0, "
+        "moment_ma_m2: 1.0, gain_shear_counts_per_mt: 1.0, gain_normal_counts_per_mt: 1.0}\n"
+    )
+    assert isinstance(read(tmp_path, BASE + signal).signal, TaxelSignal)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("colour: red\n", r"mine\.yaml: unknown \['colour'\]; allowed: .*'body'"),
+        ("name: other\n", r"mine\.yaml: unknown \['name'\]"),
+        ("body: {modulus: 145000.0}\n", r"mine\.yaml\.body: unknown \['modulus'\].*modulus_kpa"),
+        ("body: {modulus_kpa: soft}\n", r"\.body\.modulus_kpa: found str 'soft'.*number \[kpa\]"),
+        ("body: {modulus_kpa: true}\n", r"\.body\.modulus_kpa: found bool True"),
+        ("body: {modulus_kpa: .nan}\n", r"\.body\.modulus_kpa: found nan; allowed: a finite"),
+        ("body: {thickness_mm: 4000.0}\n", r"mine\.yaml\.body: body\.thickness: 4\.0 m; allowed"),
+        ("body: 4\n", r"mine\.yaml\.body: found int 4; allowed: a mapping"),
+        ("depth_max_mm: 3.9\n", r"mine\.depth_max: 0\.0039 m; allowed: above 0 to 0\.0036 m"),
+        ("depth_max_mm: 0.9\n", r"mine\.trajectory\.depth_max: 0\.001 m; allowed: up to"),
+        ("effects: {friction: {coefficient: -1}}\n", r"\.effects\.friction: friction\.coefficient"),
+        ("effects: {viscosity: {ratios: [0.1]}}\n", r"\.effects\.viscosity: .*1 ratios and 2"),
+        ("effects: {viscosity: {ratios: 0.1}}\n", r"\.viscosity\.ratios: found float 0\.1.*list"),
+        ("signal: {patterns: [Array-IX]}\n", r"\.signal: pattern: 'Array-IX'; allowed: .*Array-I"),
+        ("signal: {patterns: []}\n", r"\.signal: signal\.patterns: none"),
+        ("signal: {distance_mm: 20.0}\n", r"\.signal: signal: scale .* allowed: one of both"),
+        ("signal: {kind: sonar}\n", r"\.signal: found kind 'sonar'; allowed: .*camera or taxels"),
+        ("signal: {patterns: [TacPalm]}\n", r"mine\.yaml: pattern 'TacPalm': .* beyond the gel"),
+        ("trajectory: {points: [7]}\n", r"mine\.yaml\.trajectory: points: \(7,\)"),
+        ("life: {mount: {shift_mm: 50.0, turn_deg: 0.0}}\n", r"\.life\.mount: mount\.shift"),
+        ("life: {drift: {}}\n", r"\.life\.drift: missing 'step_um'"),
+        ("depth_max_mm: 1.2\ndepth_max_mm: 1.3\n", r"line 5: key 'depth_max_mm' is written twice"),
+        ("body: [\n", r"mine\.yaml: not YAML"),
+    ],
+)
+def test_errors_name_file_key_value_and_what_is_allowed(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    with pytest.raises(SceneError, match=said):
+        read(tmp_path, BASE + text)
+
+
+def test_files_that_extend_each_other_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("extends: b.yaml\n")
+    (tmp_path / "b.yaml").write_text("extends: a.yaml\n")
+    with pytest.raises(SceneError, match="extend each other in a circle"):
+        read_sensor(tmp_path / "a.yaml")
+
+
+def test_a_file_that_is_not_there_or_holds_no_mapping_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"none\.yaml: no such file"):
+        read_sensor(tmp_path / "none.yaml")
+    (tmp_path / "list.yaml").write_text("- 1\n")
+    with pytest.raises(SceneError, match=r"list\.yaml: found list \[1\]; allowed: a mapping"):
+        read_sensor(tmp_path / "list.yaml")
