@@ -16,7 +16,8 @@ class Scene:
     """One rigid indenter, one soft body, one motion, and the effects that are asked for.
 
     Raises:
-        SceneError: The tip goes deeper than 90 % of the thickness.
+        SceneError: The tip goes deeper than 90 % of the thickness, or than an indenter from a file
+            is known.
     """
 
     indenter: Indenter
@@ -31,4 +32,11 @@ class Scene:
                 f"motion: {self.motion.depth_max * 1e3:.4g} mm deep into a body "
                 f"{self.body.thickness * 1e3:.4g} mm thick; allowed: up to {limit * 1e3:.4g} mm "
                 "(are the units metres?)"
+            )
+        solid = self.indenter.solid
+        if solid is not None and self.motion.depth_max > solid.reach:
+            raise SceneError(
+                f"motion: {self.motion.depth_max * 1e3:.4g} mm deep with an indenter known up to "
+                f"{solid.reach * 1e3:.4g} mm; allowed: as far as that (from_stl(reach=...) reads "
+                "more of it)"
             )

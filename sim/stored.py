@@ -1,4 +1,4 @@
-"""Scenes to and from JSON: everything a scene is, so that the same one can be built again."""
+"""Scenes and other values to and from JSON: everything they are, so that the same can be built."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from sim.scene import Scene
 
 Value = TypeVar("Value")
 
+_KIND, _WORD = "KIND", "kind"
+"""Constant of a class that names it among others, and the key that keeps it."""
+_IN_WORDS = {int: "a whole number", bool: "true or false"}
+
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
     """The scene as plain JSON values, SI units; every digit is kept, infinity is "inf"."""
-    plain: dict[str, Any] = _plain(scene)
-    return plain
+    return to_json(scene)
 
 
 def scene_from_json(stored: dict[str, Any]) -> Scene:
@@ -26,14 +29,35 @@ def scene_from_json(stored: dict[str, Any]) -> Scene:
         SceneError: A field that is missing, unknown or of the wrong kind, or a value that the
             scene refuses.
     """
-    return _dataclass(Scene, stored, "scene")
+    return from_json(Scene, stored, "scene")
+
+
+def to_json(value: Any) -> dict[str, Any]:
+    """A frozen dataclass as plain JSON values, SI units; every digit is kept, infinity is "inf".
+
+    A class that has a word for its kind keeps it, so that it can be told from others.
+    """
+    plain: dict[str, Any] = _plain(value)
+    return plain
+
+
+def from_json(kind: type[Value], stored: Any, where: str) -> Value:
+    """The value of dataclass `kind` that `to_json` wrote; `where` names it in errors.
+
+    Raises:
+        SceneError: A field that is missing, unknown or of the wrong kind, or a value that is
+            refused.
+    """
+    return _dataclass(kind, stored, where)
 
 
 def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
-        return {
+        fields = {
             field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
         }
+        word = getattr(value, _KIND, None)
+        return fields if word is None else {_WORD: word, **fields}
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
     if isinstance(value, str | bool | int) or value is None:
@@ -43,14 +67,27 @@ def _plain(value: Any) -> Any:
 
 
 def _dataclass(kind: type[Value], stored: Any, where: str) -> Value:
+    word = getattr(kind, _KIND, None)
+    if word is not None and isinstance(stored, dict):
+        stored = dict(stored)
+        if (found := stored.pop(_WORD, word)) != word:
+            raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {word!r}")
     known = get_type_hints(kind)
-    hints = {field.name: known[field.name] for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(stored, dict) or set(stored) != set(hints):
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    # What was stored before a field was thought of lacks it, and means its default.
+    needed = {field.name for field in fields if not _has_default(field)}
+    names = {field.name for field in fields}
+    if not isinstance(stored, dict) or not needed <= set(stored) <= names:
         found = sorted(stored) if isinstance(stored, dict) else stored
-        raise SceneError(f"{where}: {found!r}; allowed: the fields {sorted(hints)}")
+        raise SceneError(f"{where}: {found!r}; allowed: the fields {sorted(names)}")
     return kind(
-        **{name: _value(hint, stored[name], f"{where}.{name}") for name, hint in hints.items()}
+        **{name: _value(known[name], item, f"{where}.{name}") for name, item in stored.items()}
     )
+
+
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    missing = dataclasses.MISSING
+    return field.default is not missing or field.default_factory is not missing
 
 
 def _value(hint: Any, stored: Any, where: str) -> Any:
@@ -59,8 +96,8 @@ def _value(hint: Any, stored: Any, where: str) -> Any:
     if kind in (Union, types.UnionType):
         if stored is None:
             return None
-        (only,) = (one for one in inner if one is not types.NoneType)
-        return _value(only, stored, where)
+        kinds = [one for one in inner if one is not types.NoneType]
+        return _value(_chosen(kinds, stored, where), stored, where)
     if kind is tuple:
         if not isinstance(stored, list):
             raise SceneError(f"{where}: {stored!r}; allowed: a list")
@@ -75,11 +112,27 @@ def _value(hint: Any, stored: Any, where: str) -> Any:
         return _dataclass(hint, stored, where)  # type: ignore[arg-type]
     if hint is float:
         return _number(stored, where)
+    if hint in (int, bool):
+        if type(stored) is not hint:
+            raise SceneError(f"{where}: {stored!r}; allowed: {_IN_WORDS[hint]}")
+        return stored
     if kind is not Literal and hint is not str:
         raise TypeError(f"{where}: no rule for {hint!r}")
     if not isinstance(stored, str):
         raise SceneError(f"{where}: {stored!r}; allowed: text")
     return stored
+
+
+def _chosen(kinds: list[Any], stored: Any, where: str) -> Any:
+    """The one of `kinds` that `stored` says it is."""
+    if len(kinds) == 1:
+        return kinds[0]
+    words = {getattr(kind, _KIND, None): kind for kind in kinds}
+    found = stored.get(_WORD) if isinstance(stored, dict) else None
+    if found is None or found not in words:
+        allowed = " or ".join(str(word) for word in words)
+        raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {allowed}")
+    return words[found]
 
 
 def _number(stored: Any, where: str) -> float:

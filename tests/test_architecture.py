@@ -38,6 +38,7 @@ VENDORS = {
     "pyarrow": {"recorder/export"},
     "fsspec": {"recorder/remote"},
     "bpy": {"sim/render"},
+    "trimesh": {"sim/indenters"},
 }
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()

@@ -1,14 +1,29 @@
 # Warp reads the annotations of kernels as values: no `from __future__ import annotations` here.
+import inspect
+import linecache
 from functools import cache
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+import stl_files as files
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.indenters import NAMES, Indenter, named, plane, rounded_cone
-from sim.indenters.device import FAR, PartTable, distance_function, table_struct
+from sim.effects_cost.machine_code import machine_code
+from sim.effects_cost.without import cut
+from sim.indenters import NAMES, Indenter, device, from_stl, named, plane, rounded_cone
+from sim.indenters.device import (
+    FAR,
+    PLAIN,
+    PartTable,
+    Traits,
+    distance_function,
+    table_struct,
+    traits_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,13 +44,13 @@ MORE = [plane(), rounded_cone(0.5, 0.1e-3)]
 
 
 @cache
-def _kernel(real: Any) -> Any:
-    distance = distance_function(real)
+def _kernel(real: Any, traits: Traits = PLAIN, made: Any = distance_function) -> Any:
+    distance = made(real, traits)
 
     @wp.kernel(enable_backward=False, module="unique")
     def gaps(
         # In:
-        table: table_struct(real),
+        table: table_struct(real, traits),
         points: wp.array2d[wp.types.vector(3, real)],
         # Out:
         found_out: wp.array2d[wp.types.vector(4, real)],
@@ -53,7 +68,8 @@ def _on_device(
     table = PartTable.pack(indenters, UNIT, real, device, far=far)
     given = wp.array(points / UNIT, dtype=wp.types.vector(3, real), device=device)
     found = wp.zeros(given.shape, dtype=wp.types.vector(4, real), device=device)
-    wp.launch(_kernel(real), given.shape, [table.struct, given], [found], device=device)
+    kernel = _kernel(real, table.traits)
+    wp.launch(kernel, given.shape, [table.struct, given], [found], device=device)
     result = found.numpy().astype(float)
     return result[..., 3] * UNIT, result[..., :3]
 
@@ -109,3 +125,88 @@ def test_equal_indenters_are_stored_once() -> None:
     assert table.count == 3
     assert table.struct.indenter.numpy().tolist() == [0, 1, 0]
     assert table.struct.first.numpy().tolist() == [0, 2, 3]
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
+    path = tmp_path_factory.mktemp("stl") / "block.stl"
+    files.write_binary(path, files.block(3, 4, 5))
+    return from_stl(path, edge_radius=0.4e-3, spacing=0.15e-3, reach=4e-3)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize(
+    ("real", "gap_error", "normal_error"),
+    [(wp.float32, 1e-5, 2e-3), (wp.float64, 1e-12, 1e-9)],
+    ids=["float32", "float64"],
+)
+def test_bodies_from_files_and_bodies_that_lean_give_the_gaps_of_the_oracle(
+    real: Any, gap_error: float, normal_error: float, device: str, block: Indenter
+) -> None:
+    leaning = named("wave").tilted(0.1, -0.2)
+    indenters = [block, leaning, block.tilted(-0.1, 0.05), named("moon")]
+    points = _cloud(len(indenters), 3000) * [0.4, 0.4, 0.8]
+    gaps, normals = _on_device(indenters, points, real, device)
+    for indenter, cloud, gap, normal in zip(indenters, points, gaps, normals, strict=True):
+        true, true_normal = indenter.distance(cloud)
+        near = (true < FAR) & (gap < FAR)
+        assert near.sum() > 500, indenter.name
+        np.testing.assert_allclose(gap[near], true[near], rtol=0, atol=gap_error * UNIT)
+        apart = np.abs(normal - true_normal)[near].max(axis=1) > normal_error
+        assert apart.mean() < 2e-3, indenter.name
+
+
+def test_far_from_a_leaning_body_the_gap_is_a_lower_bound_that_is_far_too() -> None:
+    indenters = [named("prism").tilted(0.2, 0.1), named("cone").tilted(-0.1, 0.3)]
+    points = _cloud(2, 3000)
+    gaps, _ = _on_device(indenters, points, wp.float64, "cpu")
+    exact, _ = _on_device(indenters, points, wp.float64, "cpu", far=1.0)
+    bound = gaps != exact
+    assert bound.mean() > 0.2
+    assert np.all(gaps[bound] > FAR)
+    assert np.max(gaps[bound] / exact[bound]) < 1.05
+
+
+def test_beside_others_that_lean_an_upright_indenter_keeps_every_bit() -> None:
+    points = np.repeat(_cloud(1, 3000), 2, axis=0)
+    alone = _on_device([named("moon"), plane()], points, wp.float32, "cpu")
+    beside = _on_device([named("moon"), named("wave").tilted(0.1, 0.0)], points, wp.float32, "cpu")
+    for found, expected in zip(beside, alone, strict=True):
+        np.testing.assert_array_equal(found[0], expected[0])
+
+
+@pytest.mark.slow
+def test_what_no_indenter_has_leaves_no_trace_in_the_machine_code(block: Indenter) -> None:
+    """The function is that of a source which never knew bodies from files, or a tilt."""
+    source = inspect.getsource(device)
+    for flag in ("traits.tilted", "traits.sampled"):
+        source = cut(source, flag)
+    assert "field_distance(table" not in source
+    assert "table.turn" not in source
+    never = ModuleType("sim_indenters_device_cut")
+    file = "sim_indenters_device_cut.py"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+    exec(compile(source, file, "exec", dont_inherit=True), never.__dict__)
+    # The same struct, so that nothing but the function can differ.
+    never.__dict__["table_struct"] = table_struct
+    plain = machine_code(_kernel(wp.float64))
+    assert plain == machine_code(_kernel(wp.float64, PLAIN, never.distance_function))
+    assert plain != machine_code(_kernel(wp.float64, traits_of([block.tilted(0.1, 0)])))
+    table = PartTable.pack([named("moon")], UNIT, wp.float64, "cpu")
+    assert not hasattr(table.struct, "turn")
+    assert not hasattr(table.struct, "field")
+
+
+def test_a_body_from_a_file_is_stored_once_however_it_leans(
+    block: Indenter, tmp_path: Path
+) -> None:
+    files.write_binary(tmp_path / "ball.stl", files.ball(1.0, 9))
+    ball = from_stl(tmp_path / "ball.stl", edge_radius=0.0, spacing=0.2e-3, reach=2e-3)
+    many = [block, block.tilted(-0.1, 0.05), plane(), ball]
+    table = PartTable.pack(many, UNIT, wp.float32, "cpu").struct
+    assert block.solid is not None
+    assert ball.solid is not None
+    first = block.solid.distances(block.edge_radius).grid.count
+    second = ball.solid.distances(0.0).grid.count
+    assert table.field_first.numpy().tolist() == [0, 0, -1, first]
+    assert table.field.shape == (first + second,)

@@ -3,10 +3,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from sim.indenters import named, tube
-from sim.indenters.sheet import CAPTION, VIEW, draw_sheet
+from sim.indenters.sheet import CAPTION, VIEW, draw_sheet, main
 
 
 def test_a_sheet_shows_material_where_there_is_some(tmp_path: Path) -> None:
@@ -28,3 +29,13 @@ def test_a_sheet_shows_material_where_there_is_some(tmp_path: Path) -> None:
     assert np.ptp(colour(0, 3e-3, 0.0)) > 40  # brass
     assert np.array_equal(colour(1, 2e-3, 0.0), background)
     assert np.ptp(colour(1, -2e-3, 0.0)) > 40
+
+
+@pytest.mark.slow
+def test_the_sheet_in_the_documentation_is_the_one_that_is_drawn(tmp_path: Path) -> None:
+    main([str(tmp_path / "sheet.png")])
+    shown = Path(__file__).parent.parent / "docs/images/indenters.png"
+    with Image.open(tmp_path / "sheet.png") as drawn, Image.open(shown) as kept:
+        change = np.asarray(drawn).astype(int) - np.asarray(kept)
+    # Pillow's own versions draw letters differently, by little.
+    assert np.mean(np.abs(change).max(axis=2) > 40) < 0.01

@@ -62,7 +62,6 @@ class Assembly:
         self.points = len(rule)
 
         self._element = element_kernels(real, "viscosity" in self.effects, planted.full_integration)
-        self._contact = contact_kernels(real, "friction" in self.effects)
         self._residual = residual_kernel(real, "inertia" in self.effects, "gravity" in self.effects)
 
         self._elements = self._array(mesh.elements, wp.int32)
@@ -83,9 +82,11 @@ class Assembly:
         self._shear = self._array([body.shear_modulus / body.modulus for body in bodies], real)
         self._bulk = self._array([body.bulk_modulus / body.modulus for body in bodies], real)
         unit = bodies[0].thickness
-        self._table = PartTable.pack(
+        table = PartTable.pack(
             [scene.indenter for scene in scenes], unit=unit, real=real, device=device
-        ).struct
+        )
+        self._table = table.struct
+        self._contact = contact_kernels(real, "friction" in self.effects, table.traits)
         self._penalty = real(numerics.penalty)
         self._stick = real(numerics.stick)
 

@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from sim.fem.scalars import matrix_of, vector_of
-from sim.indenters.device import distance_function, table_struct
+from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 
 REACH = 2e-3
 """Distance over which the turning of the normal is measured, in thicknesses."""
@@ -41,12 +41,15 @@ def face_rule(points: int, *, nodal: bool = False) -> tuple[np.ndarray, np.ndarr
 
 
 @functools.cache
-def contact_kernels(real, friction: bool):
-    """Kernels (contact, tangent); without `friction` no trace of it is compiled."""
+def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
+    """Kernels (contact, tangent); without `friction` no trace of it is compiled.
+
+    `traits` are those of the indenters' table.
+    """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    table_type = table_struct(real)
-    distance = distance_function(real)
+    table_type = table_struct(real, traits)
+    distance = distance_function(real, traits)
     zero, half, one = real(0.0), real(0.5), real(1.0)
     tiny = real(1.0e-20)
     reach = real(REACH)

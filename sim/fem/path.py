@@ -106,6 +106,8 @@ class Path:
 
 def sharpest(indenter: Indenter) -> float:
     """Smallest radius that an indenter's surface may be rounded with [m]; 0 with a sharp edge."""
+    if indenter.solid is not None:
+        return indenter.edge_radius
     radii = [part.values[2] for part in indenter.parts if part.figure == "circle"]
     if any(part.join != "union" or part.figure == "path" for part in indenter.parts):
         radii.append(indenter.edge_radius)

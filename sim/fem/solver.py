@@ -22,6 +22,7 @@ from sim.fem.newton import Newton
 from sim.fem.numerics import Numerics
 from sim.fem.path import Path, path_of, sharpest
 from sim.fem.window import meshes_of
+from sim.indenters.device import traits_of
 from sim.result import Result
 from sim.scene import Scene
 
@@ -76,10 +77,11 @@ def simulate_fem(
 
 
 def _batches(scenes: Sequence[Scene], meshes: Sequence[Mesh], device: str) -> list[list[int]]:
-    """Which scenes are solved side by side: same mesh topology, same effects, not too many."""
+    """Which scenes are solved side by side: same mesh topology, same kernels, not too many."""
     alike: dict[tuple, list[int]] = {}
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
-        alike.setdefault((scene.body.thickness, mesh.cells, scene.effects.key), []).append(index)
+        kernels = scene.effects.key, traits_of([scene.indenter])
+        alike.setdefault((scene.body.thickness, mesh.cells, kernels), []).append(index)
     most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
     batches = []
     for group in alike.values():

@@ -71,7 +71,8 @@ def _footprint(indenter: Indenter, depth: float, reach: float) -> tuple[Array, A
 
     Found on a grid of points, and widened by what may lie between them.
     """
-    low, high = (np.clip(side, -reach, reach) for side in np.transpose(indenter.bounds[:2]))
+    sides = np.transpose(indenter.bounds_below(depth)[:2])
+    low, high = (np.clip(side, -reach, reach) for side in sides)
     heights = np.linspace(0.0, depth, LEVELS)
     for _pass in range(PASSES):
         x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))

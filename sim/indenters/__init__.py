@@ -17,16 +17,23 @@ from sim.indenters.shapes import (
     torus,
     tube,
 )
+from sim.indenters.solid import Solid
+from sim.indenters.stl import from_stl
+from sim.indenters.triangles import UNITS, UPS
 
 __all__ = [
     "NAMES",
+    "UNITS",
+    "UPS",
     "Indenter",
     "Part",
+    "Solid",
     "bar",
     "box",
     "cone",
     "extruded",
     "flat_punch",
+    "from_stl",
     "named",
     "plane",
     "rounded_cone",

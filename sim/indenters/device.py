@@ -10,21 +10,44 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from sim.indenters.indenter import STEEPNESS_MIN, Indenter
+from sim.indenters.device_field import field_function
+from sim.indenters.device_parts import parts_function
+from sim.indenters.indenter import Indenter
 from sim.indenters.outline import POINT
-from sim.indenters.outline_distance import ARC, LINE, ROW, rows
+from sim.indenters.outline_distance import ROW, rows
 from sim.indenters.part import FIGURES, JOINS, VIEWS
 
 FAR = 1e-3
 """Gaps beyond this may be given too small [m]: the distance from the bounding box serves."""
-NUMBERS = 7
-"""Numbers of a part: four values, the axis in x and y, the cosine."""
+CODES, NUMBERS = 5, 7
+"""Codes of a part: view, figure, join, its rows; its numbers: four values, the axis in x and y,
+the cosine."""
+NOWHERE = -1
+"""First number of the field of an indenter that has none."""
 
-PLAN, TURNED = VIEWS.index("plan"), VIEWS.index("turned")
-BAND, CIRCLE, PATH = (FIGURES.index(name) for name in ("band", "circle", "path"))
-UNION, SUBTRACT = JOINS.index("union"), JOINS.index("subtract")
 # Which of a part's four values are lengths; the first two are a normal in the first two cases.
 SCALED = {"half_plane": (2,), "band": (2, 3), "circle": (0, 1, 2), "path": ()}
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What the indenters of a launch have of which others know nothing, compiled in on demand."""
+
+    tilted: bool = False
+    """Some lean."""
+    sampled: bool = False
+    """Some are bodies from files."""
+
+
+PLAIN = Traits()
+
+
+def traits_of(indenters: Sequence[Indenter]) -> Traits:
+    """What the kernels have to know for these indenters."""
+    return Traits(
+        tilted=any(one is not one.upright for one in indenters),
+        sampled=any(one.solid is not None for one in indenters),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +58,8 @@ class PartTable:
     """What `distance_function` takes as its table."""
     count: int
     """Number of environments."""
+    traits: Traits
+    """Which `distance_function` takes it."""
 
     @classmethod
     def pack(
@@ -73,16 +98,24 @@ class PartTable:
         def array(values: Any, dtype: Any) -> Any:
             return wp.array(values, dtype=dtype, device=device)
 
-        struct = table_struct(real)()
+        traits = traits_of(kinds)
+        struct = table_struct(real, traits)()
         struct.indenter = array([number[one] for one in indenters], int)
         struct.first = array(first, int)
         struct.edge_radius = array([kind.edge_radius / unit for kind in kinds], real)
-        struct.box = array([np.ravel(kind.bounds) / unit for kind in kinds], real)
-        struct.codes = array(codes, int)
-        struct.numbers = array(numbers, real)
+        struct.box = array([np.ravel(kind.upright.bounds) / unit for kind in kinds], real)
+        struct.codes = array(np.reshape(codes, (-1, CODES)), int)
+        struct.numbers = array(np.reshape(numbers, (-1, NUMBERS)), real)
         struct.path = array(path, real)
         struct.far, struct.point = real(far / unit), real(point)
-        return cls(struct=struct, count=len(indenters))
+        if traits.tilted:
+            turns, raised = zip(*(kind.stance for kind in kinds), strict=True)
+            struct.turn = array(np.stack(turns), wp.types.matrix((3, 3), real))
+            struct.raised = array(np.array(raised) / unit, real)
+        if traits.sampled:
+            for name, (values, dtype) in _fields(kinds, unit, real).items():
+                setattr(struct, name, array(values, dtype))
+        return cls(struct=struct, count=len(indenters), traits=traits)
 
 
 def _numbers(part: Any, unit: float) -> list[float]:
@@ -96,10 +129,38 @@ def _numbers(part: Any, unit: float) -> list[float]:
     return [*values, part.axis[0] / unit, part.axis[1] / unit, part.cosine]
 
 
-@cache
-def table_struct(real: type) -> Any:
-    """The Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
+def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tuple[Any, Any]]:
+    """What the struct holds of bodies from files; kinds that only lean differently share one."""
+    firsts, sizes, places = [], [], []
+    known, values, count = {}, [], 0
+    for kind in kinds:
+        first, size, place = NOWHERE, (0, 0, 0), (0.0, 0.0, 0.0, 1.0)
+        if kind.solid is not None:
+            field = kind.solid.distances(kind.edge_radius)
+            if kind.upright not in known:
+                known[kind.upright] = count
+                values.append(field.coefficients.ravel() / unit)
+                count += field.grid.count
+            first, size = known[kind.upright], field.grid.shape
+            place = (*(field.origin / unit), field.grid.spacing / unit)
+        firsts.append(first)
+        sizes.append(size)
+        places.append(place)
+    return {
+        "field_first": (firsts, int),
+        "field_size": (sizes, int),
+        "field_place": (places, real),
+        "field": (np.concatenate(values), real),
+    }
 
+
+def table_struct(real: type, traits: Traits = PLAIN) -> Any:
+    """The Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
+    return _table_struct(real, traits)
+
+
+@cache
+def _table_struct(real: type, traits: Traits) -> Any:
     class IndenterTable:
         # Per environment: which indenter.
         indenter: wp.array[int]
@@ -116,107 +177,43 @@ def table_struct(real: type) -> Any:
         far: real
         point: real
 
+    fields, name = IndenterTable.__annotations__, f"IndenterTable_{real.__name__}"
+    if traits.tilted:
+        # Per indenter: how it leans, and how far it is raised for that.
+        fields |= {"turn": wp.array[wp.types.matrix((3, 3), real)], "raised": wp.array[real]}
+        name += "_tilted"
+    if traits.sampled:
+        # Per indenter: its first coefficient, nodes along each axis, the first node's place and
+        # the spacing; then the coefficients of all.
+        fields |= {"field_first": wp.array[int], "field_size": wp.array2d[int]}
+        fields |= {"field_place": wp.array2d[real], "field": wp.array[real]}
+        name += "_sampled"
     # Warp tells structs apart by their names.
-    IndenterTable.__qualname__ = f"IndenterTable_{real.__name__}"
+    IndenterTable.__qualname__ = name
     return wp.struct(IndenterTable)
 
 
-@cache
-def distance_function(real: type) -> Any:
+def distance_function(real: type, traits: Traits = PLAIN) -> Any:
     """The Warp function (table, environment, point) -> (normal x, y, z, gap), lengths in the unit.
 
     The same as `Indenter.distance`, except beyond the table's `far`, where the gap may be smaller
-    than the true one and the normal is a side of the bounding box.
+    than the true one and the normal is a side of the bounding box. `traits` are the table's; of
+    what no indenter has there is no trace in the function.
     """
-    table_type = table_struct(real)
-    pair = wp.types.vector(2, real)
+    return _distance_function(real, traits)
+
+
+@cache
+def _distance_function(real: type, traits: Traits) -> Any:
+    table_type = table_struct(real, traits)
+    parts_distance = parts_function(real, table_type)
+    field_distance = field_function(real, table_type) if traits.sampled else None
     triple = wp.types.vector(3, real)
     quad = wp.types.vector(4, real)
     zero, one = real(0.0), real(1.0)
 
     @wp.func
-    def path_distance(table: table_type, row: int, end: int, p: pair):
-        # The nearest piece wins; corners come last and count only where nearer than all pieces.
-        found = triple(one, zero, real(wp.inf))
-        for k in range(row, end):
-            kind = int(table.path[k, 0])
-            along = pair(table.path[k, 3], table.path[k, 4])
-            size = table.path[k, 5]
-            offset = p - pair(table.path[k, 1], table.path[k, 2])
-            facing = wp.dot(along, offset)
-            normal = pair(along[1], -along[0])
-            gap = wp.dot(normal, offset)
-            nearer = facing >= zero and facing <= size and wp.abs(gap) < wp.abs(found[2])
-            if kind != LINE:
-                length = wp.length(offset)
-                side = wp.where(facing < zero, -one, one)
-                gap = side * length
-                nearer = length < wp.abs(found[2]) - table.point
-                if kind == ARC:
-                    side = wp.where(size < zero, -one, one)
-                    gap = side * length - size
-                    nearer = facing >= table.path[k, 6] * length and wp.abs(gap) < wp.abs(found[2])
-                normal = along
-                if length > table.point:
-                    normal = offset * (side / length)
-            if nearer:
-                found = triple(normal[0], normal[1], gap)
-        return found
-
-    @wp.func
-    def part_distance(table: table_type, part: int, x: triple):
-        view, figure = table.codes[part, 0], table.codes[part, 1]
-        p = pair(x[0], x[2])
-        if view == PLAN:
-            p = pair(x[0], x[1])
-        spoke = pair(one, zero)
-        if view == TURNED:
-            arm = pair(x[0] - table.numbers[part, 4], x[1] - table.numbers[part, 5])
-            p = pair(wp.length(arm), x[2])
-            if p[0] > zero:
-                spoke = arm / p[0]
-        first = pair(table.numbers[part, 0], table.numbers[part, 1])
-        third, fourth = table.numbers[part, 2], table.numbers[part, 3]
-        found = triple(one, zero, zero)
-        if figure == PATH:
-            found = path_distance(table, table.codes[part, 3], table.codes[part, 4], p)
-        elif figure == CIRCLE:
-            # length - radius, as a difference of squares: a large circle keeps float32's digits.
-            offset = p - first
-            length = wp.length(offset)
-            found[2] = (wp.dot(p, p - first - first) + fourth) / (length + third)
-            if length > zero:
-                found = triple(offset[0] / length, offset[1] / length, found[2])
-        else:
-            height = wp.dot(first, p) - third
-            side = one
-            if figure == BAND and height < zero:
-                side = -one
-            # A half-plane has no width: its fourth value is 0.
-            found = triple(side * first[0], side * first[1], side * height - fourth)
-        if view == PLAN:
-            return quad(found[0], found[1], zero, found[2])
-        return quad(found[0] * spoke[0], found[0] * spoke[1], found[1], found[2])
-
-    @wp.func
-    def intersection(here: quad, other: quad, radius: real, cosine: real):
-        # See sim.indenters.indenter._intersection.
-        a, b = here[3] + radius, other[3] + radius
-        along_a, along_b = a - cosine * b, b - cosine * a
-        sine2 = one - cosine * cosine
-        length = wp.sqrt(wp.max(a * along_a + b * along_b, zero) / sine2)
-        if along_a > zero and along_b > zero and length > zero:
-            edge = (here * along_a + other * along_b) / (sine2 * length)
-            normal = triple(edge[0], edge[1], edge[2])
-            steepness = wp.length(normal)
-            if steepness > real(STEEPNESS_MIN):
-                normal /= steepness
-                return quad(normal[0], normal[1], normal[2], (length - radius) / steepness)
-        return wp.where(other[3] > here[3], other, here)
-
-    @wp.func
-    def distance(table: table_type, environment: int, x: triple):
-        indenter = table.indenter[environment]
+    def upright_distance(table: table_type, indenter: int, x: triple):
         bound = quad(zero, zero, -one, table.box[indenter, 4] - x[2])
         for axis in range(2):
             for end in range(2):
@@ -227,17 +224,21 @@ def distance_function(real: type) -> Any:
                     bound[axis] = sign
         if bound[3] > table.far:
             return bound
-        part = table.first[indenter]
-        found = part_distance(table, part, x)
-        for k in range(part + 1, table.first[indenter + 1]):
-            other = part_distance(table, k, x)
-            join = table.codes[k, 2]
-            if join == UNION:
-                found = wp.where(other[3] < found[3], other, found)
-            else:
-                if join == SUBTRACT:
-                    other = -other
-                found = intersection(found, other, table.edge_radius[indenter], table.numbers[k, 6])
-        return found
+        if wp.static(traits.sampled):
+            first = table.field_first[indenter]
+            if first >= 0:
+                return field_distance(table, indenter, x)
+        return parts_distance(table, indenter, x)
+
+    @wp.func
+    def distance(table: table_type, environment: int, x: triple):
+        indenter = table.indenter[environment]
+        if wp.static(traits.tilted):
+            turn = table.turn[indenter]
+            place = x - triple(zero, zero, table.raised[indenter])
+            found = upright_distance(table, indenter, wp.transpose(turn) * place)
+            normal = turn * triple(found[0], found[1], found[2])
+            return quad(normal[0], normal[1], normal[2], found[3])
+        return upright_distance(table, indenter, x)
 
     return distance

@@ -1,10 +1,11 @@
-"""An indenter: a fold of parts, and the signed distance to it."""
+"""An indenter: a fold of parts or a body from a file, upright or leaning, and its distance."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from sim.checks import check_range
 from sim.errors import SceneError
 from sim.indenters.lower_surface import lower_surface
-from sim.indenters.part import Bounds, Part
+from sim.indenters.part import EVERYWHERE, Bounds, Part
+from sim.indenters.solid import Solid
+from sim.indenters.tilt import TILT_MAX, UPRIGHT, Tilt, lowest, rotation
 
 Array = NDArray[np.float64]
 
@@ -23,53 +26,120 @@ edge, and the nearer face alone counts."""
 
 @dataclass(frozen=True, slots=True)
 class Indenter:
-    """A rigid body, tip down: its lowest point is the origin, the material is above (z up).
+    """A rigid body, tip down: its lowest point is at z = 0, the material is above (z up).
 
     The parts are joined in turn; every convex edge that an `intersect` or `subtract` makes, and
     every convex corner of a path, is rounded to `edge_radius`. Rounding takes material away beside
-    the edge; faces and the tip plane stay where they are.
+    the edge; faces and the tip plane stay where they are. In place of parts there may be a `solid`
+    from a file (`from_stl`), all of whose convex edges are rounded.
 
     Raises:
         SceneError: No part, a first part that is not a `union`, an edge radius that does not fit
-            the narrowest part, or a lowest point that is not at z = 0.
+            the narrowest part, a lowest point that is not at z = 0, or a tilt out of range.
     """
 
     name: str
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...] = ()
     edge_radius: float = 0.0
     """Radius of every convex edge [m], from 0 (sharp) to half the narrowest width."""
     narrowest: float = math.inf
     """Narrowest wall between two parts [m], such as between a recess and a side; the parts know
     their own widths."""
+    solid: Solid | None = None
+    """A body from a file, in place of parts."""
+    tilt: Tilt = UPRIGHT
+    """Rotation vector about x and y [rad] by which the body leans; see `tilted`."""
 
     def __post_init__(self) -> None:
+        owner = f"indenter {self.name}"
+        if len(self.tilt) != 2:
+            raise SceneError(f"{owner}.tilt: {self.tilt!r}; allowed: angles about x and y [rad]")
+        for axis, angle in zip("xy", self.tilt, strict=True):
+            check_range(owner, f"tilt about {axis}", angle, -TILT_MAX, TILT_MAX, unit="rad")
+        check_range(owner, "tilt", math.hypot(*self.tilt), 0.0, TILT_MAX, unit="rad")
+        if self.solid is not None:
+            if self.parts:
+                raise SceneError(f"{owner}: parts and a solid; allowed: either")
+            # How much room there is shows when the file is read, not before.
+            check_range(owner, "edge_radius", self.edge_radius, 0.0, self.solid.reach, unit="m")
+            return
         if not self.parts:
-            raise SceneError(f"indenter {self.name}: no parts; allowed: 1 or more")
+            raise SceneError(f"{owner}: no parts; allowed: 1 or more")
         if self.parts[0].join != "union":
             raise SceneError(
-                f"indenter {self.name}.parts[0].join: {self.parts[0].join!r}; allowed: 'union', "
-                "there is nothing before it"
+                f"{owner}.parts[0].join: {self.parts[0].join!r}; allowed: 'union', there is "
+                "nothing before it"
             )
-        owner = f"indenter {self.name}"
         if not self.narrowest > 0:
             raise SceneError(f"{owner}.narrowest: {self.narrowest!r} m; allowed: above 0, or inf")
         limit = self.edge_radius_max * (1 + 1e-9)  # 0.4 mm fits a wall of 3.5 - 2.7 mm
         check_range(owner, "edge_radius", self.edge_radius, 0.0, limit, unit="m")
-        tip = self.bounds[2][0]
+        tip = self._upright_bounds()[2][0]
         if math.isfinite(tip) and abs(tip) > 1e-9:
             raise SceneError(
                 f"{owner}: the rounded body's lowest point is at z = {tip:g} m; allowed: 0 (draw a "
                 "round tip as an arc)"
             )
 
+    def tilted(self, about_x: float, about_y: float) -> Indenter:
+        """The same body leaning by the rotation vector (about_x, about_y, 0) [rad].
+
+        It turns about the origin, right-handed, and is then raised until its lowest point is at
+        z = 0 again; nothing moves aside, so that a small tilt is a small change. The tilt is from
+        upright, whatever it was before.
+
+        Raises:
+            SceneError: More than 30 degrees in all, or a body without end.
+        """
+        leaning = replace(self, tilt=(float(about_x), float(about_y)))
+        _ = leaning.stance
+        return leaning
+
+    @property
+    def upright(self) -> Indenter:
+        """The same body without its tilt."""
+        return self if self.tilt == UPRIGHT else replace(self, tilt=UPRIGHT)
+
+    @property
+    def stance(self) -> tuple[Array, float]:
+        """The matrix (3, 3) that the upright body is turned by, and how far it is raised [m]."""
+        return _stance(self)
+
     @property
     def edge_radius_max(self) -> float:
-        """Largest edge radius the shape has room for [m]."""
-        return min(self.narrowest / 2, *(part.edge_radius_max for part in self.parts))
+        """Largest edge radius that the parts have room for [m]; of a solid it is not known."""
+        return min((self.narrowest / 2, *(part.edge_radius_max for part in self.parts)))
 
     @property
     def bounds(self) -> Bounds:
         """A box around the body: least and greatest x, y and z [m]; infinite where it is open."""
+        return self.bounds_below(math.inf)
+
+    def bounds_below(self, height: float) -> Bounds:
+        """A box around what of the body is below `height` [m], or a larger one."""
+        x, y, z = self._upright_bounds()
+        if self.tilt == UPRIGHT:
+            return x, y, (z[0], min(z[1], height))
+        (to_x, to_y, to_z), raised = self.stance
+        if not np.isfinite([x, y]).all():
+            return EVERYWHERE, EVERYWHERE, (0.0, height)
+        # The highest that a point of the upright body can be to end up below `height`.
+        aside = abs(to_z[0]) * max(map(abs, x)) + abs(to_z[1]) * max(map(abs, y))
+        top = min(z[1], (height - raised + aside) / to_z[2])
+        if not math.isfinite(top):
+            return EVERYWHERE, EVERYWHERE, (0.0, height)
+        corners = np.stack(np.meshgrid(x, y, (z[0], max(z[0], top))), axis=-1).reshape(-1, 3)
+        along_x, along_y = corners @ to_x, corners @ to_y
+        highest = float((corners @ to_z).max()) + raised
+        return (
+            (float(along_x.min()), float(along_x.max())),
+            (float(along_y.min()), float(along_y.max())),
+            (0.0, min(height, highest)),
+        )
+
+    def _upright_bounds(self) -> Bounds:
+        if self.solid is not None:
+            return self.solid.distances(self.edge_radius).bounds
         box = self.parts[0].bounds(self.edge_radius)
         for part in self.parts[1:]:
             other = part.bounds(self.edge_radius)
@@ -85,13 +155,24 @@ class Indenter:
         Returns:
             Gap (...,) [m], below 0 inside; normal (..., 3), the unit gradient of the gap. The
             surface is exact; away from it the gap is exact for single parts and edges at the angle
-            of `Part.cosine`, elsewhere to first order.
+            of `Part.cosine`, elsewhere to first order. Of a solid all is as exact as its grid.
         """
         given = np.asarray(points, np.float64)
-        flat = given.reshape(-1, 3)
-        alone = [part.distance(flat, self.edge_radius) for part in self.parts]
-        gap, normal = self._joined(alone)
+        gap, normal = self._distance(given.reshape(-1, 3))
         return gap.reshape(given.shape[:-1]), normal.reshape(given.shape)
+
+    def _distance(self, points: Array) -> tuple[Array, Array]:
+        """`distance` at points (N, 3)."""
+        if self.tilt == UPRIGHT:
+            return self._upright_distance(points)
+        turn, raised = self.stance
+        gap, normal = self._upright_distance((points - [0.0, 0.0, raised]) @ turn)
+        return gap, normal @ turn.T
+
+    def _upright_distance(self, points: Array) -> tuple[Array, Array]:
+        if self.solid is not None:
+            return self.solid.distances(self.edge_radius).distance(points)
+        return self._joined([part.distance(points, self.edge_radius) for part in self.parts])
 
     def heights(self, x: ArrayLike, y: ArrayLike, *, reach: float = 10e-3) -> Array:
         """Height of the lower surface above the tip plane at x, y (broadcast together) [m].
@@ -101,7 +182,7 @@ class Indenter:
         """
         plan = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         columns = np.stack([axis.ravel() for axis in plan], axis=1)
-        low, high = np.transpose(self.bounds[:2])
+        low, high = np.transpose(self.bounds_below(reach)[:2])
         inside = np.flatnonzero(((columns >= low) & (columns <= high)).all(axis=1))
         heights = np.full(len(columns), np.inf)
         heights[inside] = self._column_heights(columns[inside], reach)
@@ -113,11 +194,14 @@ class Indenter:
         upright = {
             part: part.distance(ground, self.edge_radius)
             for part in self.parts
-            if part.view == "plan"
+            if part.view == "plan" and self.tilt == UPRIGHT
         }
 
         def distance(index: NDArray[np.int64], height: Array) -> tuple[Array, Array]:
             points = np.column_stack([columns[index], height])
+            if not upright:
+                gap, normal = self._distance(points)
+                return gap, normal[:, 2]
             alone = [
                 (upright[part][0][index], upright[part][1][index])
                 if part in upright
@@ -144,6 +228,13 @@ class Indenter:
                 gap, normal, other, other_normal, self.edge_radius, part.cosine
             )
         return gap, normal
+
+
+@lru_cache(maxsize=4096)
+def _stance(indenter: Indenter) -> tuple[Array, float]:
+    turn = rotation(indenter.tilt)
+    turn.flags.writeable = False
+    return turn, 0.0 if indenter.tilt == UPRIGHT else -lowest(indenter.upright, turn)
 
 
 def _sides(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,3 +87,14 @@ def _write(
     pen: ImageDraw.ImageDraw, at: tuple[int, int], text: str, size: int, colour: tuple[int, ...]
 ) -> None:
     pen.text(at, text, fill=colour, font=ImageFont.load_default(size))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """`python -m sim.indenters.sheet PATH`: the sheet of all 18."""
+    parser = argparse.ArgumentParser(prog="python -m sim.indenters.sheet", description=__doc__)
+    parser.add_argument("path", type=Path, help="PNG to write")
+    draw_sheet(parser.parse_args(arguments).path)
+
+
+if __name__ == "__main__":
+    main()

@@ -12,7 +12,7 @@ import functools
 import warp as wp
 
 from sim.fem.scalars import vector_of
-from sim.indenters.device import distance_function, table_struct
+from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.mpm.lattice import BASE_NODE
 from sim.mpm.spline import FIXED_POINT
 
@@ -23,11 +23,13 @@ IMPULSE_UNIT = 2.0**40
 
 
 @functools.cache
-def node_kernel(real, sticky: bool, friction: bool, gravity: bool, bonded: bool):
-    """Kernel of a node's time step, for one precision, contact law and base."""
+def node_kernel(
+    real, sticky: bool, friction: bool, gravity: bool, bonded: bool, traits: Traits = PLAIN
+):
+    """Kernel of a node's time step, for one precision, contact law, base and table's traits."""
     vec3 = vector_of(real)
-    table_type = table_struct(real)
-    distance = distance_function(real)
+    table_type = table_struct(real, traits)
+    distance = distance_function(real, traits)
     zero, one, unit = real(0.0), real(1.0), real(FIXED_POINT)
     impulse_unit = real(IMPULSE_UNIT)
     base = BASE_NODE

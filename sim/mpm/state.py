@@ -138,6 +138,7 @@ class State:
             friction[0] is not None,
             scenes[0].effects.gravity is not None,
             numerics.base == "grid",
+            self._table.traits,
         )
 
     def _fill_schedules(self, paces: Sequence[Pace]) -> None:

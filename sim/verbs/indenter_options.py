@@ -1,9 +1,10 @@
-"""Which indenter: one of the 18 by name, or a shape by its measures."""
+"""Which indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt."""
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -45,11 +46,14 @@ EDGE_MM = 0.3
 of the named shapes have, since a sharp edge is never solved reproducibly."""
 ROUND = ("sphere", "torus", "rounded-cone", "plane")
 """Shapes without an edge to round."""
+FILE = ".stl"
+"""How the name of a file ends, in place of a shape."""
+FILE_OPTIONS = ("stl_unit", "stl_up")
 
 
 def add_indenter_options(parser: argparse.ArgumentParser) -> None:
-    """`--shape`, its measures, `--edge-radius` and `--at`."""
-    from sim.indenters import NAMES
+    """`--shape`, its measures or file, `--edge-radius`, `--tilt` and `--at`."""
+    from sim.indenters import NAMES, UNITS, UPS
     from sim.verbs.numbers import numbers
 
     group = parser.add_argument_group("indenter")
@@ -61,8 +65,8 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
         "--shape",
         default="sphere",
         metavar="NAME",
-        help=f"without measures one of {', '.join(NAMES)}; with all of its measures: {by_measure} "
-        "(%(default)s)",
+        help=f"without measures one of {', '.join(NAMES)}; with all of its measures: {by_measure}; "
+        "or an STL file (%(default)s)",
     )
     for name, meaning in MEASURES.items():
         unit = "DEG" if name == "half_angle" else "MM"
@@ -74,6 +78,20 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
         help=f"radius of every convex edge [mm] (default: the named shape's own, else {EDGE_MM} as "
         "far as there is room)",
     )
+    group.add_argument("--stl-unit", choices=UNITS, help="unit of the numbers in an STL file (mm)")
+    group.add_argument(
+        "--stl-up",
+        choices=UPS,
+        help="axis of an STL file that points away from the skin; --stl-up=-z where the tip is up "
+        "(+z)",
+    )
+    group.add_argument(
+        "--tilt",
+        type=numbers(2),
+        default=(0.0, 0.0),
+        metavar="X,Y",
+        help="how the indenter leans, a rotation vector about x and y [deg] (0,0)",
+    )
     group.add_argument(
         "--at",
         type=numbers(2),
@@ -84,17 +102,31 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
 
 
 def indenter_of(options: argparse.Namespace) -> Indenter:
-    """The indenter that the options describe.
+    """The indenter that the options describe, leaning as they say.
 
     Raises:
-        SceneError: An unknown shape, measures that it does not have or lacks, or sizes that make
-            no body.
+        FileNotFoundError: There is no such STL file.
+        SceneError: An unknown shape, measures that it does not have or lacks, sizes or a file that
+            make no body, or a tilt that it cannot have.
     """
+    upright = _upright(options)
+    about_x, about_y = map(math.radians, options.tilt)
+    return upright.tilted(about_x, about_y) if about_x or about_y else upright
+
+
+def _upright(options: argparse.Namespace) -> Indenter:
     from sim.indenters import NAMES, named
 
     shape: str = options.shape
     given = {name for name in MEASURES if getattr(options, name) is not None}
     edge = None if options.edge_radius is None else metres(options.edge_radius)
+    if shape.lower().endswith(FILE):
+        return _from_file(options, given, edge)
+    for name in FILE_OPTIONS:
+        if getattr(options, name) is not None:
+            raise SceneError(
+                f"{_option(name)}: given with --shape {shape}; allowed: an STL file, or nothing"
+            )
     if shape in NAMES and not given:
         return named(shape, edge)
     if shape not in NEEDS:
@@ -111,6 +143,31 @@ def indenter_of(options: argparse.Namespace) -> Indenter:
         found = ", ".join(_option(name) for name in sorted(given)) or "nothing"
         raise SceneError(f"--shape {shape}: {found} given; allowed: {listed}")
     return _measured(shape, {name: _si(name, getattr(options, name)) for name in given}, edge)
+
+
+def _from_file(options: argparse.Namespace, given: set[str], edge: float | None) -> Indenter:
+    from sim.indenters import from_stl
+    from sim.indenters.solid import REACH
+    from sim.verbs.device import ready_device
+
+    if given:
+        raise SceneError(
+            f"{_option(sorted(given)[0])}: given with --shape {options.shape}; allowed: no "
+            "measure, the file has them"
+        )
+    # Distances to the file's triangles are found by Warp, whichever the tier.
+    ready_device(options.device)
+    indenter = from_stl(
+        options.shape,
+        unit=options.stl_unit or "mm",
+        up=options.stl_up or "+z",
+        edge_radius=metres(EDGE_MM) if edge is None else edge,
+        # No press goes deeper than the body is thick.
+        reach=max(REACH, metres(options.size[2])),
+    )
+    for note in indenter.solid.notes if indenter.solid else ():
+        print(f"note: {note}", file=sys.stderr)
+    return indenter
 
 
 def _measured(shape: str, sizes: Measures, edge: float | None) -> Indenter:

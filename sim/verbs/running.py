@@ -87,7 +87,7 @@ def _picture_path(options: argparse.Namespace) -> Path | None:
     """Where the picture goes; None when none is wanted."""
     path: Path | None = options.out
     if path is None:
-        return None if options.json else Path(f"{options.verb}-{options.shape}.png")
+        return None if options.json else Path(f"{options.verb}-{Path(options.shape).stem}.png")
     if path.suffix.lower() != ".png":
         raise SceneError(f"--out: {path}; allowed: a name that ends in .png")
     return path

@@ -42,6 +42,7 @@ def as_json(result: Result, *, first: int, seconds: float) -> dict[str, Any]:
         "indenter": {
             "name": scene.indenter.name,
             "edge_radius_mm": scene.indenter.edge_radius * 1e3,
+            "tilt_deg": [math.degrees(angle) for angle in scene.indenter.tilt],
         },
         "tier": result.tier,
         "effects": list(scene.effects.key),
@@ -116,7 +117,8 @@ def stages(result: Result, seconds: float) -> str:
 
 def notes(result: Result) -> list[str]:
     """What a reader of the numbers should know about them; empty when there is nothing."""
-    said = []
+    solid = result.scene.indenter.solid
+    said = [] if solid is None else list(solid.notes)
     if result.tier == "fem":
         from sim.fem.path import sharpest
 

@@ -1,0 +1,165 @@
+# mypy: ignore-errors
+# (Warp reads the annotations of its kernels as values, which no type checker follows.)
+"""Distances from points to triangles, by Warp's tree of boxes."""
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+from sim.indenters.field import Grid
+
+Array = NDArray[np.float64]
+
+MM = 1e-3
+"""Unit of the queries: the tree is of float32 and expects numbers around 1."""
+FARTHEST = 1e6
+"""Beyond anything, in that unit."""
+ACCURACY = 2.0
+"""Triangles farther than this many of their own sizes are summed up as one (Barill et al., Fast
+winding numbers for soups and clouds, 2018)."""
+TOUCHING = 1e-5
+"""Distance below which the triangle's own normal is the direction [mm]."""
+AT_ONCE = 1 << 20
+"""Points of one launch."""
+SKIP = 4
+"""Nodes of a grid from one to the next that is asked where nothing is near."""
+
+
+class Nearest:
+    """What is nearest on a surface of triangles (V, 3) [m], (F, 3)."""
+
+    def __init__(
+        self, vertices: Array, faces: NDArray[np.int32], *, closed: bool, device: str = "cpu"
+    ) -> None:
+        """Build the tree; a `closed` surface has an inside."""
+        self._device = device
+        self._mesh = wp.Mesh(
+            points=wp.array(vertices / MM, dtype=wp.vec3, device=device),
+            indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
+            support_winding_number=closed,
+        )
+
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Distance (N,) [m] at points (N, 3) [m], and the unit vector along which it grows."""
+        return self._asked(points, False, 0.0)
+
+    def signed(self, points: Array, winding: float = 0.5) -> tuple[Array, Array]:
+        """As `distance`, below 0 where a closed surface winds around more than `winding` times.
+
+        Many times as slow where triangles are long.
+        """
+        return self._asked(points, True, winding)
+
+    def distance_at_nodes(self, grid: Grid, exact: float) -> Array:
+        """Distance (grid.shape) [m] at the nodes of a grid, certainly exact up to `exact` [m].
+
+        Farther away it is interpolated between every `SKIP`-th node.
+        """
+        weights = [_between(count) for count in grid.shape]
+        nodes = np.indices([weight.shape[1] for weight in weights]) * SKIP
+        coarse = self.distance(grid.places(nodes.reshape(3, -1).T))[0].reshape(nodes.shape[1:])
+        length = np.einsum("ia,jb,kc,abc->ijk", *weights, coarse, optimize=True)
+        # No distance changes by more than the way from one place to another.
+        near = length <= exact + math.sqrt(3) * SKIP * grid.spacing
+        length[near] = self.distance(grid.places(np.argwhere(near)))[0]
+        return length
+
+    def signed_at_nodes(self, grid: Grid, exact: float) -> Array:
+        """The same, below 0 inside a closed surface.
+
+        Neighbours that are both farther from the surface than from each other are on one side of
+        it: of each such region one node is asked, and every node that is nearer.
+        """
+        length = self.distance_at_nodes(grid, exact)
+        regions, _ = label(length > 1.001 * grid.spacing)
+        _, some = np.unique(regions, return_index=True)
+        one_each = grid.places(np.column_stack(np.unravel_index(some, grid.shape)))
+        inside = (self.signed(one_each)[0] < 0)[regions]
+        near = regions == 0
+        inside[near] = self.signed(grid.places(np.argwhere(near)))[0] < 0
+        return np.where(inside, -length, length)
+
+    def _asked(self, points: Array, signed: bool, winding: float) -> tuple[Array, Array]:
+        gap, direction = np.empty(len(points)), np.empty((len(points), 3))
+        for first in range(0, len(points), AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            given = wp.array(points[some] / MM, dtype=wp.vec3, device=self._device)
+            found = wp.empty(len(given), dtype=wp.vec4, device=self._device)
+            wp.launch(
+                _nearest_kernel(signed),
+                dim=len(given),
+                inputs=[self._mesh.id, winding, given],
+                outputs=[found],
+                device=self._device,
+            )
+            answer = found.numpy()
+            gap[some], direction[some] = answer[:, 3] * np.float64(MM), answer[:, :3]
+        return gap, direction
+
+
+def _between(count: int) -> Array:
+    """Shares (count, coarse nodes) of the coarse nodes in every node along an axis.
+
+    The last coarse node is the last one, or beyond it.
+    """
+    coarse = np.arange(0, count + SKIP - 1, SKIP)
+    return np.maximum(1 - np.abs(np.arange(count)[:, None] - coarse) / SKIP, 0.0)
+
+
+@cache
+def _nearest_kernel(signed: bool) -> Any:
+    """Kernel of the direction and distance from each point, signed or not."""
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def nearest(
+        # Settings:
+        mesh: wp.uint64,
+        winding: float,
+        # In:
+        points: wp.array[wp.vec3],
+        # Out:
+        found_out: wp.array[wp.vec4],
+    ):
+        i = wp.tid()
+        p = points[i]
+        if wp.static(signed):
+            found = wp.mesh_query_point_sign_winding_number(mesh, p, FARTHEST, ACCURACY, winding)
+        else:
+            found = wp.mesh_query_point_no_sign(mesh, p, FARTHEST)
+        away = p - wp.mesh_eval_position(mesh, found.face, found.u, found.v)
+        length = wp.length(away)
+        direction = wp.mesh_eval_face_normal(mesh, found.face)
+        if wp.static(signed):
+            length *= found.sign
+        if wp.abs(length) > TOUCHING:
+            direction = away / length
+        found_out[i] = wp.vec4(direction[0], direction[1], direction[2], length)
+
+    return nearest
+
+
+def misplaced_share(vertices: Array, faces: NDArray[np.int32]) -> float:
+    """Share of a closed surface's area that does not part inside from outside, 0 to 1.
+
+    A triangle does when the surface winds once around what is just within it, and not at all
+    around what is just outside of it: shells that overlap, or that are inside out, do not.
+    """
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    normal = np.cross(second - first, third - first) / 2
+    area = np.linalg.norm(normal, axis=1)
+    some = area > 0
+    middle = ((first + second + third) / 3)[some]
+    out = normal[some] / area[some, None] * (1e-4 * np.ptp(vertices, axis=0).max())
+    near = Nearest(vertices, faces, closed=True)
+
+    def winds(points: Array, more_than: float) -> NDArray[np.bool_]:
+        return near.signed(points, more_than)[0] < 0
+
+    right = winds(middle - out, 0.5) & ~winds(middle - out, 1.5)
+    right &= winds(middle + out, -0.5) & ~winds(middle + out, 0.5)
+    return float(area[some][~right].sum() / area.sum())

@@ -1,0 +1,98 @@
+"""Bodies of triangles, made up of little, and the files that hold them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+Body = tuple[Array, Faces]
+"""Vertices (V, 3) and triangles (F, 3), counterclockwise from outside."""
+
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+
+
+def write_binary(path: Path, body: Body) -> Path:
+    vertices, faces = body
+    records = np.zeros(len(faces), RECORD)
+    records["corners"] = vertices[faces]
+    path.write_bytes(bytes(80) + len(faces).to_bytes(4, "little") + records.tobytes())
+    return path
+
+
+def write_text(path: Path, body: Body) -> Path:
+    vertices, faces = body
+    lines = ["solid made up"]
+    for corners in vertices[faces]:
+        lines += ["  facet normal 0 0 0", "    outer loop"]
+        lines += [f"      vertex {x:.9e} {y:.9e} {z:.9e}" for x, y, z in corners]
+        lines += ["    endloop", "  endfacet"]
+    path.write_text("\n".join([*lines, "endsolid made up", ""]))
+    return path
+
+
+def block(x: float, y: float, z: float) -> Body:
+    """A box from z = 0 to z, its middle over the origin."""
+    cube = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return (cube - [0.5, 0.5, 0]) * [x, y, z], _halved(quads)
+
+
+def rounded_block(x: float, y: float, z: float, radius: float, count: int) -> Body:
+    """The same with all of its edges rounded, by `count` (odd) strips in each direction."""
+    vertices, faces = ball(1.0, count)
+    half = np.array([x, y, z]) / 2 - radius
+    return vertices * radius + np.sign(vertices) * half + [0, 0, z / 2], faces
+
+
+def ball(radius: float, count: int) -> Body:
+    """A sphere around the origin: a cube of `count` x `count` squares a side, blown up."""
+    corner = np.tan((np.arange(count + 1) / count - 0.5) * math.pi / 2)
+    u, v = (axis.ravel() for axis in np.meshgrid(corner, corner, indexing="ij"))
+    row = np.arange(count)[:, None] * (count + 1) + np.arange(count)
+    quads = np.stack([row, row + count + 1, row + count + 2, row + 1], axis=-1).reshape(-1, 4)
+    vertices, faces = [], []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            square = np.stack([u, v, np.full_like(u, side)], axis=1)
+            faces.append((quads if side > 0 else quads[:, ::-1]) + len(vertices) * len(u))
+            vertices.append(np.roll(square, axis + 1, axis=1))
+    points = np.concatenate(vertices)
+    points *= radius / np.linalg.norm(points, axis=1)[:, None]
+    return points, _halved(np.concatenate(faces))
+
+
+def revolved(profile: Sequence[tuple[float, float]], count: int) -> Body:
+    """A closed outline (distance from the axis, z), material on its left, turned about z."""
+    angle = np.arange(count) / count * math.tau
+    radius, z = np.array(profile, float).T
+    around = np.stack([np.cos(angle), np.sin(angle), np.ones(count)])
+    vertices = np.stack(
+        [np.outer(radius, around[0]), np.outer(radius, around[1]), np.outer(z, around[2])], axis=-1
+    ).reshape(-1, 3)
+    here = np.arange(len(profile))[:, None] * count
+    there = np.roll(here, -1, axis=0)
+    this, after = np.arange(count), (np.arange(count) + 1) % count
+    quads = np.stack([here + this, here + after, there + after, there + this], axis=-1)
+    return vertices, _halved(quads.reshape(-1, 4))
+
+
+def joined(*bodies: Body) -> Body:
+    """Bodies side by side in one file."""
+    first = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
+    faces = [faces + start for (_, faces), start in zip(bodies, first, strict=False)]
+    return np.concatenate([vertices for vertices, _ in bodies]), np.concatenate(faces)
+
+
+def moved(body: Body, by: Sequence[float]) -> Body:
+    return body[0] + np.array(by, float), body[1]
+
+
+def _halved(quads: Sequence[Sequence[int]] | Faces) -> Faces:
+    squares = np.asarray(quads)
+    return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
