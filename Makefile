@@ -10,7 +10,7 @@ SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAX
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -81,6 +81,12 @@ cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...), writ
 
 speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth, the floor, write docs/speed.md: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/speed] [ARGS="--again --smoke"] (20 minutes)
 	@$(PY) -m sim speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+simulate: $(VENV)/.sim  ## The paper's 810 states under 12 patterns, a marker archive: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
+	@$(PY) -m sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
+
+simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated sensors: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
+	@$(PY) -m sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 test: $(VENV)/.dev  ## Run the default tests (about 7 minutes on 2 cores)
 	@$(PY) -m pytest -q

@@ -6,7 +6,18 @@ import argparse
 import sys
 
 from sim.errors import SceneError, SimulationDiverged
-from sim.verbs import accuracy, cost_table, effects, hard_cases, hold, loop, press, refine, speed
+from sim.verbs import (
+    accuracy,
+    archive,
+    cost_table,
+    effects,
+    hard_cases,
+    hold,
+    loop,
+    press,
+    refine,
+    speed,
+)
 from sim.verbs.numbers import joined
 
 EXIT_DIVERGED = 1
@@ -16,7 +27,7 @@ EXIT_INTERRUPTED = 130
 TRIED_SHOWN = 5
 """Last attempts that are told of when there is no solution."""
 
-_VERBS = (press, loop, hold, refine, hard_cases, effects, accuracy, cost_table, speed)
+_VERBS = (press, loop, hold, refine, hard_cases, effects, accuracy, cost_table, speed, archive)
 
 
 def arguments() -> argparse.ArgumentParser:

@@ -75,13 +75,13 @@ def simulate_in_processes(
             f"numerics.one_topology: True with {processes} processes, which solve scenes one by "
             "one; allowed: False"
         )
-    context = _Spawning()
+    context = Spawning()
     executor = ProcessPoolExecutor(
-        min(processes, len(scenes)), mp_context=context, initializer=_make_ready, initargs=(tier,)
+        min(processes, len(scenes)), mp_context=context, initializer=make_ready, initargs=(tier,)
     )
     done = 0
     try:
-        with _interrupts_kept_off():
+        with interrupts_kept_off():
             tasks = [executor.submit(_solve, scene, tier, numerics) for scene in scenes]
         for task in as_completed(tasks):
             _raise_error_of(task)
@@ -91,7 +91,9 @@ def simulate_in_processes(
         return [task.result() for task in tasks]
     except BrokenProcessPool as broken:
         executor.shutdown(wait=True)
-        raise WorkerLost(_lost(context.started, done, len(scenes))) from broken
+        raise WorkerLost(
+            lost_worker(context.started, f"{done} of {len(scenes)} scenes")
+        ) from broken
     finally:
         if done < len(scenes):
             for worker in context.started:
@@ -103,7 +105,7 @@ def _solve(scene: Scene, tier: Tier, numerics: Numerics | MpmNumerics | None) ->
     return simulate_many([scene], tier, numerics=numerics)[0]
 
 
-def _make_ready(tier: Tier) -> None:
+def make_ready(tier: Tier) -> None:
     """Make a worker end with its parent, and start Warp without a banner of its own."""
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     if tier != "layer":
@@ -126,7 +128,7 @@ def _raise_error_of(task: Future[Outcome]) -> None:
         raise error
 
 
-class _Spawning(SpawnContext):
+class Spawning(SpawnContext):
     """Starts processes anew, and knows those that it has started."""
 
     def __init__(self) -> None:
@@ -141,7 +143,7 @@ class _Spawning(SpawnContext):
 
 
 @contextlib.contextmanager
-def _interrupts_kept_off() -> Iterator[None]:
+def interrupts_kept_off() -> Iterator[None]:
     """Processes and threads begun inside never see Ctrl-C: who began them stops them.
 
     They inherit what is blocked here; a Ctrl-C that comes meanwhile arrives at the end.
@@ -153,10 +155,13 @@ def _interrupts_kept_off() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _lost(workers: Sequence[SpawnProcess], done: int, count: int) -> str:
-    """What became of the workers, as far as their exit codes tell; the others were stopped then."""
+def lost_worker(workers: Sequence[SpawnProcess], done: str) -> str:
+    """What became of the workers, as far as their exit codes tell; the others were stopped then.
+
+    `done` is how much had been done, such as "3 of 9 scenes".
+    """
     codes = [worker.exitcode or 0 for worker in workers]
-    came = f"{done} of {count} scenes done"
+    came = f"{done} done"
     for code in codes:
         if code < 0 and code != -signal.SIGTERM:
             reason = ", most likely for lack of memory" if code == -signal.SIGKILL else ""

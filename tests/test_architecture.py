@@ -39,6 +39,7 @@ VENDORS = {
     "fsspec": {"recorder/remote"},
     "bpy": {"sim/render"},
     "trimesh": {"sim/indenters"},
+    "distributed": {"sim/archives"},
 }
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()

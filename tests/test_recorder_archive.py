@@ -81,6 +81,7 @@ def unit_of(rows: slice, sensor: str = "Array1") -> dict[str, Any]:
         "frame": row % 4,
         "t_ns": row * 25_000_000,
         "reference": row % 2,
+        "valid": row != 15,
     }
     unit = {
         "packed": PACKED[row],
@@ -534,7 +535,8 @@ def group(
             rows.append(np.stack([*columns, np.arange(4 * count)], axis=1))
     values = dice.permutation(np.concatenate(rows))
     names = ("location", "indenter", "target", "phase", "frame")
-    return dict(zip(names, values.T, strict=True))
+    table = dict(zip(names, values.T, strict=True))
+    return {**table, "valid": np.ones(len(values), bool)}
 
 
 @pytest.mark.parametrize(
@@ -577,6 +579,15 @@ def test_phases_and_locations_that_one_lacks_are_left_out() -> None:
     assert len(location_pairs(target, source, "authors_code")) == 4 + 4 + 3
 
 
+def test_frames_that_are_not_there_are_in_no_pair() -> None:
+    source, target = group(1, 4), group(1, 4)
+    source["valid"] = source["location"] != 2
+    pairs = location_pairs(source, target)
+    assert len(pairs) == 3 * 4
+    assert 2 not in target["location"][pairs.target]
+    assert len(location_pairs(target, source, "authors_code")) == 3 * 4
+
+
 def test_states_without_phases_pair_one_to_one() -> None:
     states = np.arange(810)
     table = {
@@ -585,6 +596,7 @@ def test_states_without_phases_pair_one_to_one() -> None:
         "target": states % 45 // 5,
         "phase": np.full(810, -1),
         "frame": states % 5,
+        "valid": np.ones(810, bool),
     }
     for preset in ("supplement", "authors_code"):
         pairs = location_pairs(table, table, preset)

@@ -295,6 +295,44 @@ def test_markers_that_grow_together_are_flagged_as_such() -> None:
     assert "grown together at" in flag.reason
 
 
+def with_flank(mask: Mask) -> tuple[Mask, NDArray[np.float16]]:
+    """Return the mask with columns 260 to 300 seen nearly end-on, and the field that says so."""
+    knees, moved = np.array([-200, 260, 300, 600, 900]), np.array([0.0, 0, -39, 0, 0])
+    untouched = np.interp(np.arange(WIDTH), knees + moved, knees)
+    column = np.round(untouched).astype(int).clip(0, WIDTH - 1)
+    field = np.zeros(Lattice().shape)
+    field[..., 0] = np.interp(Lattice().columns, knees, moved)
+    field[:2] = np.nan  # without material
+    return mask[:, column], field.astype(np.float16)
+
+
+def test_markers_on_a_steep_flank_may_hide_where_the_field_says_so_and_no_others() -> None:
+    check = MarkerCheck(squares())
+    hidden, field = with_flank(squares())
+    (flag,) = check.flags(hidden[None])
+    assert flag.reason.startswith("10 missing, 1 may have left the image; none near")
+    assert check.flags(hidden[None], field_of=lambda frame: field) == []
+    assert check.flags(hidden[None], field_of=lambda frame: field, lattice=Lattice()) == []
+    lost, _ = with_flank(squares(without=((4, 9),)))
+    (flag,) = check.flags(np.stack([hidden, lost]), field_of=lambda frame: field)
+    said = (
+        "11 missing, 1 may have left the image, 9 may be hidden on a flank; none near (470, 230)"
+    )
+    assert (flag.row, flag.reason) == (1, said)
+    still = np.zeros(Lattice().shape, np.float16)
+    assert len(check.flags(hidden[None], field_of=lambda frame: still)) == 1
+
+
+def test_a_marker_on_a_steep_flank_may_be_torn_in_two() -> None:
+    check = MarkerCheck(squares())
+    _, field = with_flank(squares())
+    torn = squares()
+    torn[30 : 30 + 18, 278:280] = False  # the first square that the flank crosses
+    (flag,) = check.flags(torn[None])
+    assert flag.reason.startswith("1 too many, 0 may have come into the image; new at")
+    assert check.flags(torn[None], field_of=lambda _: field) == []
+
+
 def test_a_tolerance_lets_some_pass_and_specks_always_do() -> None:
     frame = squares(without=((4, 5), (6, 6)))
     frame[250:253, 300:303] = True

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recorder.archive.reader import ArchivedSensor
 from recorder.errors import SessionError
@@ -16,7 +18,8 @@ _ROWS = 256  # frames in memory at once
 def marker_flags(sensor: ArchivedSensor) -> list[MarkerFlag]:
     """Return the frames whose markers are not those of their reference, in order of rows.
 
-    How they are counted is attribute `marker_check` of the sensor; null asks for no check.
+    Rows that are not valid are left out. How markers are counted is attribute `marker_check` of
+    the sensor; null asks for no check.
 
     Raises:
         SessionError: A reference that has no markers or is not there, or a chunk that is missing
@@ -40,8 +43,18 @@ def marker_flags(sensor: ArchivedSensor) -> list[MarkerFlag]:
 
 
 def _of_reference(sensor: ArchivedSensor, number: int, check: MarkerCheck) -> Iterator[MarkerFlag]:
-    rows = np.flatnonzero(sensor.table["reference"] == number)
+    chosen = (sensor.table["reference"] == number) & sensor.table["valid"]
+    rows = np.flatnonzero(chosen)
     for first in range(0, len(rows), _ROWS):
         batch = rows[first : first + _ROWS]
-        for flag in check.flags(sensor.masks(batch)):
+        field_of, lattice = None, None
+        if sensor.fields is not None:
+            field_of, lattice = partial(_field, sensor, batch), sensor.lattice
+        flags = check.flags(sensor.masks(batch), field_of=field_of, lattice=lattice)
+        for flag in flags:
             yield MarkerFlag(int(batch[flag.row]), flag.found, flag.expected, flag.reason)
+
+
+def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDArray[np.float16]:
+    """Return the displacement of a frame of a batch of rows."""
+    return sensor.displacement([int(batch[frame])]).squeeze(axis=0)

@@ -46,10 +46,11 @@ class LocationPairs:
 def location_pairs(source: Table, target: Table, preset: str = "supplement") -> LocationPairs:
     """Return the location pairs of two sensors' tables.
 
-    A location or a phase that only one of them has is left out.
+    A location or a phase that only one of them has is left out, as are rows that are not valid.
 
     Args:
-        source: Table of one sensor: columns `location`, `target`, `indenter`, `phase`, `frame`.
+        source: Table of one sensor: columns `location`, `target`, `indenter`, `phase`, `frame`,
+            `valid`.
         target: Table of the other.
         preset: One of `PRESETS`.
 
@@ -68,7 +69,7 @@ def location_pairs(source: Table, target: Table, preset: str = "supplement") -> 
 
 def _chosen(table: Table, preset: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return keys of location and phase, ascending and different, and the row of each."""
-    rows = np.flatnonzero(table["location"] >= 0)
+    rows = np.flatnonzero((table["location"] >= 0) & table["valid"])
     location = table["location"][rows].astype(np.int64)
     phase, frame = table["phase"][rows].astype(np.int64), table["frame"][rows]
     _require_one_press(location, table["indenter"][rows], table["target"][rows])
@@ -90,7 +91,7 @@ def _first_frames(
     table: Table, locations: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return locations, and the row of the first frame at each."""
-    rows = np.flatnonzero(np.isin(table["location"], locations))
+    rows = np.flatnonzero(np.isin(table["location"], locations) & table["valid"])
     order = np.lexsort((table["frame"][rows], table["location"][rows]))
     found, first = np.unique(table["location"][rows][order], return_index=True)
     return found.astype(np.int64), rows[order][first]

@@ -72,6 +72,9 @@ COLUMNS: Mapping[str, TableColumn] = {
     "frame": TableColumn("int32", "1", "number of the frame within its target", least=0),
     "t_ns": TableColumn("int64", "ns", "time of the frame, on the clock of its source"),
     "reference": TableColumn("int16", "1", "row of references", least=0),
+    "valid": TableColumn(
+        "bool", "1", "whether there is such a frame; where not, its source says why"
+    ),
     SOURCE: TableColumn("int32", "1", "row of sources", least=0),
 }
 """Columns of a table in their order."""

@@ -12,21 +12,30 @@ explain a difference:
   reference is near its place.
 
 Near, and the travel, are half the distance between neighbours in the reference unless said
-otherwise. A frame is flagged when more are missing than may have left, or more are new than may
-have come in. Equal counts are never flagged, whatever the displacements in between.
+otherwise. Where the displacement field of a frame is known, near means near to where the field
+takes the marker, and one more thing may explain a difference: a marker on a **steep flank** of the
+skin is seen end-on, as a sliver that is too small to count, or in two, or one with its neighbour.
+
+A frame is flagged when more are missing than may have left or be hidden, or more are new than may
+have come in or be torn. Equal counts are never flagged, whatever the displacements in between.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.markers.blobs import SMALLEST_PX, Blobs, find_blobs
+from recorder.markers.flanks import moved, on_flanks
+from recorder.markers.lattice import Lattice
 from recorder.markers.packing import HEIGHT, WIDTH, Masks, require_masks
 
 Chosen = NDArray[np.bool_]
+FieldOf = Callable[[int], NDArray[np.floating]]
+"""Gives the displacement (h, w, 2) [px] of a frame; asked only where the border is no reason."""
 
 _MERGED = 1.5
 """A patch is taken for two markers grown together above so many times the largest's area."""
@@ -90,12 +99,21 @@ class MarkerCheck:
         """Number of markers in the reference, cut ones too."""
         return len(self._blobs)
 
-    def flags(self, masks: Masks, first_row: int = 0) -> list[MarkerFlag]:
+    def flags(
+        self,
+        masks: Masks,
+        first_row: int = 0,
+        *,
+        field_of: FieldOf | None = None,
+        lattice: Lattice | None = None,
+    ) -> list[MarkerFlag]:
         """Return a flag for each frame whose markers are not those of the reference.
 
         Args:
             masks: Frames (n, 480, 640).
             first_row: Number of the first of them.
+            field_of: Gives the displacement of frame 0 to n - 1, where it is known.
+            lattice: Where that is kept; the usual one when None.
 
         Raises:
             ValueError: Not bool (n, 480, 640).
@@ -107,28 +125,46 @@ class MarkerCheck:
         for frame in np.flatnonzero(np.abs(np.diff(first) - self.expected) > self.tolerance):
             found = blobs.only(slice(first[frame], first[frame + 1]))
             reason = self._reason(found)
+            if reason is not None and field_of is not None:
+                field = field_of(int(frame))
+                reason = self._reason(found, field, Lattice() if lattice is None else lattice)
             if reason is not None:
                 flags.append(MarkerFlag(int(frame) + first_row, len(found), self.expected, reason))
         return flags
 
-    def _reason(self, found: Blobs) -> str | None:
-        """Return what is wrong with a frame of another count; None if the border explains it."""
-        stayed, known = _matched(self._blobs.centre, found.centre, self.travel_px)
+    def _reason(
+        self,
+        found: Blobs,
+        field: NDArray[np.floating] | None = None,
+        lattice: Lattice | None = None,
+    ) -> str | None:
+        """Return what is wrong with a frame of another count; None if there is an explanation."""
+        centres = self._blobs.centre
+        flank = np.zeros(len(centres), np.bool_)
+        if field is not None and lattice is not None:
+            flank = on_flanks(centres, field, lattice)
+            there = moved(centres, field, lattice)
+            centres = np.where(np.isfinite(there), there, centres)
+        stayed, known = _matched(centres, found.centre, self.travel_px)
         missing = self.expected - len(found)
         if missing > 0:
             near = self._near_border(self._blobs)
             may_have_left = int(np.count_nonzero(~stayed & near))
-            if missing <= may_have_left + self.tolerance:
+            hidden = int(np.count_nonzero(~stayed & ~near & flank))
+            if missing <= may_have_left + hidden + self.tolerance:
                 return None
             reason = f"{missing} missing, {may_have_left} may have left the image"
-            reason += _places("; none near", self._blobs.only(~stayed & ~near))
+            reason += f", {hidden} may be hidden on a flank" if field is not None else ""
+            reason += _places("; none near", self._blobs.only(~stayed & ~near & ~flank))
             merged = found.only(found.area > _MERGED * self._blobs.area.max())
             return reason + _places("; grown together at", merged)
         near = self._near_border(found)
         may_have_come = int(np.count_nonzero(~known & near))
-        if -missing <= may_have_come + self.tolerance:
+        torn = int(np.count_nonzero(flank))
+        if -missing <= may_have_come + torn + self.tolerance:
             return None
         reason = f"{-missing} too many, {may_have_come} may have come into the image"
+        reason += f", {torn} may be torn on a flank" if field is not None else ""
         return reason + _places("; new at", found.only(~known & ~near))
 
     def _near_border(self, blobs: Blobs) -> Chosen:

@@ -1,0 +1,87 @@
+"""What became of an archive: its size, what has no solution, what the marker check says."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor, marker_flags
+
+SHOWN = 5
+"""Frames, and presses without a solution, that are told of one by one."""
+
+
+def summary(
+    path: Path, *, check: bool = True, progress: Callable[[float], None] = lambda share: None
+) -> Iterator[str]:
+    """Lines on a whole archive.
+
+    Args:
+        path: Where it is.
+        check: Whether markers are counted, a millisecond an image.
+        progress: Called with the share of the sensors that are counted.
+
+    Raises:
+        SessionError: A damaged archive.
+    """
+    archive = MarkerArchive(path)
+    images = sum(len(sensor) for sensor in archive.values())
+    size = sum(sum(each.files.sizes(each.path).values()) for each in archive.values())
+    yield f"{path}: {len(archive)} sensors, {images:,} images, {size / 1e6:,.1f} MB"
+    yield from _presses(archive)
+    if check:
+        yield from _flags(archive, images, progress)
+
+
+def _presses(archive: MarkerArchive) -> Iterator[str]:
+    """Presses that were solved in another way than asked for, and those that were not."""
+    again: dict[str, None] = {}
+    lost: dict[str, None] = {}
+    for sensor in archive.values():
+        missing = {int(row) for row in sensor.table["source"][~sensor.table["valid"]]}
+        for number, line in enumerate(sensor.sources):
+            made = json.loads(line)
+            if "failed" not in made:
+                continue
+            press = f"{made['indenter']}, target {made['target']} of {sensor.name}"
+            if number in missing:
+                lost[f"{press}: {made['failed'][-1]}"] = None
+            else:
+                again[f"{press}: solved with {made.get('again', 'a dearer choice')}"] = None
+    yield from _some(f"{len(again)} presses were solved again in another way", list(again))
+    yield from _some(f"{len(lost)} presses have no solution, their rows are not valid", list(lost))
+
+
+def _flags(archive: MarkerArchive, images: int, progress: Callable[[float], None]) -> Iterator[str]:
+    flagged: list[str] = []
+    counted = 0
+    for place, sensor in enumerate(archive.values()):
+        found = marker_flags(sensor)
+        counted += _counted(sensor)
+        flagged += [f"{sensor.name} {flag}" for flag in found]
+        progress((place + 1) / len(archive))
+    share = f", {1e3 * len(flagged) / counted:.2f} in 1,000" if flagged else ""
+    yield f"marker count: {len(flagged)} of {counted:,} images flagged{share}"
+    yield from _some("", flagged)
+    if counted < images:
+        yield f"  ({images - counted:,} images have no markers to count, or are not valid)"
+
+
+def _counted(sensor: ArchivedSensor) -> int:
+    if sensor.attrs.get("marker_check") is None:
+        return 0
+    return int(np.count_nonzero(sensor.table["valid"]))
+
+
+def _some(title: str, lines: list[str]) -> Iterator[str]:
+    if not lines:
+        return
+    if title:
+        yield title
+    yield from (f"  {line}" for line in lines[:SHOWN])
+    if len(lines) > SHOWN:
+        yield f"  and {len(lines) - SHOWN} more: `python -m recorder check`, and `sources`"

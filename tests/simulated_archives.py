@@ -1,0 +1,86 @@
+"""Small archives of simulated sensors for tests: tier `layer`, a handful of presses."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim.archives import Begun, Filled, Plan, Solving, Stop, Unit, begin, cost, fill, solving
+from sim.archives.local import make_here
+from sim.scene import Scene
+from sim.sensors import sensor
+from sim.simulate import Tier, simulate_many
+
+LAYER = Solving(tier="layer")
+SKINS = Plan(
+    "targets",
+    (sensor("r6"), sensor("r18"), sensor("uskin")),
+    indenters=("sphere", "cone"),
+    solving=LAYER,
+    share=0.01,
+    steps=1,
+    unit_presses=2,
+    together=2,
+)
+"""A family of two skins and one of taxels: 5 units, two of them force and depth."""
+UNITS, IMAGES = 5, 2 * (2 + 3) * 5 + (4 + 3) * 5
+_IN_USE = sensor("array-i")
+LIVED = replace(
+    SKINS,
+    sensors=(
+        replace(
+            _IN_USE,
+            trajectory=None
+            if _IN_USE.trajectory is None
+            else replace(_IN_USE.trajectory, points=(1,)),
+            force_depth=None,
+        ),
+    ),
+    seed=5,
+)
+"""A sensor with everything that life does to it, pressed at its middle alone."""
+
+
+def make(path: Path, plan: Plan, units: Callable[[Sequence[Unit]], Any] = tuple) -> Filled:
+    """Make what is missing of an archive in this process; `units` says in which order, and what."""
+    begun: Begun = begin(path, plan)
+    stop = Stop()
+    stop.asked = False
+    return fill(
+        begun,
+        lambda missing, inside: make_here(begun, units(missing), inside, device="cpu", stop=stop),
+        stop,
+        lambda share: None,
+    )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def solved_once() -> Iterator[None]:
+    """Solve every press of these tests once, and foretell the cost from one press of a family."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solving, "simulate_many", _known)
+        patch.setattr(cost, "SAMPLES", 1)
+        yield
+
+
+def _known(scenes: Sequence[Scene], tier: Tier, **options: Any) -> list[Any]:
+    options.pop("progress", None)
+    return [_simulated(scene, tier, tuple(sorted(options.items()))) for scene in scenes]
+
+
+@functools.cache
+def _simulated(scene: Scene, tier: Tier, options: tuple[Any, ...]) -> Any:
+    (outcome,) = simulate_many([scene], tier, **dict(options))
+    return outcome
+
+
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of every file of an archive."""
+    files = (entry for entry in path.rglob("*") if entry.is_file())
+    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
