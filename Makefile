@@ -5,7 +5,9 @@ PY       := $(VENV)/bin/python
 PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
               $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
               2>/dev/null && echo $$p && break; done)
-BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR))
+WORLDARG := $(if $(WORLD),--world $(WORLD))
+WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
+BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR)) $(WORLDARG)
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
@@ -15,26 +17,26 @@ PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constrai
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-collect: $(VENV)/.rig  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
+collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator $(OPERATOR)) $(WATCHARG)
 
-resume: $(VENV)/.rig  ## Continue a stopped session: SESSION=sessions/x.zarr [BENCH=file] [WATCH=1]
-	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(SOURCES) --resume $(SESSION) $(WATCHARG)
+resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session: SESSION=sessions/x.zarr [BENCH=file] [WATCH=1]
+	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(WATCHARG)
 
-home: $(VENV)/.rig  ## Find the surface by touch, keep it in calibrations/: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file]
+home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch, keep it in calibrations/: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim]
 	@$(PY) -m rig home $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
 
-calibrate-latency: $(VENV)/.rig  ## Tap lightly, keep how late the camera is: SENSOR=tacpalm [INDENTER=] [BENCH=file]
+calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Tap lightly, keep how late the camera is: SENSOR=tacpalm [INDENTER=] [BENCH=file] [WORLD=sim]
 	@$(PY) -m rig calibrate-latency $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER))
 
-force-depth: $(VENV)/.rig  ## Press and release 3 times, table and curve: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file]
+force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, table and curve: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file] [WORLD=sim]
 	@$(PY) -m rig force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
 
 campaign: $(VENV)/.rig  ## Record what is left of a day: FILE=campaigns/day.yaml [LIST=1] [YES=1] [KEEP_GOING=1]
 	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(if $(KEEP_GOING),--keep-going)
 
-jog: $(VENV)/.rig  ## Move the arm by a SpaceMouse, take the contact origin: SENSOR=tacpalm [BENCH=file]
+jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm by a SpaceMouse, take the contact origin: SENSOR=tacpalm [BENCH=file]
 	@$(PY) -m rig jog $(BENCHARG)
 
 grip: $(VENV)/.rig  ## Close the gripper on the indenter: SENSOR=tacpalm [OPEN=1] [BENCH=file]
@@ -46,7 +48,7 @@ preview: $(VENV)/.rig  ## Draw the plan and check its limits: SENSOR=tacpalm [OU
 compare: $(VENV)/.rig  ## Hold a mock session against the World's truth: SESSION= TRUTH=
 	@$(PY) -m rig compare --session $(SESSION) --truth $(TRUTH)
 
-mock: $(VENV)/.rig  ## Run the emulators of a bench until Ctrl-C: SENSOR=tacpalm
+mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C: SENSOR=tacpalm
 	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)
 
 replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]

@@ -16,6 +16,7 @@ from rig.guard import GuardLimits
 from rig.hid.config import PedalConfig, SpaceMouseConfig
 from rig.taxels.config import XelaConfig
 from rig.world.analytic import AnalyticSpec
+from rig.world.simulated import SimulatedSpec
 from trajectories import ForceDepth, Limits, PressShear
 
 LOOPBACK = "loopback"
@@ -122,8 +123,10 @@ class Bench:
     """Moves the arm by hand, for `make jog` only."""
     force_depth: ForceDepth | None = None
     """The press that `force-depth` records; None where the sensor has none."""
-    world: AnalyticSpec | None = None
+    world: AnalyticSpec | SimulatedSpec | None = None
     """What presses what, on a mock bench; None on a lab bench."""
+    simulated: SimulatedSpec | None = None
+    """What WORLD=sim puts in the place of `world`."""
     world_frame: tuple[float, ...] | None = field(default=None, metadata={"pose": True})
     """Where a mock's surface really is, (6,) in the base frame [m, rad]; None: at contact_frame."""
 
@@ -169,6 +172,20 @@ def find_bench(sensor: str, folder: Path) -> Path:
             return path
     known = sorted(path.stem for path in folder.glob("*.yaml") if path.stem != "mock")
     raise ConfigError(f"SENSOR: found {sensor!r}; known in {folder}/: {', '.join(known)}")
+
+
+def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
+    """`content` with what its `simulated` says in the place of `world`.
+
+    Raises:
+        ConfigError: It has none, or is no mock bench's.
+    """
+    if not content.get("mock") or not isinstance(content.get("simulated"), dict):
+        raise ConfigError(
+            f"{where}.simulated: missing, or on a lab bench; allowed with --world sim: a mock "
+            "bench with a simulated sensor"
+        )
+    return {**content, "world": {"kind": SimulatedSpec.KIND, **content["simulated"]}}
 
 
 def bench_from(content: dict[str, Any], where: str) -> Bench:

@@ -20,6 +20,7 @@ from rig.hid.config import PedalConfig, SpaceMouseConfig
 from rig.taxels.config import XelaConfig
 from rig.units import from_si
 from rig.world.analytic import Noise
+from rig.world.simulated import SimulatedSpec
 
 _START_HEIGHT = 0.03
 # Where the arm waits, above the middle of the sensor [m].
@@ -143,9 +144,8 @@ def _ati_serial(config: AtiSerialConfig, stage: Stage) -> list[str]:
 
 def _mjpeg(config: CameraConfig, stage: Stage) -> list[str]:
     shown = ["--view", str(stage.spec)]
-    markers = stage.bench.world.markers if stage.bench.world else None
-    if markers is not None and markers.delay:
-        shown += ["--delay-ms", repr(from_si(markers.delay, "ms"))]
+    if stage.bench.world is not None and (delay := stage.bench.world.camera_delay):
+        shown += ["--delay-ms", repr(from_si(delay, "ms"))]
     if stage.sources.camera is not None:
         motion = stage.sources.camera_motion
         shown = ["--source", str(stage.sources.camera), "--motion", motion]
@@ -220,15 +220,14 @@ _EMULATORS: dict[type, Callable[[Any, Stage], list[str]]] = {
 }
 
 
-def world_command(stage: Stage) -> list[str]:
-    """Module and arguments of the process that owns the World."""
-    return [
-        "rig.world.host",
-        *("--spec", str(stage.spec)),
-        *("--arm", str(stage.arm)),
-        *("--world", str(stage.world)),
-        *(("--truth", str(stage.truth)) if stage.truth else ()),
-    ]
+def world_commands(stage: Stage) -> dict[str, list[str]]:
+    """Module and arguments of the process that owns the World, and of one that solves for it."""
+    motion = ["--spec", str(stage.spec), "--arm", str(stage.arm)]
+    truth = ["--truth", str(stage.truth)] if stage.truth else []
+    commands = {"world": ["rig.world.host", *motion, "--world", str(stage.world), *truth]}
+    if isinstance(stage.bench.world, SimulatedSpec):
+        commands["solver"] = ["rig.world.solver", *motion]
+    return commands
 
 
 def emulator_commands(stage: Stage) -> dict[str, list[str]]:

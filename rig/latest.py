@@ -46,3 +46,36 @@ WORLD_STATE = np.dtype(
 """One stamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
 above the surface), contact position and tangential surface displacement in the contact frame [m],
 wrench on the sensor in the F/T frame [N, N m], taxels before noise [counts]."""
+
+PRESS_STATE = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("tip", "<f8", (3,)),
+        ("touching", "<i8"),
+        ("shear", "<f8", (2,)),
+        ("friction", "<f8"),
+        ("values", "<f8", (54,)),
+        ("slope", "<f8", (54, 3)),
+        ("rate", "<f8", (54,)),
+    ]
+)
+"""The last solution of a simulated World, and how to go on from it: the tip in the contact frame
+[m], the mean sideways displacement under it [m], the coefficient of friction, wrench about the tip
+[N, N m] and taxels [counts], what they change with the tip [1/m] and with time [1/s]."""
+
+
+def surface_state(shape: tuple[int, int]) -> np.dtype[np.void]:
+    """The last two deformations of a simulated World whose top has `shape` points.
+
+    Tips (3,) and displacements (X, Y, 3) in the contact frame [m], the newest first.
+    """
+    surface = ("<f4", (*shape, 3))
+    return np.dtype(
+        [
+            ("t_ns", "<i8"),
+            ("tip", "<f8", (3,)),
+            ("tip_before", "<f8", (3,)),
+            ("surface", *surface),
+            ("surface_before", *surface),
+        ]
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import selectors
 import subprocess
 import sys
@@ -14,6 +15,9 @@ from rig.errors import DeviceLost
 _READY_TIMEOUT = 30.0
 # Interpreters start one after the other on a small machine [s].
 _END_TIMEOUT = 5.0
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+# They share the cores among them and with the rig: none of them may spread a product of matrices
+# over all of them, let alone wait for the others busily.
 
 
 class Launched:
@@ -39,6 +43,7 @@ class Launched:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
+                env={**os.environ, **_ONE_THREAD},
                 # Ctrl-C is for whoever started them, and who ends them last.
                 start_new_session=True,
             )

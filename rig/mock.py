@@ -20,11 +20,12 @@ import numpy as np
 
 from rig.bench import Bench, addressed, bench_from
 from rig.clock import SystemClock
-from rig.emulators import Sources, Stage, emulator_commands, world_command
+from rig.emulators import Sources, Stage, emulator_commands, world_commands
 from rig.errors import ConfigError, DeviceLost
-from rig.latest import ARM_TRUTH, WORLD_STATE
+from rig.latest import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.launched import Launched
 from rig.shared import LatestRecord
+from rig.world.simulated import PRESS_FILE, SimulatedSpec
 
 logger = logging.getLogger(__name__)
 
@@ -60,6 +61,7 @@ class MockBench:
         self._sources = sources or Sources()
         self._truth = truth
         self._launched = Launched(folder, SystemClock())
+        self._closed = False
 
     def __enter__(self) -> MockBench:
         try:
@@ -76,12 +78,20 @@ class MockBench:
         spec = self._folder / "world.json"
         contact_frame = list(self.bench.world_frame or self.bench.contact_frame)
         spec.write_text(
-            json.dumps({"world": self.content["world"], "contact_frame": contact_frame})
+            json.dumps(
+                {
+                    "world": self.content["world"],
+                    "contact_frame": contact_frame,
+                    "indenter": self.bench.indenter,
+                }
+            )
         )
         self.arm_path = self._folder / "arm.state"
         self.world_path = self._folder / "world.state"
         LatestRecord.create(self.arm_path, ARM_TRUTH).close()
         LatestRecord.create(self.world_path, WORLD_STATE).close()
+        if isinstance(self.bench.world, SimulatedSpec):
+            LatestRecord.create(self._folder / PRESS_FILE, PRESS_STATE).close()
         stage = Stage(
             self.bench,
             self.host,
@@ -92,7 +102,7 @@ class MockBench:
             sources=self._sources,
             truth=self._truth,
         )
-        commands = {**emulator_commands(stage), "world": world_command(stage)}
+        commands = {**emulator_commands(stage), **world_commands(stage)}
         for name, arguments in commands.items():
             self._launched.start(name, arguments)
         self._launched.wait_ready()
@@ -113,6 +123,10 @@ class MockBench:
     def close(self) -> None:
         """End every emulator; safe twice."""
         self._launched.close()
+        if "solver" in self.processes and not self._closed:
+            # How often it solved is how far the World can be trusted.
+            logger.info(self._launched.last_word("solver"))
+        self._closed = True
 
 
 def free_loopback() -> str:

@@ -14,6 +14,8 @@ DEVICE_PRIORITY = 60
 """Of emulators: the devices they stand for wait for nobody."""
 CAMERA_PRIORITY = 40
 """Of the camera's emulator, which draws for milliseconds on end: below all that must not wait."""
+SOLVER_PRIORITY = 30
+"""Of what solves a simulated World: busier than the camera, and late at the cost of accuracy."""
 _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 

@@ -208,6 +208,13 @@ def test_taxels_rest_apart_and_count_up_when_pressed() -> None:
     assert (pressed[inner, 2] - rest[inner, 2] > 1000).all()
     right = pad.counts(surface(shear=(5e-4, 0))) - pressed
     assert (right[inner, 0] > 100).all()
+    up = pad.counts(surface(shear=(0, 5e-4))) - pressed
+    assert (up[inner, 1] > 100).all()
+    assert (pad.positions()[[0, 3, 12]] > 0).tolist() == [
+        [False, False],
+        [True, False],
+        [False, True],
+    ]
 
 
 def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end(

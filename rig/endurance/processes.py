@@ -36,7 +36,8 @@ def role_of(pid: int, command: str, session: Path) -> str:
     """
     emulator = re.search(r"-m rig\.(\w+)\.(\w+)", command)
     if emulator:
-        return "World" if emulator[2] == "host" else f"{emulator[1]} emulator"
+        of_world = {"host": "World", "solver": "World's solver"}
+        return of_world.get(emulator[2], f"{emulator[1]} emulator")
     if "resource_tracker" in command:
         return "resource tracker"
     written = _stream_written(pid, session)

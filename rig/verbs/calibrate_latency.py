@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder import Session
-from rig.bench import load_bench
 from rig.calibrate import store
 from rig.calibration import Calibration, LatencyCalibration
 from rig.clock import file_stamp
 from rig.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
 from rig.units import to_si
 from rig.verbs.calibrated import calibration_of, calibration_options
-from rig.verbs.options import banner, bench_options, bench_path, log_to
+from rig.verbs.options import banner, bench_options, chosen_bench, log_to
 
 if TYPE_CHECKING:
     from rig.verbs.options import Verbs
@@ -48,8 +47,7 @@ def run(options: argparse.Namespace) -> int:
     from rig.collect.order import Order, plan_of
     from rig.collect.recording import record
 
-    path = bench_path(options)
-    bench, content = load_bench(path)
+    path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
     indenter = options.indenter or bench.indenter
     content = {**content, "indenter": indenter}

@@ -6,11 +6,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.bench import load_bench
 from rig.clock import file_stamp
 from rig.errors import ConfigError
 from rig.verbs.calibrated import calibration_of, calibration_options
-from rig.verbs.options import banner, bench_options, bench_path, log_to
+from rig.verbs.options import banner, bench_options, chosen_bench, log_to
 
 if TYPE_CHECKING:
     from rig.verbs.options import Verbs
@@ -42,8 +41,7 @@ def run(options: argparse.Namespace) -> int:
     from rig.collect.order import Order, plan_of
     from rig.collect.recording import record
 
-    path = bench_path(options)
-    bench, content = load_bench(path)
+    path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
     if bench.force_depth is None:
         raise ConfigError(

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.bench import bench_from, load_bench
+from rig.bench import bench_from
 from rig.clock import SystemClock
 from rig.errors import ConfigError, SafetyStop
 from rig.mock import MockBench
-from rig.verbs.options import banner, bench_options, bench_path
+from rig.verbs.options import banner, bench_options, chosen_bench
 
 if TYPE_CHECKING:
     from rig.bench import Bench
@@ -40,8 +40,7 @@ def run(options: argparse.Namespace) -> int:
         ConfigError: The bench has no `jog`.
         DeviceLost, SafetyStop, Interrupted: What ended it; the arm stands still.
     """
-    path = bench_path(options)
-    bench, content = load_bench(path)
+    path, bench, content = chosen_bench(options)
     if bench.jog is None:
         raise ConfigError(f"{path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")

@@ -8,10 +8,9 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.bench import load_bench
 from rig.errors import ConfigError
 from rig.mock import MockBench
-from rig.verbs.options import banner, bench_options, bench_path, source_options, sources_of
+from rig.verbs.options import banner, bench_options, chosen_bench, source_options, sources_of
 
 if TYPE_CHECKING:
     from rig.verbs.options import Verbs
@@ -31,8 +30,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError: The bench is no mock bench.
     """
-    path = bench_path(options)
-    bench, content = load_bench(path)
+    path, bench, content = chosen_bench(options)
     if not bench.mock:
         raise ConfigError(f"{path}.mock: false; allowed: a mock bench")
     with (

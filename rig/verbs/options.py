@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from recorder import Session
-from rig.bench import find_bench
+from rig.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world
 from rig.emulators import Sources
 from rig.errors import ConfigError
+from rig.world.simulated import SimulatedSpec
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -23,6 +24,11 @@ def bench_options() -> argparse.ArgumentParser:
     chosen.add_argument("--sensor", help="name of a bench file: benches/lab/ first, then benches/")
     chosen.add_argument("--bench", type=Path, help="path of a bench file")
     parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of them")
+    parser.add_argument(
+        "--world",
+        choices=("sim",),
+        help="mock bench: what the simulator says, in place of the bench file's world",
+    )
     return parser
 
 
@@ -59,6 +65,29 @@ def bench_path(options: argparse.Namespace) -> Path:
     if sensor is None:
         raise ConfigError("--sensor, --bench: both missing; allowed: one of them")
     return find_bench(sensor, options.benches)
+
+
+def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, Any]]:
+    """File, bench and content of what `bench_path` finds, with the world that --world names.
+
+    A session to resume goes on in the world that it began in.
+
+    Raises:
+        ConfigError: See `rig.config`; or a bench that has no such world.
+        SessionError: The session to resume cannot be read.
+    """
+    path = bench_path(options)
+    bench, content = load_bench(path)
+    resumed = getattr(options, "resume", None)
+    if options.world is None and (resumed is None or not _began_simulated(resumed)):
+        return path, bench, content
+    content = with_simulated_world(content, str(path))
+    return path, bench_from(content, str(path)), content
+
+
+def _began_simulated(session: Path) -> bool:
+    world = Session(session).attrs["bench"].get("world") or {}
+    return bool(world.get("kind") == SimulatedSpec.KIND)
 
 
 def sources_of(options: argparse.Namespace) -> Sources:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +13,42 @@ from rig.config import build
 from rig.errors import ConfigError
 from rig.world.analytic import AnalyticSpec, AnalyticWorld, World, surface_of
 from rig.world.markers import MarkerCamera
+from rig.world.simulated import SimulatedSpec, SimulatedView, SimulatedWorld
 
 __all__ = [
     "AnalyticSpec",
     "AnalyticWorld",
+    "SimulatedSpec",
+    "SimulatedWorld",
     "World",
+    "WorldFile",
     "build_world",
     "load_view",
-    "read_spec",
+    "read_file",
 ]
 
+_SPECS: dict[str, type[AnalyticSpec] | type[SimulatedSpec]] = {
+    spec.KIND: spec for spec in (AnalyticSpec, SimulatedSpec)
+}
 
-def read_spec(path: Path) -> tuple[AnalyticSpec, tuple[float, ...]]:
-    """The World's spec and the contact frame from the JSON file a mock bench writes.
 
-    The file holds `world` as in a bench file and `contact_frame` as a pose (6,) [m, rad].
+@dataclass(frozen=True, slots=True)
+class WorldFile:
+    """What a mock bench tells the processes of its World."""
+
+    world: AnalyticSpec | SimulatedSpec
+    contact_frame: tuple[float, ...]
+    """Pose (6,) in the base frame [m, rad]."""
+    indenter: str
+    """What is on the arm."""
+    folder: Path
+    """Run folder, with the records that they share."""
+
+
+def read_file(path: Path) -> WorldFile:
+    """What the JSON file that a mock bench writes into its run folder says.
+
+    It holds `world` as in a bench file, `contact_frame` as a pose (6,) [m, rad] and `indenter`.
 
     Raises:
         ConfigError: A file that does not hold them.
@@ -34,13 +56,23 @@ def read_spec(path: Path) -> tuple[AnalyticSpec, tuple[float, ...]]:
     content = json.loads(path.read_text())
     if not isinstance(content, dict) or {"world", "contact_frame"} - content.keys():
         raise ConfigError(f"{path}: allowed: a JSON object with 'world' and 'contact_frame'")
-    spec = build(AnalyticSpec, content["world"], f"{path}.world")
-    return spec, tuple(float(value) for value in content["contact_frame"])
+    kind = content["world"].get("kind", AnalyticSpec.KIND)
+    if kind not in _SPECS:
+        raise ConfigError(f"{path}.world.kind: found {kind!r}; allowed: {sorted(_SPECS)}")
+    return WorldFile(
+        world=build(_SPECS[kind], content["world"], f"{path}.world"),
+        contact_frame=tuple(float(value) for value in content["contact_frame"]),
+        indenter=str(content.get("indenter", "")),
+        folder=path.parent,
+    )
 
 
 def build_world(path: Path) -> World:
     """The World that the JSON file describes."""
-    return AnalyticWorld(*read_spec(path))
+    file = read_file(path)
+    if isinstance(file.world, SimulatedSpec):
+        return SimulatedWorld(file.world, file.contact_frame, file.folder)
+    return AnalyticWorld(file.world, file.contact_frame)
 
 
 def load_view(path: Path) -> Callable[[np.void], np.ndarray]:
@@ -49,7 +81,10 @@ def load_view(path: Path) -> Callable[[np.void], np.ndarray]:
     Raises:
         ConfigError: The World has no camera.
     """
-    spec, _ = read_spec(path)
+    file = read_file(path)
+    spec = file.world
+    if isinstance(spec, SimulatedSpec):
+        return SimulatedView(spec, file.folder)
     if spec.markers is None:
         raise ConfigError(f"{path}.world.markers: missing; allowed: a marker view")
     grey = 0.0 if spec.noise is None else spec.noise.grey

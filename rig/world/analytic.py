@@ -70,6 +70,11 @@ class AnalyticSpec:
     noise: Noise | None = None
     """Absent: instruments without noise."""
 
+    @property
+    def camera_delay(self) -> float:
+        """How late the emulated camera delivers what it saw [s]."""
+        return 0.0 if self.markers is None else self.markers.delay
+
 
 class AnalyticWorld:
     """Closed-form contact with the history it needs.

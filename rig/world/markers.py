@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from rig.world.picture import HEIGHT, WIDTH, Backdrop
 from rig.world.surface import Surface
 
-WIDTH, HEIGHT = 640, 480
 _SUBPIXEL_BITS = 4
 # cv2.circle takes centres and radii in 1/16 px, so a marker moves smoothly.
 _SHADE, _SHADE_DEPTH = 90.0, 1.5e-3
@@ -65,20 +65,9 @@ class MarkerCamera:
     def __init__(self, view: MarkerView, *, grey_noise: float = 0.0, seed: int = 0) -> None:
         self._view = view
         self._points = view.points()
-        row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
-        across = (column - WIDTH / 2) / WIDTH
-        down = (row - HEIGHT / 2) / HEIGHT
-        vignette = 1.08 - 0.45 * (across**2 + down**2)
-        tint = np.stack([1 + 0.18 * across, 1 - 0.10 * down, 1 - 0.18 * across], axis=-1)
-        lit = vignette[..., None] * tint * np.array(view.background)
-        self._lit = np.clip(lit, 0, 255).astype(np.uint8)
-        self._column, self._row = column[:1].astype(np.float32), row[:, :1].astype(np.float32)
-        self._noise = None
-        if grey_noise > 0:
-            # A bank of noise, walked at random, costs a copy instead of a million random numbers.
-            rng = np.random.default_rng(seed)
-            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3))
-            self._noise, self._rng = bank.round().astype(np.int16), rng
+        self._backdrop = Backdrop(view.background, grey_noise=grey_noise, seed=seed)
+        self._column = np.arange(WIDTH, dtype=np.float32)[None, :]
+        self._row = np.arange(HEIGHT, dtype=np.float32)[:, None]
 
     def pixels(self, surface: Surface) -> np.ndarray:
         """Marker centres (n, 2) as column and row [px]."""
@@ -95,7 +84,7 @@ class MarkerCamera:
         """The view as RGB (480, 640, 3) uint8."""
         import cv2
 
-        image: np.ndarray = self._lit.copy()
+        image: np.ndarray = self._backdrop.lit.copy()
         if surface.depth > 0:
             self._shade(image, surface)
         scale = 1 << _SUBPIXEL_BITS
@@ -110,11 +99,7 @@ class MarkerCamera:
                 lineType=cv2.LINE_AA,
                 shift=_SUBPIXEL_BITS,
             )
-        if self._noise is not None:
-            top, left = self._rng.integers(0, 64, 2)
-            noise = self._noise[top : top + HEIGHT, left : left + WIDTH]
-            image = np.clip(image.astype(np.int16) + noise, 0, 255).astype(np.uint8)
-        return image
+        return self._backdrop.noisy(image)
 
     def _shade(self, image: np.ndarray, surface: Surface) -> None:
         """Brighten the side of the dent that faces the lamp, darken the other (in place)."""

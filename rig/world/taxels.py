@@ -15,7 +15,11 @@ _SPREAD = 37
 
 @dataclass(frozen=True, slots=True)
 class TaxelField:
-    """A 4 x 4 grid of three-axis taxels, row by row from the top left, counts linear in motion."""
+    """A 4 x 4 grid of three-axis taxels, counts linear in motion.
+
+    Taxel i lies at column i % 4 and row i // 4 of the contact frame, x to the right and y up, as
+    discs are drawn (`recorder.markers`) and as the simulator has them.
+    """
 
     pitch: float = field(default=4.7e-3, metadata={"unit": "mm"})
     """Distance of neighbouring taxels [m]."""
@@ -27,7 +31,7 @@ class TaxelField:
     def positions(self) -> np.ndarray:
         """Taxel centres (16, 2) in the contact frame [m]."""
         steps = (np.arange(4) - 1.5) * self.pitch
-        x, y = np.meshgrid(steps, -steps)
+        x, y = np.meshgrid(steps, steps)
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
     def counts(self, surface: Surface) -> np.ndarray:
@@ -37,6 +41,5 @@ class TaxelField:
         gain = 1e3 * np.array(
             [self.counts_per_mm_shear, self.counts_per_mm_shear, -self.counts_per_mm_normal]
         )
-        # The image's y points down and so does the pad's.
-        counts: np.ndarray = np.clip(rest + moved * gain * np.array([1, -1, 1]), 0, 65535)
+        counts: np.ndarray = np.clip(rest + moved * gain, 0, 65535)
         return counts

@@ -41,7 +41,7 @@ def simulate_layer(
         SceneError: An effect, a body or a setting that this tier does not have.
         SimulationDiverged: A step for which no contact was found.
     """
-    _check(scene, tolerance)
+    check_known(scene, tolerance)
     began = time.perf_counter()
     press = Press(scene, Grid(scene.body, grid), tolerance)
     frames = Frames(scene, press)
@@ -74,7 +74,12 @@ def simulate_layer(
     )
 
 
-def _check(scene: Scene, tolerance: float) -> None:
+def check_known(scene: Scene, tolerance: float) -> None:
+    """Refuse what this tier does not have.
+
+    Raises:
+        SceneError: An effect or a tolerance that is not known.
+    """
     effects = scene.effects
     for name in ("inertia", "gravity"):
         if getattr(effects, name) is not None:

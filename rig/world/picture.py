@@ -1,0 +1,102 @@
+"""What the mock camera's pictures have in common: a lit gel, noise, and rims filled with ink."""
+
+from __future__ import annotations
+
+import numpy as np
+
+WIDTH, HEIGHT = 640, 480
+FINE = 4
+"""Rims are filled on so many rows and columns a pixel; its shades are counts of them."""
+_FIXED_BITS = 4
+# cv2.fillPoly takes corners in 1/16 of a fine pixel.
+_BEYOND = 0.5
+# A filled polygon has the pixels on its rim too: half of one too much, in fine pixels.
+
+
+class Backdrop:
+    """A lit gel without markers, and the noise of the camera.
+
+    Args:
+        background: Colour of the gel, RGB.
+        grey_noise: Standard deviation of the image noise [grey levels].
+        seed: Of the noise.
+    """
+
+    def __init__(
+        self, background: tuple[int, int, int], *, grey_noise: float = 0.0, seed: int = 0
+    ) -> None:
+        row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
+        across = (column - WIDTH / 2) / WIDTH
+        down = (row - HEIGHT / 2) / HEIGHT
+        vignette = 1.08 - 0.45 * (across**2 + down**2)
+        tint = np.stack([1 + 0.18 * across, 1 - 0.10 * down, 1 - 0.18 * across], axis=-1)
+        lit = vignette[..., None] * tint * np.array(background)
+        self.lit = np.clip(lit, 0, 255).astype(np.uint8)
+        """RGB (480, 640, 3)."""
+        self._noise = None
+        if grey_noise > 0:
+            # A bank of noise, walked at random, costs a copy instead of a million random numbers.
+            rng = np.random.default_rng(seed)
+            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3))
+            self._noise, self._rng = bank.round().astype(np.int16), rng
+
+    def noisy(self, image: np.ndarray) -> np.ndarray:
+        """The image (480, 640, 3) with the camera's noise, if there is any."""
+        if self._noise is None:
+            return image
+        top, left = self._rng.integers(0, 64, 2)
+        noise = self._noise[top : top + HEIGHT, left : left + WIDTH]
+        noisy: np.ndarray = np.clip(image.astype(np.int16) + noise, 0, 255).astype(np.uint8)
+        return noisy
+
+
+class MarkerPicture:
+    """Markers of any shape on a lit gel.
+
+    Args:
+        background: Colour of the gel, RGB.
+        ink: Colour of the markers, RGB.
+        grey_noise: Standard deviation of the image noise [grey levels].
+        seed: Of the noise.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[int, int, int],
+        ink: tuple[int, int, int],
+        grey_noise: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self._backdrop = Backdrop(background, grey_noise=grey_noise, seed=seed)
+        self._ink = np.broadcast_to(np.array(ink, np.uint8), (HEIGHT, WIDTH, 3)).copy()
+
+    def image(self, rims: np.ndarray) -> np.ndarray:
+        """The picture, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
+        import cv2
+
+        share = cv2.merge([coverage(rims)] * 3)
+        lit = cv2.multiply(self._backdrop.lit, 255 - share, scale=1 / 255)
+        image: np.ndarray = cv2.add(lit, cv2.multiply(self._ink, share, scale=1 / 255))
+        return self._backdrop.noisy(image)
+
+
+def coverage(rims: np.ndarray) -> np.ndarray:
+    """Share of each pixel that is within a rim (480, 640) uint8, 255 for all of it.
+
+    Args:
+        rims: Column and row of their points (n, m, 2) [px]; whole numbers are pixel centres.
+    """
+    import cv2
+
+    middle = rims.mean(axis=1, keepdims=True)
+    offset = rims - middle
+    length = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+    inner = middle + offset * np.maximum(1 - _BEYOND / FINE / length, 0.0)
+    # The centre of the fine pixel k lies at (k + 1/2) / FINE - 1/2.
+    fine = ((inner + 0.5) * FINE - 0.5) * (1 << _FIXED_BITS)
+    canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
+    for corners in np.rint(fine).astype(np.int32):
+        cv2.fillPoly(canvas, [corners], 255, lineType=cv2.LINE_8, shift=_FIXED_BITS)
+    share: np.ndarray = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return share
