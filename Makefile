@@ -12,7 +12,7 @@ SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAX
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -90,6 +90,9 @@ simulate: $(VENV)/.sim  ## The paper's 810 states under 12 patterns, a marker ar
 simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated sensors: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
 	@$(PY) -m sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
+markers: $(VENV)/.markers  ## Marker archive of sessions: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
+	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
+
 test: $(VENV)/.dev  ## Run the default tests (about 7 minutes on 2 cores)
 	@$(PY) -m pytest -q
 
@@ -117,6 +120,9 @@ $(VENV)/.rig: pyproject.toml constraints.txt | $(VENV)/bin/python
 
 $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[sim]' && touch $@
+
+$(VENV)/.markers: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[markers]' && touch $@
 
 $(VENV)/.nidaq: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,nidaq]' && touch $@ $(VENV)/.rig

@@ -1,0 +1,1 @@
+"""From signals to force: marker images, published recordings. Reads what `recorder` stores."""

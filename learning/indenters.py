@@ -1,0 +1,34 @@
+"""Indenters by name: one order for all archives, so that codes and locations mean the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+NAMES = (
+    "cone",
+    "cylinder",
+    "cylinder_sh",
+    "cylinder_si",
+    "dotin",
+    "dots",
+    "hemisphere",
+    "hexagon",
+    "line",
+    "moon",
+    "pacman",
+    "prism",
+    "random",
+    "sphere",
+    "sphere_s",
+    "torus",
+    "triangle",
+    "wave",
+)
+"""The paper's indenters; simulated archives have the same ones in the same order."""
+UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
+"""Indenters that the paper's models are tested on and never trained on."""
+
+
+def coded(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the indenters of an archive by code: all of `NAMES`, then others by the alphabet."""
+    return (*NAMES, *sorted(set(names) - set(NAMES)))

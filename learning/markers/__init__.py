@@ -1,0 +1,34 @@
+"""Signals to markers: pictures and taxels of sessions become binary marker images.
+
+A preset says how (`preset`); `Segmenter` makes masks, `find_centres` places markers to a part of a
+pixel, `Tracker` follows them. `archive_sessions` does it for whole sessions.
+"""
+
+from learning.markers.building import Built, archive_sessions
+from learning.markers.catalogue import names, preset, preset_of_sensor, read_preset
+from learning.markers.centres import Centres, find_centres
+from learning.markers.efficient_sam import EfficientSam
+from learning.markers.preset import CameraPreset, Preset, TaxelPreset
+from learning.markers.segmentation import Segmenter, grey
+from learning.markers.taxels import taxel_masks
+from learning.markers.tracking import Track, Tracker
+
+__all__ = [
+    "Built",
+    "CameraPreset",
+    "Centres",
+    "EfficientSam",
+    "Preset",
+    "Segmenter",
+    "TaxelPreset",
+    "Track",
+    "Tracker",
+    "archive_sessions",
+    "find_centres",
+    "grey",
+    "names",
+    "preset",
+    "preset_of_sensor",
+    "read_preset",
+    "taxel_masks",
+]

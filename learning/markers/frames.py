@@ -1,0 +1,249 @@
+"""The frames of one sensor's sessions, made from pictures or taxels whenever they are asked for."""
+
+from __future__ import annotations
+
+import json
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.filling import CHUNK_ROWS, UNIT_ROWS, Frames
+from learning.flags import FLAG, INVALID, Flagger
+from learning.indenters import UNSEEN
+from learning.markers.efficient_sam import EfficientSam
+from learning.markers.group import Placed, SensorGroup
+from learning.markers.preset import CameraPreset, Preset, TaxelPreset
+from learning.markers.recording import Recording
+from learning.markers.segmentation import Segmenter
+from learning.markers.taxels import taxel_masks
+from recorder.archive import MarkerCount, SensorPlan
+from recorder.markers import HEIGHT, WIDTH, find_blobs, pack
+
+Masks = NDArray[np.bool_]
+
+
+class RecordedSensor:
+    """One sensor of an archive, as sessions have it."""
+
+    def __init__(
+        self,
+        group: SensorGroup,
+        indenters: tuple[str, ...],
+        preset: Preset,
+        *,
+        preset_name: str,
+        mm_per_px: float | None = None,
+        unseen: tuple[str, ...] = UNSEEN,
+        sam: EfficientSam | None = None,
+    ) -> None:
+        """Prepare to look at its frames.
+
+        Args:
+            group: Its sessions.
+            indenters: Names, by code.
+            preset: How markers are found.
+            preset_name: What the preset is called, for the record.
+            mm_per_px: Size of a pixel [mm]; the preset's when None.
+            unseen: Indenters that models may not be trained on.
+            sam: Refines what the preset finds; None leaves it.
+
+        Raises:
+            LearningError: A preset of another kind of sensor, or no size of a pixel.
+        """
+        if group.kind != preset.KIND:
+            raise LearningError(
+                f"preset {preset_name}: is for {preset.KIND}; {group.name} has {group.kind}"
+            )
+        scale = mm_per_px if mm_per_px is not None else preset.mm_per_px
+        if scale is None:
+            raise LearningError(
+                f"{group.name}.mm_per_px: not in preset {preset_name}; allowed: say it"
+            )
+        self._group, self._indenters, self._unseen = group, indenters, unseen
+        self.preset, self._preset_name, self._mm_per_px = preset, preset_name, scale
+        self._sam = sam
+        self._segmenter = Segmenter(preset) if isinstance(preset, CameraPreset) else None
+        lengths = [len(placed.recording) for placed in group.placed]
+        self._ends = np.cumsum([0, *lengths])
+
+    @cached_property
+    def plan(self) -> SensorPlan:
+        """What the archive will hold.
+
+        Raises:
+            LearningError: A reference in which the preset finds no markers.
+        """
+        attrs: dict[str, Any] = {
+            "made_from": "sessions",
+            "sessions": [_identity(placed.recording) for placed in self._group.placed],
+            "preset": self._preset_name,
+            "preset_says": repr(self.preset),
+            "wrench_frame": "that of the force/torque sensor, as in the sessions",
+        }
+        if self._sam is not None:
+            attrs["efficient_sam"] = self._sam.identity
+        count = None
+        if isinstance(self.preset, CameraPreset):
+            count = MarkerCount(self.preset.area_px[0], self.preset.tolerance)
+        return SensorPlan(
+            name=self._group.name,
+            rows=int(self._ends[-1]),
+            chunk_rows=CHUNK_ROWS,
+            unit_rows=UNIT_ROWS,
+            references=self._references,
+            mm_per_px=self._mm_per_px,
+            marker_count=count,
+            attrs=attrs,
+        )
+
+    def read(self, rows: slice) -> Frames:
+        """Make some of the frames.
+
+        Raises:
+            LearningError: A picture that the preset does not fit.
+            SessionError: A damaged session.
+        """
+        parts = []
+        for index, placed in enumerate(self._group.placed):
+            begin, end = int(self._ends[index]), int(self._ends[index + 1])
+            first, last = max(rows.start, begin) - begin, min(rows.stop, end) - begin
+            if first < last:
+                parts.append(self._part(index, placed, slice(first, last)))
+        return Frames(
+            np.concatenate([part.packed for part in parts]),
+            {name: np.concatenate([part.table[name] for part in parts]) for name in parts[0].table},
+            [line for part in parts for line in part.source],
+        )
+
+    @cached_property
+    def _flagger(self) -> Flagger:
+        return Flagger(self._group.name, self._references, self.plan.marker_count)
+
+    @cached_property
+    def _references(self) -> NDArray[np.uint8]:
+        """Packed masks (K, 38400), recording by recording."""
+        if isinstance(self.preset, TaxelPreset):
+            still = np.zeros((1, 16, 3))
+            return pack(taxel_masks(still, np.zeros((16, 3)), self.preset))
+        masks = []
+        for placed in self._group.placed:
+            recording = placed.recording
+            images = recording.session.reference["image"][recording.references]
+            for row, mask in zip(images, self._seen(recording, images), strict=True):
+                if not len(find_blobs(mask[None], self.preset.area_px[0])):
+                    raise LearningError(
+                        f"{recording.name}: preset {self._preset_name} finds no markers in its "
+                        f"reference, image {row}; allowed: another preset"
+                    )
+                masks.append(mask)
+        return pack(np.stack(masks))
+
+    def _first_reference(self, index: int) -> int:
+        if self._segmenter is None:
+            return 0
+        return sum(len(placed.recording.references) for placed in self._group.placed[:index])
+
+    def _part(self, index: int, placed: Placed, rows: slice) -> Frames:
+        """Make frames of one recording."""
+        recording = placed.recording
+        invalid = recording.invalid()[rows]
+        there = np.array([not reason for reason in invalid])
+        table = self._table(index, placed, rows, there)
+        masks = np.zeros((len(there), HEIGHT, WIDTH), np.bool_)
+        if there.any():
+            chosen = np.flatnonzero(there) + rows.start
+            masks[there] = self._masks(recording, chosen)
+        said = self._said(recording, rows, invalid)
+        for row, flag in self._flagger.flags(masks, table["reference"], there).items():
+            said[row][FLAG] = flag
+        lines = [json.dumps(one, ensure_ascii=False) for one in said]
+        return Frames(pack(masks), table, lines)
+
+    def _masks(self, recording: Recording, chosen: NDArray[np.int64]) -> Masks:
+        """Return the masks of some rows of a recording; one picture once."""
+        if isinstance(self.preset, TaxelPreset):
+            counts = recording.column("taxels")[chosen]
+            untouched = recording.session.reference["taxels"][recording.references]
+            return taxel_masks(counts, untouched[recording.reference[chosen]], self.preset)
+        images, place = np.unique(recording.column("image")[chosen], return_inverse=True)
+        return self._seen(recording, images)[place.reshape(-1)]
+
+    def _seen(self, recording: Recording, images: NDArray[np.integer]) -> Masks:
+        if self._segmenter is None:
+            raise LearningError(f"{recording.name}: has no pictures")
+        masks = np.empty((len(images), HEIGHT, WIDTH), np.bool_)
+        for place, row in enumerate(images):
+            (picture,) = recording.session.streams["camera"].images([int(row)])
+            view = self._segmenter.view(picture)
+            mask = self._segmenter.mask_of_view(view)
+            if self._sam is not None:
+                mask = self._sam.refined(view, mask, self._segmenter.preset.box_px)
+            masks[place] = mask
+        return masks
+
+    def _table(
+        self, index: int, placed: Placed, rows: slice, there: NDArray[np.bool_]
+    ) -> dict[str, NDArray[Any]]:
+        recording = placed.recording
+        target = recording.column("target")[rows].astype(np.int64)
+        position = recording.positions()[rows]
+        if not np.isfinite(position[there]).all():
+            raise LearningError(f"{recording.name}: found NaN in pose of valid frames")
+        # Rows without a frame say nothing; the format wants numbers there all the same.
+        position = np.where(np.isfinite(position), position, 0.0)
+        wrench = recording.column("wrench")[rows].copy()
+        wrench[~there | ~np.isfinite(wrench).all(axis=1)] = np.nan
+        location = np.full(len(target), -1)
+        if placed.first_location is not None:
+            location = placed.first_location + target
+        reference = recording.reference[rows] if self._segmenter is not None else target * 0
+        return {
+            "indenter": np.full(len(target), self._indenters.index(recording.indenter)),
+            "seen": np.full(len(target), recording.indenter not in self._unseen),
+            "location": location,
+            "target": placed.first_target + target,
+            "phase": recording.column("phase")[rows],
+            "depth": np.maximum(-position[:, 2], 0.0),
+            "position": position[:, :2],
+            "wrench": wrench,
+            "frame": recording.number[rows],
+            "t_ns": recording.column("t_ns")[rows],
+            "reference": self._first_reference(index) + reference,
+            "valid": there,
+        }
+
+    def _said(self, recording: Recording, rows: slice, invalid: list[str]) -> list[dict[str, Any]]:
+        """Return where each frame comes from, and why it is not there."""
+        said = []
+        run, target = recording.column("run")[rows], recording.column("target")[rows]
+        for place, reason in enumerate(invalid):
+            line: dict[str, Any] = {
+                "session": recording.name,
+                "run": int(run[place]),
+                "target": int(target[place]),
+            }
+            if reason:
+                line[INVALID] = reason
+            said.append(line)
+        return said
+
+
+def one_thread() -> None:
+    """Let OpenCV use one core: it gains little from more on pictures of this size."""
+    cv2.setNumThreads(1)
+
+
+def _identity(recording: Recording) -> dict[str, Any]:
+    """Return what tells a session from others, wherever it lies."""
+    attrs = recording.session.attrs
+    return {
+        "name": recording.name,
+        "indenter": recording.indenter,
+        "started_utc": attrs.get("started_utc"),
+        "t0_ns": attrs.get("t0_ns"),
+        "frames": len(recording),
+    }

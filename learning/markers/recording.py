@@ -1,0 +1,244 @@
+"""One session as rows of an archive: which of its frames count, and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from recorder import Session
+from recorder.align import quaternion
+from recorder.spec import PHASES
+
+Integers = NDArray[np.int64]
+Kind = Literal["camera", "taxels"]
+
+KINDS_OF_PLAN = ("press_shear", "force_depth")
+"""Plans whose sessions hold presses to learn from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """The presses of one session, whose targets were each pressed once."""
+
+    session: Session
+    name: str
+    """Name of its directory."""
+    sensor: str
+    indenter: str
+    kind: Kind
+    rows: Integers
+    """Rows of `frames` (n,), press by press."""
+    number: Integers
+    """Number of each within its target (n,)."""
+    references: Integers
+    """Rows of the session's `reference` that are used (K,)."""
+    reference: Integers
+    """Which of them belongs to each row (n,)."""
+    left_out: tuple[str, ...]
+    """What of the session is not in `rows`, in words."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.rows)
+
+    @property
+    def located(self) -> bool:
+        """Whether its targets have a place among those of other sensors: they shear somewhere."""
+        return bool((self.session.targets["direction"] >= 0).all())
+
+    @property
+    def targets(self) -> int:
+        """Number of targets that were planned."""
+        return len(self.session.targets["point"])
+
+    def layout(self) -> NDArray[np.int64]:
+        """Return point, level of depth and direction of each target (t, 3): what pairs sensors."""
+        targets = self.session.targets
+        level = np.unique(targets["depth"].round(9), return_inverse=True)[1].reshape(-1)
+        columns = [targets["point"], level, targets["direction"]]
+        return np.stack([np.asarray(column, np.int64) for column in columns], axis=1)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column of `frames` for the rows (n, ...)."""
+        return np.asarray(self.session.frames[name][self.rows])
+
+    def invalid(self) -> list[str]:
+        """Return why each row has no frame to show (n,); empty where it has one."""
+        frames = self.session.frames
+        wrong = np.array(["" for _ in self.rows], dtype=object)
+        wrong[~frames["valid"][self.rows]] = "a stream has no sample near enough"
+        if self.kind == "camera":
+            wrong[frames["image"][self.rows] < 0] = "no image"
+        else:
+            finite = np.isfinite(frames["taxels"][self.rows]).all(axis=(1, 2))
+            wrong[~finite] = "no taxels"
+        return [str(reason) for reason in wrong]
+
+    def positions(self) -> NDArray[np.float64]:
+        """Return where the tool was in the contact frame (n, 3) [m]; NaN where it is unknown."""
+        frame = np.asarray(self.session.attrs["contact_frame"], np.float64)
+        offset = self.column("pose")[:, :3] - frame[:3]
+        return np.asarray(offset @ _matrix(frame[3:]), np.float64)
+
+
+def read_recording(path: Path, sensor: str | None = None) -> Recording:
+    """Return the presses of a session.
+
+    Args:
+        path: The session.
+        sensor: What its sensor is called; as the session says when None.
+
+    Raises:
+        LearningError: A session that training cannot use: the message names it and what is
+            missing.
+        SessionError: No session, or a damaged one.
+    """
+    session = Session(path)
+    name = Path(str(session.path)).name
+    if session.warning:
+        raise LearningError(session.warning)
+    kind = _kind(session, name)
+    _require_presses(session, name)
+    rows, number, left_out = _once(session)
+    if not len(rows):
+        raise LearningError(f"{name}: found no frames of a press; allowed: one or more")
+    references, reference = _references(session, rows, kind, name)
+    return Recording(
+        session=session,
+        name=name,
+        sensor=sensor or _text(session, "sensor", name),
+        indenter=_text(session, "indenter", name),
+        kind=kind,
+        rows=rows,
+        number=number,
+        references=references,
+        reference=reference,
+        left_out=tuple(left_out),
+    )
+
+
+def _kind(session: Session, name: str) -> Kind:
+    if "camera" in session.streams:
+        return "camera"
+    if "taxels" in session.streams:
+        return "taxels"
+    raise LearningError(f"{name}: has neither camera nor taxels")
+
+
+def _require_presses(session: Session, name: str) -> None:
+    plan = session.attrs.get("plan")
+    kind = plan.get("kind") if isinstance(plan, dict) else None
+    if kind is not None and kind not in KINDS_OF_PLAN:
+        raise LearningError(f"{name}: found plan {kind!r}; allowed: {', '.join(KINDS_OF_PLAN)}")
+    if not len(session.targets.get("point", ())):
+        raise LearningError(f"{name}: has no targets: it says of no frame which press it is of")
+    if "t_ns" not in session.frames:
+        raise LearningError(f"{name}: has no frames (python -m recorder recover builds them)")
+    frame = session.attrs.get("contact_frame")
+    if not isinstance(frame, list) or len(frame) != 6 or "pose" not in session.streams:
+        raise LearningError(
+            f"{name}: has no pose or no contact_frame: nobody knows how deep its frames are"
+        )
+
+
+def _text(session: Session, key: str, name: str) -> str:
+    value = session.attrs.get(key)
+    if not isinstance(value, str) or not value:
+        raise LearningError(f"{name}: found {key} {value!r}; allowed: a name")
+    return value
+
+
+def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
+    """Return the rows, each target's of one press, and their numbers within it.
+
+    A target that was interrupted was pressed again: the press with the most phases is taken, and
+    of several the last.
+    """
+    frames = session.frames
+    target, run, phase = frames["target"], frames["run"], frames["phase"]
+    rows = np.flatnonzero((target >= 0) & (phase >= 0))
+    # Another target, another run, or phases from the beginning: another press.
+    another = (np.diff(target[rows]) != 0) | (np.diff(run[rows]) != 0)
+    another |= np.diff(phase[rows].astype(np.int64)) < 0
+    change = np.flatnonzero(another) + 1
+    best: dict[int, Integers] = {}
+    left_out = []
+    for press in np.split(rows, change):
+        if not len(press):
+            continue
+        of = int(target[press[0]])
+        phases = len(np.unique(phase[press]))
+        other = best.get(of)
+        if other is not None and len(np.unique(phase[other])) > phases:
+            press, other = other, press
+        if other is not None:
+            left_out.append(
+                f"target {of} was pressed twice: {len(other)} frames of one press left out"
+            )
+        best[of] = press.astype(np.int64)
+    presses = [best[of] for of in sorted(best)]
+    missing = [of for of, press in best.items() if len(np.unique(phase[press])) < len(PHASES)]
+    if missing:
+        left_out.append(f"{len(missing)} targets lack a phase, first {min(missing)}; they are kept")
+    unpressed = len(session.targets["point"]) - len(best)
+    if unpressed:
+        left_out.append(f"{unpressed} targets have no frames")
+    numbers = [np.arange(len(press)) for press in presses]
+    if not presses:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), left_out
+    return np.concatenate(presses), np.concatenate(numbers), left_out
+
+
+def _references(
+    session: Session, rows: Integers, kind: Kind, name: str
+) -> tuple[Integers, Integers]:
+    """Return the rows of `reference` in use (K,), and which of them is each row's (n,).
+
+    As for the wrench: the latest of the target's point at or before the frame; where there is
+    none, the latest of its run, else the first of all.
+    """
+    reference = session.reference
+    if kind == "camera":
+        known = np.flatnonzero(reference["image"] >= 0)
+    else:
+        known = np.flatnonzero(np.isfinite(reference["taxels"]).all(axis=(1, 2)))
+    if not known.size:
+        what = "image" if kind == "camera" else "counts"
+        raise LearningError(f"{name}: has no reference: no {what} without contact")
+    frames, point = session.frames, session.targets["point"]
+    chosen = np.empty(len(rows), np.int64)
+    for begin, end in _presses(frames["target"][rows]):
+        row = rows[begin]
+        earlier = known[
+            (reference["run"][known] == frames["run"][row])
+            & (reference["t_ns"][known] <= frames["t_ns"][row])
+        ]
+        own = earlier[reference["point"][earlier] == point[frames["target"][row]]]
+        chosen[begin:end] = own[-1] if own.size else earlier[-1] if earlier.size else known[0]
+    used, which = np.unique(chosen, return_inverse=True)
+    return used.astype(np.int64), which.reshape(-1).astype(np.int64)
+
+
+def _presses(target: NDArray[np.integer]) -> Iterator[tuple[int, int]]:
+    change = np.flatnonzero(np.diff(target) != 0) + 1
+    ends = [0, *change.tolist(), len(target)]
+    yield from pairwise(ends)
+
+
+def _matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a rotation vector (3,) [rad], from its frame to the base."""
+    w, x, y, z = quaternion(vector)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,1 @@
+"""The verbs of `python -m learning`, a file each."""
