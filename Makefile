@@ -93,8 +93,9 @@ simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated se
 markers: $(VENV)/.markers  ## Marker archive of sessions: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
 	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
-test: $(VENV)/.dev  ## Run the default tests (about 7 minutes on 2 cores)
-	@$(PY) -m pytest -q
+test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
+	@$(PY) -m pytest -q -n 2 --dist loadfile --ignore-glob='tests/test_rig_*'
+	@$(PY) -m pytest -q tests/test_rig_*.py  # a bench wants both cores for itself
 
 test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10

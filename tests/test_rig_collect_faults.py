@@ -114,6 +114,7 @@ def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
     assert 0.2 < -force[:, 2].min() < 0.3
 
 
+@pytest.mark.slow
 def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
     bench = limited_bench(tmp_path, hard=5.0, soft=0.5, rating=0.4)
     run = Collection.start(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))

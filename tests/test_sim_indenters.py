@@ -60,8 +60,8 @@ TIPS = {
     "moon": (-2.2, 0.0),
     "random": (1.7, -1.0),
 }
-MIRRORED_IN_X = tuple(set(NAMES) - {"dots", "wave", "triangle", "pacman", "moon", "random"})
-MIRRORED_IN_Y = tuple(set(NAMES) - {"triangle", "random"})
+MIRRORED_IN_X = sorted(set(NAMES) - {"dots", "wave", "triangle", "pacman", "moon", "random"})
+MIRRORED_IN_Y = sorted(set(NAMES) - {"triangle", "random"})
 
 
 def _cloud(count: int, seed: int = 0) -> Array:
