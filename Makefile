@@ -10,6 +10,8 @@ WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
 BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR)) $(WORLDARG)
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
+ALONE    := $(wildcard $(patsubst %,tests/test_rig_%*.py,arm collect camera replay home latency mock \
+              gripper_r hid force_b force_ati taxels watch_b watch_g watch_h watch_v))# a bench wants both cores
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
 .PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
@@ -94,8 +96,8 @@ markers: $(VENV)/.markers  ## Marker archive of sessions: SESSIONS="a.zarr b.zar
 	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
 test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
-	@$(PY) -m pytest -q -n 2 --dist loadfile --ignore-glob='tests/test_rig_*'
-	@$(PY) -m pytest -q tests/test_rig_*.py  # a bench wants both cores for itself
+	@$(PY) -m pytest -q -n 2 --dist loadfile $(filter-out $(ALONE),$(wildcard tests/test_*.py))
+	@$(PY) -m pytest -q $(ALONE)
 
 test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10
