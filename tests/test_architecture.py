@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -56,8 +57,12 @@ MODULES = sorted(
 
 
 def _imports(path: Path) -> set[str]:
+    return _imported_by(ast.walk(ast.parse(path.read_text())))
+
+
+def _imported_by(nodes: Iterable[ast.AST]) -> set[str]:
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
@@ -87,11 +92,7 @@ def test_packages_import_only_what_lies_below_them(path: Path) -> None:
 
 @pytest.mark.parametrize("path", [path for path in MODULES if _name(path) in LAZY], ids=_name)
 def test_what_may_be_imported_lazily_is_not_imported_with_the_module(path: Path) -> None:
-    at_once = {
-        node.module.split(".")[0]
-        for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.ImportFrom) and node.module
-    }
+    at_once = _imported_by(ast.parse(path.read_text()).body)
     assert not at_once & LAZY[_name(path)]
 
 
