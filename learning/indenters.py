@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 NAMES = (
+    "sphere",
+    "sphere_s",
+    "hemisphere",
     "cone",
     "cylinder",
     "cylinder_sh",
     "cylinder_si",
+    "torus",
     "dotin",
     "dots",
-    "hemisphere",
-    "hexagon",
-    "line",
-    "moon",
-    "pacman",
-    "prism",
-    "random",
-    "sphere",
-    "sphere_s",
-    "torus",
-    "triangle",
     "wave",
+    "prism",
+    "line",
+    "hexagon",
+    "triangle",
+    "pacman",
+    "moon",
+    "random",
 )
 """The paper's indenters; simulated archives have the same ones in the same order."""
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")

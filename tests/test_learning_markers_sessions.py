@@ -13,6 +13,7 @@ from learning_sessions import DEPTH, HIDDEN, TARGETS, altered, record, state, su
 from marker_truth import VIEWS
 from PIL import Image
 
+import sim.indenters
 from learning.__main__ import main
 from learning.errors import LearningError
 from learning.flags import FLAG, INVALID
@@ -52,6 +53,10 @@ def digests(path: Path) -> dict[str, str]:
 def hidden(session: Path) -> Any:
     """Return which frames show pictures with hidden markers."""
     return np.isin(Session(session).frames["image"], list(HIDDEN))
+
+
+def test_indenters_have_the_codes_that_simulated_archives_give_them() -> None:
+    assert sim.indenters.NAMES == NAMES
 
 
 def test_labels_are_those_of_the_frames(archive: MarkerArchive, camera: Path) -> None:
