@@ -145,7 +145,6 @@ def test_a_measurement_says_what_it_took_and_missed():
     assert found.elements == 16 * 16 * 3
     layer = measure_here(case, by_name("layer"), "cpu", [Reference(true, {})])
     assert layer.elements == 128**2
-    assert layer.wall < found.wall
 
 
 def test_what_is_expected_to_take_too_long_is_left_out_and_nothing_is_measured_twice(
