@@ -10,11 +10,13 @@ WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
 BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR)) $(WORLDARG)
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
-ALONE    := $(wildcard $(patsubst %,tests/test_rig_%*.py,arm collect camera replay home latency mock \
+ALONE    := $(wildcard $(patsubst %,tests/test_rig_%*.py,arm collect camera live replay home latency mock \
               gripper_r hid force_b force_ati taxels watch_b watch_g watch_h watch_v))# a bench wants both cores
+DEMO     := examples/demo-learning
+LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning live endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -95,6 +97,37 @@ simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated se
 markers: $(VENV)/.markers  ## Marker archive of sessions: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
 	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
+split: $(VENV)/.learning  ## Say which presses train and which test: ARCHIVE=x.markers.zarr [OUT=split.json] [ARGS="--new-press 0.2"]
+	@$(PY) -m learning split $(ARCHIVE) --out $(or $(OUT),$(ARCHIVE:.markers.zarr=.split.json)) $(ARGS)
+
+train-field train-autoencoder train-direct train-diffusion: $(VENV)/.learning  ## Train a translator: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
+	@$(LAUNCH) -m learning $@ $(ARCHIVE) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+
+train-force: $(VENV)/.learning  ## Train a force model: ARCHIVE= SENSOR= SPLIT= OUT=runs/x [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
+	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+
+translate: $(VENV)/.learning  ## Show frames of a sensor as another's: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]
+	@$(PY) -m learning translate $(ARCHIVE) --source $(SOURCE) --target $(TARGET) --model $(or $(MODEL),flow) --out $(OUT) $(ARGS)
+
+compensate: $(VENV)/.learning  ## Priors of skins, and how labels are brought from one to another: ARCHIVE= OUT=file.json [ARGS="--split split.json"]
+	@$(PY) -m learning compensate $(ARCHIVE) --out $(OUT) $(ARGS)
+
+evaluate: $(VENV)/.learning  ## Report of predictions and translations: FOLDER=results OUT=report
+	@$(PY) -m learning evaluate $(FOLDER) --out $(OUT) $(ARGS)
+
+experiment: $(VENV)/.learning  ## Translate, train, compensate, evaluate, all pairs: ARCHIVE= OUT=dir [PRESET=demo] [ARGS="--pairs a:b --device cuda:0"]
+	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+
+bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time: [ARGS="--model runs/x --archive x.markers.zarr"]
+	@$(PY) -m learning bench $(ARGS)
+
+demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes): [OUT=runs/demo-learning]
+	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.03 --steps 5 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
+	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo
+
+live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
+	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
+
 test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
 	@$(PY) -m pytest -q -n 2 --dist loadfile $(filter-out $(ALONE),$(wildcard tests/test_*.py))
 	@$(PY) -m pytest -q $(ALONE)
@@ -127,6 +160,15 @@ $(VENV)/.sim: pyproject.toml constraints.txt | $(VENV)/bin/python
 $(VENV)/.markers: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[markers]' && touch $@
 
+$(VENV)/.learning: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[learning]' && touch $@ $(VENV)/.markers
+
+$(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[learning,sim]' && touch $@ $(VENV)/.learning $(VENV)/.sim
+
+$(VENV)/.live: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[rig,learning]' && touch $@ $(VENV)/.rig $(VENV)/.learning
+
 $(VENV)/.nidaq: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,nidaq]' && touch $@ $(VENV)/.rig
 
@@ -134,4 +176,4 @@ $(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,bench]' && touch $@ $(VENV)/.rig
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@$(PIP) '.[rig,dev]' && touch $@ $(VENV)/.rig
+	@$(PIP) '.[rig,dev]' && touch $@ $(VENV)/.rig $(VENV)/.learning $(VENV)/.demo $(VENV)/.live

@@ -6,20 +6,63 @@ import argparse
 import sys
 
 from learning.errors import LearningError
-from learning.verbs import export_genforce, import_genforce, markers
+from learning.verbs import (
+    bench,
+    compensate,
+    evaluate,
+    experiment,
+    export_genforce,
+    export_onnx,
+    import_genforce,
+    import_weights,
+    markers,
+    predict,
+    split,
+    train_autoencoder,
+    train_diffusion,
+    train_direct,
+    train_field,
+    train_force,
+    train_marker_vae,
+    translate,
+)
 from recorder import SessionError
 
 EXIT_WRONG_INPUT = 2
 EXIT_INTERRUPTED = 130
 
-_VERBS = (markers, import_genforce, export_genforce)
+_VERBS = (
+    # Data
+    markers,
+    import_genforce,
+    export_genforce,
+    split,
+    # From sensor to sensor
+    train_field,
+    train_autoencoder,
+    train_direct,
+    train_marker_vae,
+    train_diffusion,
+    import_weights,
+    translate,
+    # Forces
+    compensate,
+    train_force,
+    export_onnx,
+    bench,
+    # What came of it
+    predict,
+    evaluate,
+    experiment,
+)
 
 
 def arguments() -> argparse.ArgumentParser:
     """The parser of every verb and its options."""
     parser = argparse.ArgumentParser(
         prog="python -m learning",
-        description="Marker archives from sessions and from published recordings.",
+        description="From recordings to forces on sensors that never saw a force gauge: marker "
+        "archives, translators from sensor to sensor, force models, reports.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True)
     for verb in _VERBS:

@@ -32,6 +32,7 @@ VENDORS = {
         "recorder/importing",
         "rig/recording_cost/stores",
         "learning/markers",
+        "learning/translation/flow",
     },
     "websockets": {"rig/taxels", "rig/watch"},
     "rerun": {"recorder/view"},
@@ -39,7 +40,14 @@ VENDORS = {
     "mcap": {"recorder/export", "rig/recording_cost/stores"},
     "torch": {"learning", "rig/recording_cost/stores"},
     "warp": {"sim"},
-    "scipy": {"sim", "learning/markers"},
+    "scipy": {"sim", "learning/markers", "learning/translation/flow", "learning/evaluation"},
+    "accelerate": {"learning"},
+    "safetensors": {"learning/training", "learning/translation/diffusion"},
+    "diffusers": {"learning/translation/diffusion"},
+    "peft": {"learning/translation/diffusion"},
+    "transformers": {"learning/translation/diffusion"},
+    "sklearn": {"learning/evaluation"},
+    "matplotlib": {"learning"},
     "onnxruntime": {"learning"},
     "mcap_protobuf": {"recorder/export"},
     "foxglove_schemas_protobuf": {"recorder/export"},
@@ -49,7 +57,7 @@ VENDORS = {
     "trimesh": {"sim/indenters"},
     "distributed": {"sim/archives"},
 }
-LAZY = {"rig/world/simulated.py": {"sim"}}
+LAZY = {"rig/world/simulated.py": {"sim"}, "rig/live/predictor.py": {"learning"}}
 """What a module may import inside of its functions alone."""
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()

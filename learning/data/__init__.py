@@ -1,0 +1,1 @@
+"""What networks see of marker archives: images, fields, presses in memory, splits, force ranges."""

@@ -1,0 +1,315 @@
+"""The frames of presses in memory, on any device, with what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from learning.data.fields import FIELD_SIDE, marker_maps, read_fields
+from learning.data.images import SIDE, shrink, shrink_masks, unpack_masks
+from learning.errors import LearningError
+from recorder.archive import ArchivedSensor
+
+Form = Literal["images", "packed", "field"]
+"""What is kept of a frame: an image (256, 256) uint8; its packed mask (38400,) uint8; or the marker
+field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], logarithm of the area's change."""
+FieldSource = Literal["flow", "truth"]
+"""Where marker fields come from: followed in the masks, or the archive's own displacement."""
+FORMS: tuple[Form, ...] = get_args(Form)
+
+Progress = Callable[[int, int], None]
+
+_AT_ONCE, _FIELDS_AT_ONCE = 256, 8192
+_IMAGE = (SIDE, SIDE)
+_ON_DEVICE = ("images", "references", "reference", "wrench")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Presses:
+    """Presses of one sensor: P of them with N frames in all, press after press."""
+
+    sensor: str
+    """Its name."""
+    mm_per_px: float
+    """Size of a pixel of the 640 x 480 image [mm]."""
+    form: Form
+    """What `images` holds."""
+    images: Tensor
+    """Frames (N, ...) as `form` says, on the device."""
+    references: Tensor
+    """The untouched sensor (K, 256, 256) uint8, or (K, 38400) packed, on the device."""
+    reference: Tensor
+    """Row of `references` (N,) int64 that belongs to a frame, on the device."""
+    wrench: Tensor
+    """Fx, Fy, Fz (N, 3) float32 [N], on the device; NaN without a label."""
+    starts: Tensor
+    """Frames of press p are starts[p]:starts[p + 1], in order of time: (P + 1,) int64."""
+    location: Tensor
+    """Place of each press, equal across sensors (P,) int64; -1: none."""
+    indenter: Tensor
+    """Code of each press's indenter (P,) int64."""
+    target: Tensor
+    """Number of each press within its indenter (P,) int64."""
+    phase: Tensor
+    """Code of the phase (N,) int64; -1: none."""
+    depth: Tensor
+    """Commanded indentation (N,) float64 [m]."""
+    frame: Tensor
+    """Number of the frame within its press (N,) int64."""
+    rows: Tensor
+    """Row of the archive's table (N,) int64."""
+
+    def __len__(self) -> int:
+        """Return the number of presses."""
+        return len(self.starts) - 1
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.rows)
+
+    @property
+    def device(self) -> torch.device:
+        """Where images, references and wrench lie; everything else is on the CPU."""
+        return self.images.device
+
+    @property
+    def of_frame(self) -> Tensor:
+        """Press of each frame (N,) int64, on the CPU."""
+        return torch.repeat_interleave(torch.arange(len(self)), self.starts.diff())
+
+    def to(self, device: torch.device | str) -> Self:
+        """Return the same presses on another device."""
+        moved: dict[str, Any] = {name: getattr(self, name).to(device) for name in _ON_DEVICE}
+        return replace(self, **moved)
+
+    def select(self, presses: Any) -> Self:
+        """Return some of the presses, in the order asked for.
+
+        Args:
+            presses: Their numbers, or a bool for each of them.
+        """
+        asked = torch.as_tensor(presses)
+        chosen = torch.arange(len(self))[asked if len(asked) else asked.long()]
+        starts, lengths = self.starts[chosen], self.starts.diff()[chosen]
+        ends = torch.cat([torch.zeros(1, dtype=torch.int64), lengths.cumsum(0)])
+        within = torch.arange(int(ends[-1])) - torch.repeat_interleave(ends[:-1], lengths)
+        taken = torch.repeat_interleave(starts, lengths) + within
+        values: dict[str, Any] = {"starts": ends}
+        for each in ("location", "indenter", "target"):
+            values[each] = getattr(self, each)[chosen]
+        for each in ("images", "reference", "wrench", "phase", "depth", "frame", "rows"):
+            kept: Tensor = getattr(self, each)
+            values[each] = kept[taken.to(kept.device)]
+        return replace(self, **values)
+
+    def require_wrench(self) -> None:
+        """Refuse presses without a label in all frames: a force model cannot learn from them.
+
+        Raises:
+            LearningError: Naming the sensor and the first rows.
+        """
+        missing = (~self.wrench.isfinite().all(dim=1)).cpu()
+        if bool(missing.any()):
+            rows = self.rows[missing]
+            shown = ", ".join(str(int(row)) for row in rows[:3]) + ", ..." * (len(rows) > 3)
+            raise LearningError(
+                f"sensor {self.sensor}: found no wrench in {len(rows):,} of {self.frames:,} frames "
+                f"(rows {shown}); allowed: labels in every frame that forces are learned from"
+            )
+
+
+def load_presses(
+    sensor: ArchivedSensor,
+    rows: Any,
+    *,
+    device: torch.device | str = "cpu",
+    form: Form = "images",
+    field_source: FieldSource = "flow",
+    processes: int = 1,
+    progress: Progress = lambda done, total: None,
+) -> Presses:
+    """Return presses of an archive's sensor: a press is a location.
+
+    Frames without a location, as force-depth presses have them, are grouped by their target.
+
+    Args:
+        sensor: What is read.
+        rows: Rows of its table, in any order; `Split.rows` gives those of a role.
+        device: Where images, references and wrench go.
+        form: What is kept of a frame.
+        field_source: Where marker fields come from, in the form `field`.
+        processes: How many of them follow markers; started once for some 8,000 frames.
+        progress: Called with the frames that are read and their number.
+
+    Raises:
+        LearningError: Rows that repeat or are not valid, or an unknown form.
+        SessionError: No such row, an archive that is still being written, or a damaged chunk.
+    """
+    described = press_table(sensor, rows)
+    if form == "field":
+        frames = _read_fields(sensor, described, field_source, processes, progress)
+    elif form in FORMS:
+        frames = read_frames(sensor, described.rows.numpy(), torch.device(device), form, progress)
+    else:
+        raise LearningError(f"form: found {form!r}; allowed: {', '.join(FORMS)}")
+    kept = sensor.references if form == "packed" else shrink(sensor.references)
+    return replace(described, form=form, images=frames, references=torch.from_numpy(kept)).to(
+        device
+    )
+
+
+def press_table(sensor: ArchivedSensor, rows: Any) -> Presses:
+    """Return presses without images: what is known of them, and no more than that.
+
+    Their `images` (N, 256, 256) and `references` are on the device `meta`: they have a shape and no
+    content, and whoever reads them gets an error of torch.
+
+    Raises:
+        LearningError: Rows that repeat or are not valid.
+        SessionError: No such row, or an archive that is still being written.
+    """
+    table = sensor.table
+    chosen = _checked_rows(sensor, rows)
+    key = np.stack(
+        [table[name][chosen].astype(np.int64) for name in ("location", "indenter", "target")]
+    )
+    # The target tells presses apart where there is no location; elsewhere it is one press already.
+    order = np.lexsort((table["frame"][chosen], key[2], key[1], key[0]))
+    chosen, key = chosen[order], key[:, order]
+    begins = np.flatnonzero(np.r_[len(chosen) > 0, (np.diff(key) != 0).any(axis=0)])
+    _require_one_press(sensor, key, begins)
+
+    def column(name: str, dtype: type = np.int64) -> Tensor:
+        return torch.from_numpy(table[name][chosen].astype(dtype))
+
+    return Presses(
+        sensor=sensor.name,
+        mm_per_px=sensor.mm_per_px,
+        form="images",
+        images=torch.empty(len(chosen), *_IMAGE, dtype=torch.uint8, device="meta"),
+        references=torch.empty(len(sensor.references), *_IMAGE, dtype=torch.uint8, device="meta"),
+        reference=column("reference"),
+        wrench=torch.from_numpy(table["wrench"][chosen, :3].astype(np.float32)),
+        starts=torch.from_numpy(np.r_[begins, len(chosen)].astype(np.int64)),
+        location=torch.from_numpy(key[0, begins]),
+        indenter=torch.from_numpy(key[1, begins]),
+        target=torch.from_numpy(key[2, begins]),
+        phase=column("phase"),
+        depth=column("depth", np.float64),
+        frame=column("frame"),
+        rows=torch.from_numpy(chosen),
+    )
+
+
+def read_frames(
+    sensor: ArchivedSensor,
+    rows: NDArray[np.int64],
+    device: torch.device,
+    form: Form = "images",
+    progress: Progress = lambda done, total: None,
+) -> Tensor:
+    """Return images (n, 256, 256) or packed masks (n, 38400) of rows, uint8 on a device.
+
+    Raises:
+        SessionError: No such row, or a chunk that is missing or damaged.
+    """
+    shape = _IMAGE if form == "images" else (sensor.references.shape[1],)
+    frames = torch.empty(len(rows), *shape, dtype=torch.uint8, device=device)
+    progress(0, len(rows))
+    for first in range(0, len(rows), _AT_ONCE):
+        packed = sensor.packed(rows[first : first + _AT_ONCE])
+        if form == "packed":
+            read = torch.from_numpy(packed)
+        elif device.type == "cpu":
+            read = torch.from_numpy(shrink(packed))
+        else:
+            # Bits are moved and become pixels there: an eighth of the way, and of the work here.
+            read = shrink_masks(unpack_masks(torch.from_numpy(packed).to(device)))
+        frames[first : first + len(read)] = read
+        progress(first + len(read), len(rows))
+    return frames
+
+
+def _read_fields(
+    sensor: ArchivedSensor,
+    presses: Presses,
+    source: FieldSource,
+    processes: int,
+    progress: Progress,
+) -> Tensor:
+    """Return marker fields (N, 3, 32, 32) float32 on the CPU."""
+    if source not in get_args(FieldSource):
+        known = ", ".join(get_args(FieldSource))
+        raise LearningError(f"field_source: found {source!r}; allowed: {known}")
+    # Translation reads data; here alone data ask it, for what it finds in masks.
+    from learning.translation.flow.presses import PackedPresses, fields_of_presses
+
+    rows, starts = presses.rows.numpy(), presses.starts.numpy()
+    fields = torch.empty(len(rows), 3, FIELD_SIDE, FIELD_SIDE)
+    progress(0, len(rows))
+    for ends in _parts(starts, _FIELDS_AT_ONCE):
+        first, end = int(ends[0]), int(ends[-1])
+        if source == "truth":
+            fields[first:end] = marker_maps(read_fields(sensor, rows[first:end]))
+            progress(end, len(rows))
+            continue
+        part = PackedPresses(
+            sensor.packed(rows[first:end]),
+            ends - first,
+            sensor.references,
+            presses.reference[first:end].numpy(),
+        )
+        found = fields_of_presses(
+            part,
+            "maps",
+            processes=processes,
+            progress=lambda done, _, before=first: progress(before + done, len(rows)),  # type: ignore[misc]
+        )
+        fields[first:end] = torch.from_numpy(found)
+    return fields
+
+
+def _parts(starts: NDArray[np.int64], most: int) -> Iterator[NDArray[np.int64]]:
+    """Yield starts and end of runs of whole presses with so many frames, or one press."""
+    first = 0
+    while first < len(starts) - 1:
+        end = max(first + 1, int(np.searchsorted(starts, starts[first] + most, "right")) - 1)
+        yield starts[first : end + 1]
+        first = end
+
+
+def _checked_rows(sensor: ArchivedSensor, rows: Any) -> NDArray[np.int64]:
+    chosen = np.asarray(rows)
+    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
+        raise LearningError(f"rows: found {chosen.dtype} {chosen.shape}; allowed: integers (n,)")
+    chosen = chosen.astype(np.int64)
+    if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(sensor):
+        wrong = chosen[(chosen < 0) | (chosen >= len(sensor))][0]
+        raise LearningError(f"{sensor.name}: no row {wrong}, the sensor has {len(sensor)}")
+    if len(np.unique(chosen)) != len(chosen):
+        raise LearningError(f"{sensor.name}: found rows that repeat; allowed: each one once")
+    invalid = chosen[~sensor.table["valid"][chosen]]
+    if invalid.size:
+        why = sensor.sources[int(sensor.table["source"][invalid[0]])]
+        raise LearningError(
+            f"{sensor.name}: row {invalid[0]} is not valid ({why}); allowed: rows with a frame"
+        )
+    return chosen
+
+
+def _require_one_press(
+    sensor: ArchivedSensor, key: NDArray[np.int64], begins: NDArray[np.int64]
+) -> None:
+    location = key[0, begins]
+    twice = np.flatnonzero((np.diff(location) == 0) & (location[1:] >= 0))
+    if twice.size:
+        raise LearningError(
+            f"{sensor.name}: location {location[twice[0]]} belongs to several presses; allowed: one"
+        )

@@ -1,0 +1,337 @@
+"""Which presses models are trained on, and which they are measured on. A split is a file.
+
+Whole presses are split, never frames and never pairs of them: a contact that is trained on is not
+in a test under another sensor. Of the indenters that may be trained on some presses go to
+`validation` and some to `new_press`; all presses of the others are `new_indenter`. States of one
+press that have a location each stay together. Whole sensors may be held out as well.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.training.sampling import generator
+from recorder import MarkerArchive
+from recorder.durable import replace_file
+
+Role = Literal["train", "validation", "new_press", "new_indenter"]
+ROLES: tuple[Role, ...] = get_args(Role)
+"""What a press may be for."""
+NO_ROLE = ""
+"""Of a location that the split does not know, and of frames without one."""
+
+_FORMAT, _VERSION = "tactile-rig split", 1
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """One press, or one state of it, that a split gives a role."""
+
+    location: int
+    """Equal across sensors."""
+    indenter: str
+    """Name of what pressed."""
+    target: int
+    """Its number within the indenter."""
+    role: Role
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Roles of locations, and sensors that no model may be trained on."""
+
+    presses: tuple[Press, ...]
+    """Ascending by location."""
+    held_out_sensors: tuple[str, ...] = ()
+    """Names, in alphabetical order."""
+    validation: float = 0.0
+    """Share of the presses of seen indenters that was asked for."""
+    new_press: float = 0.0
+    """The same of those that are kept for the test."""
+    seed: int = 0
+    """Of the choice."""
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of everything that it says, 64 hexadecimal digits."""
+        return hashlib.sha256(self._text().encode()).hexdigest()
+
+    def locations(self, role: Role) -> NDArray[np.int64]:
+        """Return the locations of a role (n,), ascending."""
+        require_role(role)
+        return np.array([each.location for each in self.presses if each.role == role], np.int64)
+
+    def role(self, location: NDArray[np.integer[Any]]) -> NDArray[np.str_]:
+        """Return the role of each location (n,): one of `ROLES`, or `NO_ROLE`."""
+        known = np.array([each.location for each in self.presses], np.int64)
+        roles = np.array([*(each.role for each in self.presses), NO_ROLE], "<U12")
+        asked = np.asarray(location, np.int64)
+        place = np.minimum(np.searchsorted(known, asked), max(len(known) - 1, 0))
+        found = known[place] == asked if len(known) else np.zeros(asked.shape, np.bool_)
+        return np.where(found, roles[place], NO_ROLE)
+
+    def rows(
+        self, table: Mapping[str, NDArray[Any]], role: Role | Sequence[Role]
+    ) -> NDArray[np.int64]:
+        """Return the valid rows of a sensor's table in one or more roles, by location and frame."""
+        wanted: Sequence[str] = (role,) if isinstance(role, str) else role
+        for each in wanted:
+            require_role(each)
+        chosen = np.flatnonzero(
+            table["valid"] & np.isin(self.role(table["location"]), list(wanted))
+        )
+        order = np.lexsort((table["frame"][chosen], table["location"][chosen]))
+        return chosen[order].astype(np.int64)
+
+    def trained_sensors(self, archive: MarkerArchive) -> tuple[str, ...]:
+        """Return the sensors of an archive that models may be trained on."""
+        return tuple(name for name in archive if name not in self.held_out_sensors)
+
+    def check(self, archive: MarkerArchive) -> None:
+        """Refuse an archive that the split was not made for: it may have fewer presses, no others.
+
+        Raises:
+            LearningError: A location that the split does not know, or knows as another press.
+        """
+        known = {each.location: each for each in self.presses}
+        for location, (indenter, target) in presses_of(archive).items():
+            press = known.get(location)
+            if press is None:
+                raise LearningError(
+                    f"{archive.name}: location {location} ({indenter}, target {target}) is not in "
+                    "the split; allowed: archives of the presses that it was made from"
+                )
+            if (press.indenter, press.target) != (indenter, target):
+                raise LearningError(
+                    f"{archive.name}: found location {location} to be target {target} of "
+                    f"{indenter}; the split knows it as target {press.target} of {press.indenter}"
+                )
+
+    def write(self, path: Path) -> None:
+        """Write it as JSON. An equal file stays as it is.
+
+        Raises:
+            LearningError: Another split lies there.
+        """
+        if path.exists():
+            if read_split(path) != self:
+                raise LearningError(f"{path}: holds another split; remove it, or choose another")
+            return
+        replace_file(path, self._text().encode())
+
+    def _text(self) -> str:
+        indenters = sorted({each.indenter for each in self.presses})
+        document = {
+            "format": _FORMAT,
+            "format_version": _VERSION,
+            "seed": self.seed,
+            "validation": self.validation,
+            "new_press": self.new_press,
+            "held_out_sensors": list(self.held_out_sensors),
+            # By role and indenter: target and location of each press.
+            "presses": {
+                role: {
+                    name: [
+                        [each.target, each.location]
+                        for each in self.presses
+                        if (each.role, each.indenter) == (role, name)
+                    ]
+                    for name in indenters
+                }
+                for role in ROLES
+            },
+        }
+        text = json.dumps(document, indent=2)
+        # A press a line makes files of thousands of lines; an indenter a line can be read.
+        return _joined(text) + "\n"
+
+
+def make_split(
+    archive: MarkerArchive,
+    *,
+    validation: float = 0.1,
+    new_press: float = 0.1,
+    held_out_sensors: Sequence[str] = (),
+    seed: int = 0,
+    unseen: Sequence[str] | None = None,
+) -> Split:
+    """Return a split of an archive's presses.
+
+    Each share is taken evenly from the seen indenters, and is one press at least unless it is 0.
+
+    Args:
+        archive: A complete archive.
+        validation: Share of the presses of seen indenters.
+        new_press: Share of the presses of seen indenters.
+        held_out_sensors: Names of sensors that no model may be trained on.
+        seed: Of the choice; it depends on nothing else but the presses.
+        unseen: Indenters that no model may be trained on; None: those that the archive says.
+
+    Raises:
+        LearningError: Wrong shares, unknown names, nothing left to train on, or sensors that
+            disagree on a press.
+        SessionError: The archive is still being written.
+    """
+    for name, share in (("validation", validation), ("new_press", new_press)):
+        if not 0 <= share < 1:
+            raise LearningError(f"{name}: found {share}; allowed: 0 to less than 1")
+    _require_known("held_out_sensors", held_out_sensors, archive)
+    places = presses_of(archive)
+    if unseen is None:
+        unseen = _said_unseen(archive)
+    else:
+        _require_known("unseen", unseen, archive.indenters)
+    states: dict[tuple[str, int], list[int]] = {}
+    for location, press in sorted(places.items()):
+        states.setdefault(press, []).append(location)
+    seen = _shuffled([press for press in states if press[0] not in unseen], seed)
+    counts = [max(1, round(share * len(seen))) if share else 0 for share in (new_press, validation)]
+    if sum(counts) >= len(seen):
+        raise LearningError(
+            f"{archive.name}: found {len(seen)} presses of seen indenters, {counts[0]} for "
+            f"new_press and {counts[1]} for validation; allowed: shares that leave some to train on"
+        )
+    roles: dict[tuple[str, int], Role] = {press: "new_indenter" for press in states}
+    for number, press in enumerate(seen):
+        kept = number >= counts[0]
+        roles[press] = "new_press" if not kept else "validation"
+        if number >= sum(counts):
+            roles[press] = "train"
+    presses = (
+        Press(location, *press, roles[press])
+        for press, locations in states.items()
+        for location in locations
+    )
+    return Split(
+        tuple(sorted(presses, key=lambda press: press.location)),
+        tuple(sorted(held_out_sensors)),
+        float(validation),
+        float(new_press),
+        seed,
+    )
+
+
+def read_split(path: Path) -> Split:
+    """Return the split in a file.
+
+    Raises:
+        LearningError: No such file, or not a split.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LearningError(f"{path}: not JSON: {error}") from None
+    known = isinstance(document, dict)
+    found = (document.get("format"), document.get("format_version")) if known else None
+    if found != (_FORMAT, _VERSION):
+        raise LearningError(f"{path}: found format {found}; allowed: {(_FORMAT, _VERSION)}")
+    try:
+        presses = [
+            Press(int(location), str(name), int(target), _role(role))
+            for role, indenters in document["presses"].items()
+            for name, listed in indenters.items()
+            for target, location in listed
+        ]
+        split = Split(
+            tuple(sorted(presses, key=lambda press: press.location)),
+            tuple(map(str, document["held_out_sensors"])),
+            float(document["validation"]),
+            float(document["new_press"]),
+            int(document["seed"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise LearningError(f"{path}: not a whole split: {error!r}") from error
+    if len({press.location for press in presses}) != len(presses):
+        raise LearningError(f"{path}: found a location twice; allowed: one role each")
+    return split
+
+
+def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
+    """Return indenter and target of each location in an archive.
+
+    Raises:
+        LearningError: Sensors that disagree, or none with a location.
+        SessionError: The archive is still being written.
+    """
+    found: dict[int, tuple[str, int]] = {}
+    for name, sensor in archive.items():
+        columns = [sensor.table[key] for key in ("location", "indenter", "target")]
+        for location, code, target in np.unique(np.stack(columns, 1), axis=0).tolist():
+            press = (archive.indenters[code], target)
+            if location >= 0 and found.setdefault(location, press) != press:
+                raise LearningError(
+                    f"{archive.name}/{name}: found location {location} to be {press}, elsewhere "
+                    f"{found[location]}; allowed: the same press in all sensors"
+                )
+    if not found:
+        raise LearningError(f"{archive.name}: found no frame with a location; allowed: some")
+    return found
+
+
+def require_role(role: str) -> None:
+    """Refuse what is no role.
+
+    Raises:
+        LearningError: Naming those that there are.
+    """
+    if role not in ROLES:
+        raise LearningError(f"role: found {role!r}; allowed: {', '.join(ROLES)}")
+
+
+def _role(text: str) -> Role:
+    require_role(text)
+    return text  # type: ignore[return-value]
+
+
+def _shuffled(presses: Iterable[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
+    """Return presses such that any number of the first ones are spread over the indenters."""
+    by_indenter: dict[str, list[int]] = {}
+    for indenter, target in sorted(presses):
+        by_indenter.setdefault(indenter, []).append(target)
+    turns = []
+    for indenter, targets in by_indenter.items():
+        chance = generator(seed, "split", indenter)
+        order = chance.permutation(len(targets))
+        first = chance.random()
+        turns += [
+            ((turn + first) / len(targets), indenter, targets[place])
+            for turn, place in enumerate(order)
+        ]
+    return [(indenter, target) for _, indenter, target in sorted(turns)]
+
+
+def _said_unseen(archive: MarkerArchive) -> tuple[str, ...]:
+    codes = [sensor.table["indenter"][~sensor.table["seen"]] for sensor in archive.values()]
+    return tuple(archive.indenters[code] for code in np.unique(np.concatenate(codes)).tolist())
+
+
+def _require_known(what: str, names: Sequence[str], known: Iterable[str]) -> None:
+    allowed = list(known)
+    if unknown := sorted(set(names) - set(allowed)):
+        raise LearningError(f"{what}: found {', '.join(unknown)}; allowed: {', '.join(allowed)}")
+
+
+def _joined(text: str) -> str:
+    """Return indented JSON with lists of numbers, and lists of those, on one line."""
+    lines: list[str] = []
+    depth = 0
+    for line in text.splitlines():
+        inside, stripped = depth > 0, line.strip()
+        depth += stripped.count("[") - stripped.count("]")
+        if inside:
+            space = " " if lines[-1].endswith(",") else ""
+            lines[-1] += space + stripped
+        else:
+            lines.append(line)
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""How good translated images and predicted forces are: errors, distances, baselines, one report."""

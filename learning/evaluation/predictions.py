@@ -1,0 +1,231 @@
+"""Predicted forces beside the true ones, frame by frame: what a force model said of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.evaluation.force_errors import spread_and_range
+from learning.evaluation.results_file import Results, read_results, write_results
+from recorder.archive import ArchivedSensor
+
+KIND = "predictions"
+METHODS = ("source-only", "transferred", "compensated", "oracle", "target")
+"""What the model was trained on: the source's images as they are; the translated ones; those with
+labels compensated without labels of the target; compensated as is best on the target's labels; the
+target's own labels."""
+
+_TEXTS = ("source", "target", "method", "translator", "model")
+_WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4}
+_SCALES = ("label_std", "label_range")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predictions:
+    """Frames of one sensor, by location and frame, as one model sees them."""
+
+    source: str
+    """Sensor whose labels the model was trained with."""
+    target: str
+    """Sensor whose frames these are."""
+    method: str
+    """One of `METHODS`."""
+    translator: str
+    """What made the images that the model was trained on; empty: nothing."""
+    model: str
+    """What names the weights of the force model, their hash."""
+    rows: NDArray[np.int64]
+    """Rows of the archive's table (n,)."""
+    location: NDArray[np.int32]
+    """Location of each (n,)."""
+    indenter: NDArray[np.str_]
+    """Name of the indenter of each (n,)."""
+    frame: NDArray[np.int32]
+    """Number within its press (n,)."""
+    phase: NDArray[np.int8]
+    """Code of the phase (n,)."""
+    role: NDArray[np.str_]
+    """Role of each in the split (n,)."""
+    true: NDArray[np.float64]
+    """Labels (n, 3) [N]."""
+    predicted: NDArray[np.float64]
+    """What the model says (n, 3) [N]."""
+    label_std: NDArray[np.float64]
+    """Standard deviation of Fx, Fy, Fz, Ft over all labelled frames of the target (4,) [N]."""
+    label_range: NDArray[np.float64]
+    """Range of the same (4,) [N]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no set of predictions.
+
+        Raises:
+            LearningError: An unknown method, other shapes, or a force that is not a number.
+        """
+        if self.method not in METHODS:
+            raise LearningError(f"method: found {self.method!r}; allowed: {', '.join(METHODS)}")
+        for field in fields(self):
+            if field.name in _TEXTS:
+                continue
+            values = getattr(self, field.name)
+            shape: tuple[int, ...] = () if field.name in _SCALES else (len(self.rows),)
+            if field.name in _WIDTHS:
+                shape += (_WIDTHS[field.name],)
+            if values.shape != shape:
+                raise LearningError(
+                    f"{field.name}: found shape {values.shape}; allowed: {shape}, as there are "
+                    f"{len(self.rows)} rows"
+                )
+        for name in ("true", "predicted"):
+            wrong = np.flatnonzero(~np.isfinite(getattr(self, name)).all(axis=1))
+            if wrong.size:
+                raise LearningError(
+                    f"{self.target}: found a {name} force that is no number in row "
+                    f"{self.rows[wrong[0]]}, and {wrong.size} such rows; allowed: numbers"
+                )
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.rows)
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """Source, target, method and translator."""
+        return self.source, self.target, self.method, self.translator
+
+    def only(self, chosen: NDArray[np.bool_]) -> Predictions:
+        """Return some of the frames (n,)."""
+        return _with(self, {name: getattr(self, name)[chosen] for name in _PER_FRAME})
+
+    def write(self, path: Path) -> None:
+        """Write them as an .npz.
+
+        Raises:
+            OSError: Not writable.
+        """
+        said = {name: getattr(self, name) for name in _TEXTS}
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
+        write_results(path, Results(KIND, said, arrays))
+
+
+_PER_FRAME = tuple(f.name for f in fields(Predictions) if f.name not in (*_TEXTS, *_SCALES))
+
+
+def predictions_of(
+    sensor: ArchivedSensor,
+    indenters: Sequence[str],
+    rows: NDArray[np.int64],
+    role: NDArray[np.str_],
+    predicted: NDArray[np.floating[Any]],
+    *,
+    source: str,
+    method: str,
+    translator: str,
+    model: str,
+) -> Predictions:
+    """Return what a model said of rows of an archive, with what the archive knows of them.
+
+    Args:
+        sensor: The target.
+        indenters: Names of the indenters by code, as the archive has them.
+        rows: Rows of its table (n,).
+        role: Role of each (n,).
+        predicted: Forces (n, 3) [N].
+        source: Sensor whose labels the model was trained with.
+        method: One of `METHODS`.
+        translator: What made the images that it was trained on; empty: nothing.
+        model: What names its weights.
+
+    Raises:
+        LearningError: Frames without a label, other shapes, or an unknown method.
+        SessionError: A damaged table.
+    """
+    table = sensor.table
+    labels = table["wrench"][:, :3]
+    spread, range_ = spread_and_range(labels[table["valid"] & (table["location"] >= 0)])
+    return Predictions(
+        source=source,
+        target=sensor.name,
+        method=method,
+        translator=translator,
+        model=model,
+        rows=np.asarray(rows, np.int64),
+        location=table["location"][rows],
+        indenter=np.asarray(indenters, np.str_)[table["indenter"][rows]],
+        frame=table["frame"][rows],
+        phase=table["phase"][rows],
+        role=np.asarray(role, np.str_),
+        true=labels[rows],
+        predicted=np.asarray(predicted, np.float64),
+        label_std=spread,
+        label_range=range_,
+    )
+
+
+def read_predictions(path: Path) -> Predictions:
+    """Return predictions that were written.
+
+    Raises:
+        LearningError: Not such a file, or one that does not hold them.
+    """
+    return predictions_in(read_results(path), path)
+
+
+def predictions_in(results: Results, path: Path) -> Predictions:
+    """Return the predictions that a file holds; `path` begins the message of an error.
+
+    Raises:
+        LearningError: Results of another kind, or not all of them.
+    """
+    if results.kind != KIND:
+        raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
+    wanted = {f.name for f in fields(Predictions)}
+    found = {**results.said, **results.arrays}
+    if set(found) != wanted:
+        different = ", ".join(sorted(set(found) ^ wanted))
+        raise LearningError(f"{path}: lacks or has beyond what is expected: {different}")
+    try:
+        return Predictions(**found)
+    except LearningError as error:
+        raise LearningError(f"{path}: {error}") from None
+
+
+def merged(predictions: Iterable[Predictions]) -> tuple[Predictions, ...]:
+    """Return predictions with those of one source, target, method and translator in one.
+
+    Raises:
+        LearningError: A frame that was predicted twice, or by two models.
+    """
+    groups: dict[tuple[str, str, str, str], list[Predictions]] = {}
+    for one in predictions:
+        groups.setdefault(one.key, []).append(one)
+    return tuple(_joined(parts) for parts in groups.values())
+
+
+def _joined(parts: list[Predictions]) -> Predictions:
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    name = f"{first.source} to {first.target}, {first.method} {first.translator}".rstrip()
+    models = sorted({one.model for one in parts})
+    if len(models) > 1:
+        raise LearningError(f"{name}: found models {', '.join(models)}; allowed: one")
+    rows = np.concatenate([one.rows for one in parts])
+    found, count = np.unique(rows, return_counts=True)
+    if count.max(initial=1) > 1:
+        twice = found[count > 1][0]
+        raise LearningError(f"{name}: found row {twice} twice; allowed: each frame once")
+    return _with(
+        first,
+        {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME},
+    )
+
+
+def _with(one: Predictions, changed: dict[str, Any]) -> Predictions:
+    kept = {f.name: getattr(one, f.name) for f in fields(one) if f.name not in changed}
+    return Predictions(**kept, **changed)

@@ -1,0 +1,235 @@
+"""Force models of an experiment: of each source, carried over to each target, and what they say."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from learning.compensation import StoredCompensation
+from learning.data.fingerprint import archive_fingerprint
+from learning.data.presses import Presses
+from learning.data.splits import Split
+from learning.errors import LearningError
+from learning.evaluation.force_errors import force_errors
+from learning.evaluation.predictions import Predictions, predictions_of, read_predictions
+from learning.experiment.models import Places
+from learning.experiment.parts import Pair, Tested, as_images, look_of, tested_on, trained_on
+from learning.experiment.settings import ExperimentSettings
+from learning.experiment.translating import flow_fields, translate_presses, warp_presses
+from learning.force.labels import Compensation
+from learning.force.predictor import KIND, ForcePredictor, load_force_model
+from learning.force.settings import PRESETS, ForceSettings
+from learning.force.train import train_force
+from learning.progress import Progress
+from learning.settings import read_settings
+from learning.training.model_folder import read_model_folder
+from learning.training.run_folder import RunFolder
+from learning.training.stopping import Stop
+from learning.translation.archive import Model
+from learning.translation.translator import FLOW, SensorView, aimed
+from recorder import MarkerArchive
+
+BEFORE, TRANSFERRED, TARGET = "source-only", "transferred", "target"
+_CHOICES = {"compensated": "default", "oracle": "oracle"}
+"""How the compensation file calls what evaluations call so."""
+
+
+@dataclass(slots=True, eq=False)
+class Forces:
+    """Trains and predicts for one archive. What is in the folder already is read, not made."""
+
+    archive: MarkerArchive
+    split: Split
+    settings: ExperimentSettings
+    places: Places
+    translators: Mapping[str, Model]
+    compensation: StoredCompensation | None
+    device: torch.device
+    processes: int
+    """How many follow markers."""
+    say: Callable[[str], None]
+    _tested: dict[str, Tested] = field(default_factory=dict)
+    _seen: dict[str, tuple[Presses, Presses | None]] = field(default_factory=dict)
+
+    def predict_all(self, pairs: Sequence[Pair]) -> list[Predictions]:
+        """Return what models say of the tested frames of all targets.
+
+        Raises:
+            LearningError: Presses without labels, or a training that diverged.
+            SessionError: A damaged archive.
+            KeyboardInterrupt: It was stopped between two steps of a training.
+        """
+        found = []
+        for target in dict.fromkeys(pair.target for pair in pairs):
+            found.append(self._predicted(Pair(target, target), TARGET, ""))
+        for source in dict.fromkeys(pair.source for pair in pairs):
+            for pair in (pair for pair in pairs if pair.source == source):
+                found.append(self._predicted(pair, BEFORE, ""))
+            for name in self.translators:
+                # Sensors of one scale share the fields that were found in the source's frames.
+                known: dict[tuple[float, float], torch.Tensor] = {}
+                for pair in (pair for pair in pairs if pair.source == source):
+                    found += self._carried_over(pair, name, known)
+            self._seen.pop(source, None)
+        return found
+
+    def _carried_over(
+        self, pair: Pair, name: str, known: dict[tuple[float, float], torch.Tensor]
+    ) -> Iterator[Predictions]:
+        """Return what models trained on translated frames say, of each kind of labels."""
+        shown: Presses | None = None
+        for method in (TRANSFERRED, *self.settings.compensation):
+            if not self._file(pair, method, name).exists() and shown is None:
+                shown = self._translated(pair, name, known)
+            yield self._predicted(pair, method, name, shown)
+
+    def _predicted(
+        self, pair: Pair, method: str, translator: str, shown: Presses | None = None
+    ) -> Predictions:
+        file = self._file(pair, method, translator)
+        if not file.exists():
+            if shown is None:
+                folder, model = self._own_model(pair.source)
+            else:
+                folder, model = self._tuned_model(pair, method, translator, shown)
+            tested = self._tested_on(pair.target)
+            predictions_of(
+                self.archive[pair.target],
+                self.archive.indenters,
+                tested.presses.rows.numpy(),
+                tested.role,
+                model.predict(tested.presses),
+                source=pair.source,
+                method=method,
+                translator=translator,
+                model=read_model_folder(folder).hash(),
+            ).write(file)
+        found = read_predictions(file)
+        errors = force_errors(found.true, found.predicted, found.label_std)
+        by = f" by {translator}" if translator else ""
+        self.say(f"{pair.source} to {pair.target}, {method}{by}: R2 {errors.r2_mean:.3f}")
+        return found
+
+    def _own_model(self, sensor: str) -> tuple[Path, ForcePredictor]:
+        """Return the model that a sensor's own frames and labels give."""
+        choice = self.settings.force
+        settings = self._force_settings(choice.set)
+        packed, held = self._frames(sensor)
+        return self._trained(
+            f"force-{sensor}",
+            settings,
+            as_images(packed),
+            None if held is None else as_images(held),
+        )
+
+    def _tuned_model(
+        self, pair: Pair, method: str, translator: str, shown: Presses
+    ) -> tuple[Path, ForcePredictor]:
+        """Return the model that goes on from the source's with its frames translated."""
+        settings = self._force_settings((*self.settings.force.set, *self.settings.fine_tuning))
+        labels = None
+        if method in _CHOICES:
+            if self.compensation is None:
+                raise LearningError(f"{method}: found no compensation file")
+            labels = self.compensation.pair(pair.source, pair.target, _CHOICES[method]).applied
+        name = f"force-{pair.source}-to-{pair.target}.{method}.{translator}"
+        _, own = self._own_model(pair.source)
+        return self._trained(name, settings, shown, None, start_from=own, compensation=labels)
+
+    def _trained(
+        self,
+        name: str,
+        settings: ForceSettings,
+        presses: Presses,
+        validation: Presses | None,
+        *,
+        start_from: ForcePredictor | None = None,
+        compensation: Compensation | None = None,
+    ) -> tuple[Path, ForcePredictor]:
+        folder = self.places.model(name)
+        data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint} {presses.sensor}"
+        with RunFolder.open(folder, KIND, settings, data, True, keep=1) as run:
+            if not run.finished:
+                steps = Progress(f"epochs of {name}", sys.stderr)
+                try:
+                    with Stop(partial(print, file=sys.stderr)) as stop:
+                        train_force(
+                            presses,
+                            settings,
+                            run,
+                            validation=() if validation is None else validation,
+                            start_from=start_from,
+                            compensation=compensation,
+                            stopped=lambda: stop.asked,
+                            progress=steps,
+                        )
+                finally:
+                    steps.close()
+                if stop.asked and not run.finished:
+                    raise KeyboardInterrupt
+        return folder, load_force_model(folder, self.device)
+
+    def _translated(
+        self, pair: Pair, name: str, known: dict[tuple[float, float], torch.Tensor]
+    ) -> Presses:
+        packed, _ = self._frames(pair.source)
+        source, target = self.archive[pair.source], self.archive[pair.target]
+        views = SensorView.of(source), SensorView.of(target)
+        look = look_of(target, packed, self.device)
+        progress = Progress(f"frames of {pair.source} to {pair.target} by {name}", sys.stderr)
+        try:
+            if name != FLOW:
+                translator = aimed(self.translators[name].translator, *views)
+                return translate_presses(packed, look, translator, progress=progress)
+            scale = (
+                views[1].mm_per_column / views[0].mm_per_column,
+                views[1].mm_per_row / views[0].mm_per_row,
+            )
+            if scale not in known:
+                known[scale] = flow_fields(
+                    packed, *views, processes=self.processes, progress=progress
+                )
+            return warp_presses(packed, look, known[scale], progress=progress)
+        finally:
+            progress.close()
+
+    def _frames(self, sensor: str) -> tuple[Presses, Presses | None]:
+        """Return a source's presses to train on, packed, and those to validate on."""
+        if sensor not in self._seen:
+            read = partial(
+                trained_on,
+                self.archive[sensor],
+                self.split,
+                settings=self.settings,
+                device=self.device,
+            )
+            training = read("train")
+            if training is None:
+                raise LearningError(f"{sensor}: found no presses to train on in the split")
+            self._seen[sensor] = training, read("validation")
+        return self._seen[sensor]
+
+    def _tested_on(self, sensor: str) -> Tested:
+        if sensor not in self._tested:
+            self._tested[sensor] = tested_on(
+                self.archive[sensor], self.split, self.settings, self.device
+            )
+        return self._tested[sensor]
+
+    def _force_settings(self, changed: Sequence[str]) -> ForceSettings:
+        settings = read_settings(ForceSettings, PRESETS, self.settings.force.preset, changed)
+        if settings.input.stored_form != "images":
+            raise LearningError(
+                f"force: found {self.settings.force.preset}, which sees marker fields; allowed: a "
+                "model that sees images, which is what is translated"
+            )
+        return settings
+
+    def _file(self, pair: Pair, method: str, translator: str) -> Path:
+        parts = [f"{pair.source}-to-{pair.target}", method, translator, "npz"]
+        return self.places.predictions / ".".join(part for part in parts if part)

@@ -1,0 +1,172 @@
+"""What an experiment reads of an archive: which presses train, which are predicted, in memory."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learning.data.images import shrink_masks, unpack_masks
+from learning.data.presses import Form, Presses, load_presses
+from learning.data.splits import Press, Role, Split
+from learning.errors import LearningError
+from learning.experiment.settings import ExperimentSettings
+from learning.experiment.translating import Look
+from learning.progress import Progress
+from learning.training.sampling import generator
+from learning.translation.translator import SensorView
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+
+TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
+"""Roles that forces are predicted of."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """From which sensor to which."""
+
+    source: str
+    target: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tested:
+    """Frames of a target whose forces are predicted."""
+
+    presses: Presses
+    """Their images."""
+    role: NDArray[np.str_]
+    """Role of each frame (N,)."""
+
+
+def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair, ...]:
+    """Return the pairs that are asked for as SOURCE:TARGET; None: all directed pairs.
+
+    Raises:
+        LearningError: Not written like that, or a sensor that is not there.
+    """
+    if asked is None:
+        return tuple(Pair(one, other) for one in archive for other in archive if one != other)
+    pairs = []
+    for text in asked:
+        source, _, target = text.partition(":")
+        if source == target or not {source, target} <= set(archive):
+            raise LearningError(
+                f"--pairs: found {text!r}; allowed: SOURCE:TARGET, two of {', '.join(archive)}"
+            )
+        pairs.append(Pair(source, target))
+    return tuple(dict.fromkeys(pairs))
+
+
+def trained_on(
+    sensor: ArchivedSensor,
+    split: Split,
+    role: Role,
+    settings: ExperimentSettings,
+    device: torch.device,
+) -> Presses | None:
+    """Return presses of a source that models are trained on, packed; None where there are none.
+
+    Raises:
+        SessionError: A damaged archive.
+    """
+    rows = _some(sensor, split, role, settings.train_presses, settings.seed)
+    return _loaded(sensor, rows, device, packed=True) if len(rows) else None
+
+
+def tested_on(
+    sensor: ArchivedSensor, split: Split, settings: ExperimentSettings, device: torch.device
+) -> Tested:
+    """Return presses of a target that forces are predicted of.
+
+    Raises:
+        LearningError: The split has none of them.
+        SessionError: A damaged archive.
+    """
+    rows = np.concatenate(
+        [_some(sensor, split, role, settings.test_presses, settings.seed) for role in TESTED]
+    )
+    if not len(rows):
+        raise LearningError(f"{sensor.name}: found no presses of {', '.join(TESTED)} in the split")
+    presses = _loaded(sensor, rows, device, packed=False)
+    return Tested(presses, split.role(sensor.table["location"][presses.rows.numpy()]))
+
+
+def as_images(presses: Presses) -> Presses:
+    """Return packed presses as images (N, 256, 256)."""
+    images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
+    for part in torch.arange(presses.frames, device=presses.device).split(256):
+        images[part] = shrink_masks(unpack_masks(presses.images[part]))
+    references = shrink_masks(unpack_masks(presses.references))
+    return replace(presses, form="images", images=images, references=references)
+
+
+def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> Look:
+    """Return how a target looks untouched at the places of a source's presses.
+
+    A target that drifts has a reference for each contact point: that of the same location. Where it
+    was not pressed there, its first.
+
+    Raises:
+        SessionError: A damaged archive.
+    """
+    table = target.table
+    known = np.flatnonzero((table["location"] >= 0) & table["valid"])
+    location, first = np.unique(table["location"][known], return_index=True)
+    of_press = np.zeros(len(presses), np.int64)
+    if len(location):
+        asked = presses.location.numpy()
+        place = np.minimum(np.searchsorted(location, asked), len(location) - 1)
+        there = location[place] == asked
+        of_press[there] = table["reference"][known[first[place[there]]]]
+    return Look(
+        target.name,
+        SensorView.of(target),
+        torch.from_numpy(target.references).to(device),
+        torch.from_numpy(of_press)[presses.of_frame],
+    )
+
+
+def thinned(split: Split, most: int, seed: int) -> Split:
+    """Return a split with so many presses of each tested role; the others only validate."""
+    presses: list[Press] = []
+    for role in {press.role for press in split.presses}:
+        of_role = [press for press in split.presses if press.role == role]
+        if role not in TESTED:
+            presses += of_role
+            continue
+        order = generator(seed, "experiment", "scored", role).permutation(len(of_role))
+        kept = set(order[:most].tolist())
+        presses += [
+            press if number in kept else replace(press, role="validation")
+            for number, press in enumerate(of_role)
+        ]
+    return replace(split, presses=tuple(sorted(presses, key=lambda press: press.location)))
+
+
+def _some(
+    sensor: ArchivedSensor, split: Split, role: Role, most: int | None, seed: int
+) -> NDArray[np.int64]:
+    """Return rows of a role, of so many presses at most: the same places for all sensors."""
+    rows = split.rows(sensor.table, role)
+    places = split.locations(role)
+    if most is None or most >= len(places):
+        return rows
+    order = generator(seed, "experiment", "presses", role).permutation(len(places))
+    return rows[np.isin(sensor.table["location"][rows], places[order[:most]])]
+
+
+def _loaded(
+    sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.device, *, packed: bool
+) -> Presses:
+    progress = Progress(f"frames of {sensor.name}", sys.stderr)
+    try:
+        form: Form = "packed" if packed else "images"
+        return load_presses(sensor, rows, device=device, form=form, progress=progress)
+    finally:
+        progress.close()

@@ -1,0 +1,211 @@
+"""What accuracy costs in time: a model in every precision, by everything that can run it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learning.data.presses import Presses
+from learning.errors import LearningError
+from learning.force.export import OneFrame, export_onnx, made_up_frames, stepped_by, torch_stream
+from learning.force.network import ForceModel
+from learning.force.predictor import ForcePredictor
+from learning.force.quantise import quantise
+from learning.force.stream import ForceStream, open_exported
+
+WARM_UP = 5
+"""Frames before the clock starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way to run a model."""
+
+    runtime: str
+    precision: str
+
+
+VARIANTS = (
+    Variant("torch", "fp32"),
+    Variant("torch", "bf16"),
+    Variant("torch.compile", "fp32"),
+    Variant("torch.compile", "bf16"),
+    Variant("onnxruntime", "fp32"),
+    Variant("onnxruntime", "int8"),
+    Variant("openvino", "fp32"),
+    Variant("openvino", "bf16"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """A line of the table."""
+
+    model: str
+    weights: int
+    """Number of them."""
+    runtime: str
+    precision: str
+    threads: int
+    p50_ms: float | None
+    """Half of the frames take no longer [ms]; None: this runtime does not run here."""
+    p99_ms: float | None
+    rate_hz: float | None
+    """Frames a second, one after the other."""
+    difference_n: float | None
+    """Largest difference of a force from torch in fp32 [N]."""
+    mae_n: float | None
+    """Mean absolute error of Fx, Fy, Fz [N]; None: no labelled presses were given."""
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The frames that are timed and compared: presses, one after the other."""
+
+    frames: NDArray[np.uint8] | NDArray[np.float32]
+    """As the model takes them (n, ...)."""
+    starts: NDArray[np.int64]
+    """Where each press begins, and n."""
+    references: NDArray[np.uint8] | None
+    """The untouched image of each press (P, 256, 256), where the model needs it."""
+    forces: NDArray[np.float64] | None
+    """Labels (n, 3) N, where there are."""
+
+
+def sample_of(presses: Presses, predictor: ForcePredictor) -> Sample:
+    """Return labelled presses as a sample."""
+    some = presses.to("cpu")
+    some.require_wrench()
+    first = some.reference[some.starts[:-1]]
+    needed = predictor.settings.input.needs_reference
+    return Sample(
+        some.images.numpy(),
+        some.starts.numpy(),
+        some.references[first].numpy() if needed else None,
+        some.wrench.double().numpy(),
+    )
+
+
+def sample_of_noise(predictor: ForcePredictor, count: int) -> Sample:
+    """Return made-up frames: they cost as much as others, and have no labels."""
+    frames = made_up_frames(predictor, count + 1)
+    needed = predictor.settings.input.needs_reference
+    return Sample(frames[1:], np.array([0, count]), frames[:1] if needed else None, None)
+
+
+def costs(
+    name: str,
+    predictor: ForcePredictor,
+    sample: Sample,
+    folder: Path,
+    *,
+    threads: int,
+    least_frames: int = 100,
+    variants: Sequence[Variant] = VARIANTS,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Cost]:
+    """Return what each way to run a model costs.
+
+    Args:
+        name: Of the model in the table.
+        predictor: The model, on the CPU or another device; exported ones run on the CPU.
+        sample: What it is shown.
+        folder: Where exported models may be kept meanwhile.
+        threads: Threads of a step on the CPU.
+        least_frames: So many frames are timed at least, the sample again and again.
+        variants: Ways to run it.
+        progress: Called with ways done and their number.
+    """
+    torch.set_num_threads(threads)
+    exported = folder / f"{name}.onnx"
+    export_onnx(predictor, exported)
+    weights = sum(weight.numel() for weight in predictor.model.parameters())
+    truth = _forces(torch_stream(predictor), sample)
+    rows = []
+    for done, variant in enumerate(variants):
+        progress(done, len(variants))
+        about = (name, weights, variant.runtime, variant.precision, threads)
+        try:
+            stream = _stream(variant, predictor, sample, exported, threads)
+            found = _forces(stream, sample)
+            taken = np.sort(_times(stream, sample, least_frames)) * 1e3
+        except (LearningError, ImportError, RuntimeError) as error:
+            why = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+            rows.append(Cost(*about, None, None, None, None, None, f"does not run: {why[:100]}"))
+            continue
+        p50, p99 = float(np.percentile(taken, 50)), float(np.percentile(taken, 99))
+        rate = 1e3 / float(taken.mean())
+        mae = None if sample.forces is None else float(np.abs(found - sample.forces).mean())
+        rows.append(Cost(*about, p50, p99, rate, float(np.abs(found - truth).max()), mae))
+    progress(len(variants), len(variants))
+    return rows
+
+
+def _stream(
+    variant: Variant, predictor: ForcePredictor, sample: Sample, exported: Path, threads: int
+) -> ForceStream:
+    if variant.runtime in ("torch", "torch.compile"):
+        narrow = variant.precision == "bf16"
+        one = OneFrame(_bf16(predictor) if narrow else predictor.model).eval()
+        if variant.runtime == "torch.compile":
+            torch.compiler.reset()
+            one.compile(dynamic=False)
+        return stepped_by(one, predictor)
+    if variant.precision == "int8":
+        quantised = exported.with_suffix(".int8.onnx")
+        quantise(exported, quantised, _inputs_along(open_exported(exported), sample))
+        return open_exported(quantised, runtime=variant.runtime, threads=threads)
+    narrow = variant.precision == "bf16"
+    return open_exported(exported, runtime=variant.runtime, threads=threads, bf16=narrow)
+
+
+def _bf16(predictor: ForcePredictor) -> ForceModel:
+    """Return a copy of the model with weights in bfloat16; the box of forces stays as it is."""
+    copy = ForceModel(predictor.settings.network, predictor.settings.input)
+    copy.load_state_dict(predictor.model.state_dict())
+    copy = copy.to(predictor.device, torch.bfloat16)
+    copy.low, copy.high = predictor.model.low, predictor.model.high
+    return copy.eval()
+
+
+def _forces(stream: ForceStream, sample: Sample) -> NDArray[np.float64]:
+    """Return the forces (n, 3) N of a sample."""
+    found = []
+    for press, (first, end) in enumerate(zip(sample.starts, sample.starts[1:], strict=False)):
+        stream.reset(None if sample.references is None else sample.references[press])
+        found += [stream.step(frame) for frame in sample.frames[first:end]]
+    return np.array(found)
+
+
+def _inputs_along(
+    stream: ForceStream, sample: Sample, count: int = 24
+) -> Iterator[dict[str, NDArray[np.generic]]]:
+    """Yield the inputs of steps as they come along in a sample."""
+    places = np.linspace(0, len(sample.frames) - 1, min(count, len(sample.frames))).astype(int)
+    for press, (first, end) in enumerate(zip(sample.starts, sample.starts[1:], strict=False)):
+        stream.reset(None if sample.references is None else sample.references[press])
+        for row in range(first, end):
+            given = stream.given(sample.frames[row])
+            if row in places:
+                yield given
+            stream.step(sample.frames[row])
+
+
+def _times(stream: ForceStream, sample: Sample, least_frames: int) -> NDArray[np.float64]:
+    """Return how long frames take (n,) s, after a few that are not counted."""
+    if sample.references is not None:
+        stream.reset(sample.references[0])
+    taken = []
+    for number in range(WARM_UP + max(least_frames, 1)):
+        frame = sample.frames[number % len(sample.frames)]
+        began = time.perf_counter()
+        stream.step(frame)
+        taken.append(time.perf_counter() - began)
+    return np.array(taken[WARM_UP:])

@@ -1,0 +1,151 @@
+"""Writes one step of a force model as ONNX, and checks that it says what torch says."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from learning.errors import LearningError
+from learning.force.inputs import prepare, stored_shape
+from learning.force.network import ForceModel
+from learning.force.predictor import ForcePredictor
+from learning.force.stream import (
+    AFTER,
+    FORCE,
+    FRAME,
+    REFERENCE,
+    STATE,
+    ForceStream,
+    StepInputs,
+    open_exported,
+)
+
+CLOSE = 1e-4
+"""The exported step may differ from torch by so much of the box of forces."""
+_FRAMES = 4
+"""Frames that are compared, each from the state that the one before left."""
+
+
+class OneFrame(nn.Module):
+    """One step from stored frame to newtons."""
+
+    def __init__(self, model: ForceModel) -> None:
+        """Step a model, whatever its precision; newtons are float32."""
+        super().__init__()
+        self.model = model
+
+    def forward(
+        self, frame: Tensor, state: Tensor, reference: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return force (n, 3) N and the next state.
+
+        Args:
+            frame: Stored frame (n, 256, 256) uint8 or (n, 3, 32, 32) float32.
+            state: State (n, channels, h, w).
+            reference: Image (n, 256, 256) uint8 of the untouched sensor, where the model needs it.
+        """
+        kind = self.model.head.weight.dtype
+        prepared = prepare(frame, reference, self.model.inputs)
+        shares, after = self.model.step(prepared.to(kind), state.to(kind))
+        return self.model.newtons(shares), after.float()
+
+
+def torch_stream(predictor: ForcePredictor) -> ForceStream:
+    """Return a stream that torch answers, on the device of the predictor."""
+    return stepped_by(OneFrame(predictor.model).eval(), predictor)
+
+
+def stepped_by(one: nn.Module, predictor: ForcePredictor) -> ForceStream:
+    """Return a stream that a module such as `OneFrame` answers."""
+
+    def step(given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        with torch.inference_mode():
+            tensors = {name: torch.from_numpy(value) for name, value in given.items()}
+            force, after = one(**{n: t.to(predictor.device) for n, t in tensors.items()})
+        return force.cpu().numpy(), after.cpu().numpy()
+
+    inputs = predictor.settings.input
+    return ForceStream(
+        step,  # type: ignore[arg-type]
+        StepInputs(
+            (1, *stored_shape(inputs)),
+            inputs.form != "field",
+            (1, *predictor.model.state_shape),
+            inputs.needs_reference,
+        ),
+    )
+
+
+def made_up_frames(predictor: ForcePredictor, count: int, seed: int = 0) -> np.ndarray:
+    """Return frames (count, ...) as the model takes them, noise: to compare and to time by."""
+    random = np.random.default_rng(seed)
+    shape = (count, *stored_shape(predictor.settings.input))
+    if predictor.settings.input.form == "field":
+        return random.normal(scale=5.0, size=shape).astype(np.float32)
+    return random.integers(0, 256, shape, dtype=np.uint8)
+
+
+def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> float:
+    """Write the model's step, whole or not at all; how far it is from torch, in shares of the box.
+
+    Raises:
+        LearningError: The file is there already, or what was written differs from torch.
+    """
+    out = Path(path)
+    if out.exists():
+        raise LearningError(f"{out}: exists; allowed: a new file")
+    # Exported and compared on the CPU; the model itself stays where it is.
+    predictor = ForcePredictor(copy.deepcopy(predictor.model).cpu().eval(), predictor.settings)
+    model, inputs = predictor.model, predictor.settings.input
+    frames = torch.from_numpy(made_up_frames(predictor, 2))
+    arguments: tuple[Tensor, ...] = (frames[:1], model.untouched(1))
+    if inputs.needs_reference:
+        arguments += (frames[1:],)
+    temporary = out.with_suffix(".part.onnx")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with warnings.catch_warnings():
+            # The exporter warns of its own innards; what counts is compared below.
+            warnings.simplefilter("ignore")
+            logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+            program = torch.onnx.export(
+                OneFrame(model),
+                arguments,
+                input_names=[FRAME, STATE, REFERENCE][: len(arguments)],
+                output_names=[FORCE, AFTER],
+                dynamo=True,
+                verbose=False,
+            )
+        if program is None:
+            raise LearningError(f"{out}: torch exported nothing")
+        program.save(temporary, external_data=False)
+        difference = _difference(predictor, temporary)
+        if not difference <= CLOSE:
+            raise LearningError(
+                f"{out}: the exported model differs by {difference:.1e} of the box of forces; "
+                f"allowed: {CLOSE:.0e}"
+            )
+        temporary.replace(out)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return difference
+
+
+def _difference(predictor: ForcePredictor, file: Path) -> float:
+    """Return the largest difference of force over a few frames, in shares of the box."""
+    streams = torch_stream(predictor), open_exported(file, threads=1)
+    first, *frames = made_up_frames(predictor, 1 + _FRAMES)
+    box = (predictor.model.high - predictor.model.low).numpy()
+    for stream in streams:
+        stream.reset(first if stream.inputs.needs_reference else None)
+    return max(
+        float(np.abs((streams[0].step(frame) - streams[1].step(frame)) / box).max())
+        for frame in frames
+    )

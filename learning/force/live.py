@@ -1,0 +1,224 @@
+"""Force while it happens: a picture or a scan of taxels in, three axes of force out.
+
+    predictor = open_live("models/force", preset_name="bench-tacpalm")
+    for picture in camera:
+        found = predictor.step(picture)  # None while the untouched sensor is looked at
+
+Each frame goes the way of the training data: markers by a preset of `learning.markers`, the image
+or the marker field that the network takes (`learning.force.shown`), the network step by step with
+its memory carried along. The first frames must show the untouched sensor. Training sequences begin
+untouched and are short, so the memory is cleared for as long as nothing touches the sensor
+(`learning.force.contact`).
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.force.contact import Contact, ContactRule
+from learning.force.shown import Shown, shown_to
+from learning.force.stream import ForceStream, open_exported
+from learning.markers.catalogue import preset, preset_of_sensor
+from learning.markers.frames import one_thread
+from learning.markers.preset import CameraPreset, Preset
+from learning.markers.segmentation import Segmenter
+from learning.markers.taxels import taxel_masks
+
+Frame = NDArray[Any]
+
+RUNTIMES = ("onnx", "torch")
+"""What may step a model: ONNX Runtime the exported one, torch the trained one."""
+START_FRAMES = 10
+"""Untouched frames that the reference is taken from."""
+_TAXELS = (16, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class LiveForce:
+    """What one frame says."""
+
+    force: tuple[float, float, float]
+    """Fx, Fy, Fz on the sensor [N]; pressing is negative Fz."""
+    contact: bool
+    """Whether the sensor is touched; if not, the force is what the network says of an untouched
+    sensor."""
+    motion_px: float
+    """Mean motion of the markers' edges [px of 640 x 480]."""
+
+
+class Masks(Protocol):
+    """Makes masks from what a sensor sends."""
+
+    def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return masks (n, 480, 640) of frames without contact, and remember what they are."""
+
+    def mask(self, frame: Frame) -> NDArray[np.bool_]:
+        """Return the mask (480, 640) of a frame."""
+
+
+class LivePredictor:
+    """Frame after frame in, force after force out."""
+
+    def __init__(
+        self,
+        network: ForceStream,
+        chosen: Preset,
+        *,
+        rule: ContactRule | None = None,
+        start_frames: int = START_FRAMES,
+    ) -> None:
+        """Begin before the first frame.
+
+        Args:
+            network: The force model, step by step.
+            chosen: How markers are found in pictures or drawn from taxels.
+            rule: When the sensor counts as touched.
+            start_frames: Untouched frames that the reference is taken from.
+
+        Raises:
+            LearningError: No frames to begin with.
+        """
+        if start_frames < 1:
+            raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
+        self._network = network
+        self._masks: Masks = (
+            _PictureMasks(chosen) if isinstance(chosen, CameraPreset) else _TaxelMasks(chosen)
+        )
+        self._rule, self._start_frames = rule, start_frames
+        self._first: list[Frame] = []
+        self._contact: Contact | None = None
+        self._shown: Shown | None = None
+
+    @property
+    def reference(self) -> NDArray[np.bool_] | None:
+        """The untouched mask (480, 640); None as long as it is not known."""
+        return None if self._contact is None else self._contact.reference
+
+    def begin(self, frames: NDArray[Any]) -> None:
+        """Take the untouched sensor from frames without contact, and forget what was before.
+
+        Args:
+            frames: Pictures (n, h, w, 3) uint8, RGB, or counts of taxels (n, 16, 3).
+
+        Raises:
+            LearningError: No such frames, no markers in them, or frames that are not untouched.
+        """
+        if not len(frames):
+            raise LearningError("untouched frames: found none; allowed: one or more")
+        self._contact = Contact(self._masks.untouched(frames), self._rule)
+        self._shown = shown_to(self._network, self._contact.reference)
+        self._network.reset(self._shown.reference)
+        self._first.clear()
+
+    def step(self, frame: Frame) -> LiveForce | None:
+        """Return the force of the next frame; None while the untouched sensor is looked at.
+
+        Args:
+            frame: Picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
+
+        Raises:
+            LearningError: Another shape, no markers, or a sensor that was touched at the beginning.
+        """
+        if self._contact is None or self._shown is None:
+            self._first.append(np.array(frame))
+            if len(self._first) >= self._start_frames:
+                self.begin(np.stack(self._first))
+            return None
+        mask = self._masks.mask(frame)
+        contact = self._contact.step(mask)
+        if not contact:
+            self._network.reset()
+            self._shown.restart()
+        x, y, z = self._network.step(self._shown.of(mask)).tolist()
+        return LiveForce((x, y, z), contact, self._contact.motion_px)
+
+
+def open_live(
+    model: str | os.PathLike[str],
+    *,
+    runtime: str = RUNTIMES[0],
+    sensor: str | None = None,
+    preset_name: str | None = None,
+    threads: int = 0,
+) -> LivePredictor:
+    """Return the predictor of a finished force model.
+
+    Args:
+        model: Its folder.
+        runtime: One of `RUNTIMES`; `python -m learning export-onnx` exports a model.
+        sensor: Name of the sensor, which tells the preset.
+        preset_name: Name or YAML file of the preset, in place of that.
+        threads: Of a step; 0: what the runtime thinks best.
+
+    Raises:
+        LearningError: No such model or preset, or no preset is meant for the sensor.
+    """
+    chosen = preset_name or (None if sensor is None else preset_of_sensor(sensor))
+    if chosen is None:
+        raise LearningError(
+            f"preset: none is meant for sensor {sensor}; allowed: say one (docs/markers.md)"
+        )
+    one_thread()
+    return LivePredictor(_stream(model, runtime, threads), preset(chosen))
+
+
+def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:
+    if runtime == "onnx":
+        return open_exported(model, threads=threads)
+    if runtime != "torch":
+        raise LearningError(f"runtime: found {runtime!r}; allowed: {', '.join(RUNTIMES)}")
+    import torch
+
+    from learning.force.export import torch_stream
+    from learning.force.predictor import load_force_model
+
+    if threads:
+        torch.set_num_threads(threads)
+    return torch_stream(load_force_model(model))
+
+
+class _PictureMasks:
+    """Markers in pictures of a camera."""
+
+    def __init__(self, chosen: CameraPreset) -> None:
+        self._segmenter = Segmenter(chosen)
+
+    def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return the masks (n, 480, 640) of pictures (n, h, w, 3)."""
+        return np.stack([self.mask(frame) for frame in frames])
+
+    def mask(self, frame: Frame) -> NDArray[np.bool_]:
+        """Return the mask (480, 640) of a picture (h, w, 3)."""
+        return self._segmenter.mask(frame)
+
+
+class _TaxelMasks:
+    """Discs of taxels, whose counts are relative to the mean of the untouched ones."""
+
+    def __init__(self, chosen: Preset) -> None:
+        if isinstance(chosen, CameraPreset):
+            raise LearningError("preset: found one of a camera; allowed: one of taxels")
+        self._preset = chosen
+        self._rest = np.zeros(_TAXELS)
+
+    def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return the masks (n, 480, 640) of counts (n, 16, 3)."""
+        self._rest = _counts(frames[0], frames).mean(axis=0)
+        return taxel_masks(frames, self._rest, self._preset)
+
+    def mask(self, frame: Frame) -> NDArray[np.bool_]:
+        """Return the mask (480, 640) of counts (16, 3)."""
+        return taxel_masks(_counts(frame, frame), self._rest, self._preset)
+
+
+def _counts(frame: Frame, values: NDArray[Any]) -> NDArray[np.float64]:
+    counts = np.asarray(values, np.float64)
+    if frame.shape != _TAXELS or not np.isfinite(counts).all():
+        raise LearningError(f"taxels: found {frame.shape}; allowed: finite counts {_TAXELS}")
+    return counts

@@ -1,0 +1,196 @@
+"""Forces of a stream of frames, by whatever runs the model; needs no torch.
+
+An exported model is one step: frame, state and, where it needs one, the untouched image in; force
+in newtons and the next state out. It takes frames as they are stored, so that nothing has to be
+prepared outside of it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+
+FRAME, STATE, REFERENCE = "frame", "state", "reference"
+FORCE, AFTER = "force", "state_after"
+"""Names of what goes into a step and comes out of it."""
+RUNTIMES = ("onnxruntime", "openvino")
+"""What can run an exported model."""
+
+Array = NDArray[Any]
+Step = Callable[[Mapping[str, Array]], tuple[Array, Array]]
+"""Runs one step: inputs by name, then force (1, 3) N and state (1, c, h, w)."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepInputs:
+    """What a step takes."""
+
+    frame: tuple[int, ...]
+    """Shape (1, ...) of a frame: an image (256, 256) uint8 or a marker field (3, 32, 32)."""
+    is_image: bool
+    """Images are uint8, marker fields float32."""
+    state: tuple[int, ...]
+    """Shape (1, c, h, w) of the state, float32."""
+    needs_reference: bool
+    """Whether it is told the image of the untouched sensor."""
+
+
+class ForceStream:
+    """Frame after frame in, force after force out; the state is carried."""
+
+    def __init__(self, step: Step, inputs: StepInputs) -> None:
+        """Begin untouched; `reset` says the reference where one is needed."""
+        self._step, self.inputs = step, inputs
+        self._reference: Array | None = None
+        self._state = np.zeros(inputs.state, np.float32)
+
+    def reset(self, reference: Array | None = None) -> None:
+        """Forget what was seen, as at no contact; a reference given replaces the one there was.
+
+        Args:
+            reference: Image (256, 256) uint8 of the untouched sensor.
+
+        Raises:
+            LearningError: Of another shape or type.
+        """
+        if reference is not None:
+            self._reference = self._checked(reference, REFERENCE)
+        self._state = np.zeros(self.inputs.state, np.float32)
+
+    def step(self, frame: Array) -> NDArray[np.float64]:
+        """Return the force (3,) N of the next frame.
+
+        Args:
+            frame: Image (256, 256) uint8, or marker field (3, 32, 32) float32.
+
+        Raises:
+            LearningError: Of another shape or type, or the reference is still missing.
+        """
+        force, self._state = self._step(self.given(frame))
+        return np.asarray(force[0], np.float64)
+
+    def given(self, frame: Array) -> dict[str, Array]:
+        """Return by name what the next step takes, without taking it.
+
+        Raises:
+            LearningError: A frame of another shape or type, or the reference is still missing.
+        """
+        inputs = {FRAME: self._checked(frame, FRAME), STATE: self._state}
+        if self.inputs.needs_reference:
+            if self._reference is None:
+                raise LearningError("reference: missing; reset(reference) says the untouched image")
+            inputs[REFERENCE] = self._reference
+        return inputs
+
+    @property
+    def state(self) -> NDArray[np.float32]:
+        """The state (1, c, h, w) after the last frame."""
+        return self._state
+
+    def _checked(self, frame: Array, name: str) -> Array:
+        kind = np.dtype(np.uint8 if self.inputs.is_image else np.float32)
+        if frame.shape != self.inputs.frame[1:] or frame.dtype != kind:
+            allowed = f"{self.inputs.frame[1:]} {kind}"
+            raise LearningError(f"{name}: found {frame.shape} {frame.dtype}; allowed: {allowed}")
+        return frame[None]
+
+
+def open_exported(
+    path: str | os.PathLike[str],
+    *,
+    runtime: str = RUNTIMES[0],
+    threads: int = 0,
+    bf16: bool = False,
+) -> ForceStream:
+    """Return a stream that an exported model answers.
+
+    Args:
+        path: `model.onnx`, or the folder of a model that has one.
+        runtime: One of `RUNTIMES`.
+        threads: Threads of a step; 0: what the runtime thinks best.
+        bf16: Whether numbers may be bfloat16 inside; OpenVINO can.
+
+    Raises:
+        LearningError: No such file or runtime, not a model of this kind, or the runtime is not
+            installed.
+    """
+    file = Path(path)
+    file = file / "model.onnx" if file.is_dir() else file
+    if not file.is_file():
+        raise LearningError(f"{file}: no such file; python -m learning export-onnx makes it")
+    if runtime == "openvino":
+        return _openvino(file, threads, bf16)
+    if runtime != "onnxruntime" or bf16:
+        what = f"{runtime}{' with bf16' if bf16 else ''}"
+        raise LearningError(f"runtime: found {what}; allowed: {', '.join(RUNTIMES)}, bf16 openvino")
+    return _onnxruntime(file, threads)
+
+
+def _onnxruntime(file: Path, threads: int) -> ForceStream:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    # Threads that spin between frames would take the cores from whoever reads the camera.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        session = onnxruntime.InferenceSession(
+            str(file), options, providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # every kind of bad file is an exception class of its own there
+        raise LearningError(f"{file}: not an ONNX model that runs: {error}") from error
+    shapes = {given.name: tuple(given.shape) for given in session.get_inputs()}
+    images = {given.name for given in session.get_inputs() if given.type == "tensor(uint8)"}
+    inputs = _inputs(file, shapes, images)
+
+    def step(given: Mapping[str, Array]) -> tuple[Array, Array]:
+        force, after = session.run([FORCE, AFTER], dict(given))
+        return force, after
+
+    return ForceStream(step, inputs)
+
+
+def _openvino(file: Path, threads: int, bf16: bool) -> ForceStream:
+    try:
+        import openvino
+    except ImportError:
+        raise LearningError("openvino: not installed; pip install openvino") from None
+    core = openvino.Core()
+    try:
+        model = core.read_model(str(file))
+    except RuntimeError as error:
+        raise LearningError(f"{file}: not an ONNX model that runs: {error}") from error
+    wanted: dict[str, Any] = {
+        "PERFORMANCE_HINT": "LATENCY",
+        "INFERENCE_PRECISION_HINT": "bf16" if bf16 else "f32",
+    }
+    if threads:
+        wanted["INFERENCE_NUM_THREADS"] = threads
+    compiled = core.compile_model(model, "CPU", wanted)
+    shapes = {given.any_name: tuple(given.shape) for given in compiled.inputs}
+    images = {given.any_name for given in compiled.inputs if given.element_type == openvino.Type.u8}
+    inputs = _inputs(file, shapes, images)
+    request = compiled.create_infer_request()
+
+    def step(given: Mapping[str, Array]) -> tuple[Array, Array]:
+        found = request.infer(dict(given))
+        return found[FORCE].copy(), found[AFTER].copy()
+
+    return ForceStream(step, inputs)
+
+
+def _inputs(file: Path, shapes: Mapping[str, tuple[Any, ...]], images: set[str]) -> StepInputs:
+    if not {FRAME, STATE} <= shapes.keys() <= {FRAME, STATE, REFERENCE}:
+        raise LearningError(
+            f"{file}: found inputs {', '.join(shapes)}; allowed: {FRAME}, {STATE}, {REFERENCE}, as "
+            "python -m learning export-onnx makes them"
+        )
+    return StepInputs(shapes[FRAME], FRAME in images, shapes[STATE], REFERENCE in shapes)

@@ -1,0 +1,287 @@
+"""Trains a force model: data, model, loop, evaluation, from top to bottom.
+
+    python -m learning train-force X.markers.zarr --sensor array-i --split split.json --out run
+    torchrun --nproc-per-node 4 -m learning train-force ... --preset paper
+
+`train_force` works on presses in memory and can do without a run folder, so that a table of many
+sensor pairs calls it pair after pair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from learning.data.presses import Presses
+from learning.errors import LearningError
+from learning.force.batches import error, forces_of, frames_of, require_form
+from learning.force.labels import Compensation, force_range, labels_of
+from learning.force.network import AXES, ForceModel
+from learning.force.predictor import ForcePredictor, predicted_shares
+from learning.force.sequences import Epoch, epoch
+from learning.force.settings import ForceSettings, OptimiserSettings, StageSettings
+from learning.training import launch
+from learning.training.ema import Ema
+from learning.training.run_folder import RunFolder
+from learning.training.sampling import generator, seed_torch
+from learning.training.schedules import Constant, Cosine, InversePower, Schedule, set_rate
+from learning.training.weights import load_weights, read_weights
+
+if TYPE_CHECKING:
+    from accelerate import Accelerator
+
+    State = dict[str, Tensor]
+
+
+@dataclass(slots=True)
+class Course:
+    """How far training has come."""
+
+    stage: int = 0
+    epoch: int = 0
+    """Within the stage."""
+    step: int = 0
+    """Within the epoch."""
+    summed: float = 0.0
+    """Losses of the epoch's steps."""
+    epochs: int = 0
+    """Over all stages."""
+    steps: int = 0
+    """Likewise."""
+    best: float = math.inf
+    """Smallest validation error of the stage, in shares of the box of forces."""
+    waited: int = 0
+    """Validations since then."""
+
+
+def train_force(
+    presses: Presses | Sequence[Presses],
+    settings: ForceSettings,
+    run: RunFolder | None = None,
+    *,
+    validation: Presses | Sequence[Presses] = (),
+    start_from: ForcePredictor | None = None,
+    compensation: Compensation | None = None,
+    accelerator: Accelerator | None = None,
+    stopped: Callable[[], bool] = lambda: False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ForcePredictor:
+    """Return a trained force model.
+
+    Args:
+        presses: What is learned from, of one sensor or of several. They stay where they are, so
+            whoever has them on the GPU saves the way there.
+        settings: The model and how it is trained.
+        run: Where log, checkpoints and model go, and what is gone on with; None: nothing is stored.
+        validation: Presses that tell when a stage ends, and which of its weights are kept.
+        start_from: A model with the same network, whose weights are begun with.
+        compensation: Changes all labels, before the box of forces is taken.
+        accelerator: Devices and precision; None: what the settings launch.
+        stopped: Asked before every step. If so training is saved and the model is as it is then.
+        progress: Called with steps done and the most there may be.
+
+    Raises:
+        LearningError: Presses without labels or of the wrong form, a network that `start_from` does
+            not fit, or a loss that is no number.
+    """
+    # Data
+    groups, held = _groups(presses), _groups(validation)
+    for each in (*groups, *held):
+        require_form(each, settings.input)
+    if not groups or not all(len(each) for each in groups):
+        raise LearningError("presses: found none of a sensor; allowed: one and more of each")
+    labels = [labels_of(each, compensation) for each in groups]
+    wanted = [labels_of(each, compensation) for each in held]
+
+    # Model
+    accelerator = accelerator or launch.accelerator(settings.launch)
+    device, ranks, rank = accelerator.device, accelerator.num_processes, accelerator.process_index
+    seed_torch(settings.seed, "force", "weights")
+    model = ForceModel(settings.network, settings.input).to(device)
+    if start_from is not None:
+        load_weights(model, start_from.model.state_dict(), "start_from")
+    model.set_range(force_range(labels, settings))
+    if start_from is None and settings.start_at_mean:
+        means = [model.shares(each.to(device)).mean(dim=0) for each in labels]
+        model.start_at(torch.stack(means).mean(dim=0))
+    average = _average(model, settings)
+    network: nn.Module = accelerator.prepare(model)
+    optimiser = accelerator.prepare(_optimiser(model, settings.optimiser))
+
+    # Loop
+    course, best = Course(), None
+    if run is not None and run.latest() is not None:
+        course, best = _resumed(run, model, optimiser, average)
+    total = sum(
+        stage.epochs * _epoch(groups, stage, settings, 0).steps(ranks) for stage in settings.stages
+    )
+    while course.stage < len(settings.stages):
+        stage = settings.stages[course.stage]
+        passes = _epoch(groups, stage, settings, course.epochs)
+        steps = passes.steps(ranks)
+        schedule = _schedule(stage, stage.epochs * steps)
+        summed = torch.tensor(course.summed, dtype=torch.float64, device=device)
+        network.train()
+        while course.step < steps and not stopped():
+            seed_torch(settings.seed, "force", "step", course.steps, rank)
+            sequences = passes.sequences(course.step, rank, ranks)
+            lengths = sequences.lengths if settings.sequences.padding == "masked" else None
+            frames = frames_of(groups, sequences, settings.input, device)  # (b, s, planes, h, w)
+            targets = model.shares(forces_of(labels, sequences, device))  # (b, s, 3)
+            shares, _ = network(
+                frames, lengths=lengths, truncate=settings.sequences.truncate_frames
+            )
+            loss = error(shares, targets, lengths)
+            set_rate(optimiser, schedule.at(course.epoch * steps + course.step))
+            optimiser.zero_grad()
+            accelerator.backward(loss)
+            if settings.optimiser.clip is not None:
+                accelerator.clip_grad_norm_(model.parameters(), settings.optimiser.clip)
+            optimiser.step()
+            if average is not None:
+                average.update(model)
+            summed += loss.detach()
+            course.step += 1
+            course.steps += 1
+            progress(course.steps, total)
+        course.summed = float(summed)
+        if not math.isfinite(course.summed):
+            raise LearningError(
+                f"loss: found {course.summed} within {course.steps} steps; allowed: a finite one, "
+                "as a smaller learning_rate may give"
+            )
+        if course.step < steps:
+            if run is not None:
+                _save(run, course, model, best, optimiser, average)
+            return _finished(accelerator, model, settings)
+
+        # Evaluation
+        line: dict[str, float] = {"stage": course.stage, "loss": course.summed / steps}
+        course = replace(
+            course, epoch=course.epoch + 1, step=0, summed=0.0, epochs=course.epochs + 1
+        )
+        score = None
+        if held and course.epoch % settings.validate_every_epochs == 0:
+            with average.applied(model) if average is not None else nullcontext():
+                # The same on every process, or they would end a stage at different times.
+                off = accelerator.reduce(_validated(model, held, wanted), "mean")
+                score = float(off.mean())
+                if score < course.best:
+                    best = {name: value.clone() for name, value in model.state_dict().items()}
+            course.waited = 0 if score < course.best else course.waited + 1
+            course.best = min(score, course.best)
+            newtons = (off * (model.high - model.low)).tolist()
+            named = zip(AXES, newtons, strict=True)
+            line |= {"validation": score, **{f"mae_{axis}_n": value for axis, value in named}}
+        patience = settings.patience_epochs
+        if course.epoch == stage.epochs or (patience is not None and course.waited >= patience):
+            if best is not None:
+                model.load_state_dict(best)
+            elif average is not None:
+                model.load_state_dict(dict(average.weights))
+            course = Course(stage=course.stage + 1, epochs=course.epochs, steps=course.steps)
+            best, average = None, _average(model, settings)
+            optimiser = accelerator.prepare(_optimiser(model, settings.optimiser))
+        if run is not None:
+            run.log(course.steps, line)
+            _save(run, course, model, best, optimiser, average, score)
+    if run is not None:
+        run.finish(course.steps, {"model": model})
+    return _finished(accelerator, model, settings)
+
+
+def _groups(presses: Presses | Sequence[Presses]) -> list[Presses]:
+    return [presses] if isinstance(presses, Presses) else list(presses)
+
+
+def _epoch(
+    groups: Sequence[Presses], stage: StageSettings, settings: ForceSettings, number: int
+) -> Epoch:
+    """Return a pass over the presses of all sensors, or of the one that a stage learns from."""
+    sensors = range(len(groups))
+    if stage.one_sensor:
+        drawn = int(generator(settings.seed, "force", "sensor").integers(len(groups)))
+        sensors = range(drawn, drawn + 1)
+    starts = [each.starts.cpu().numpy() for each in groups]
+    return epoch(starts, sensors, settings.sequences, settings.seed, number)
+
+
+def _schedule(stage: StageSettings, steps: int) -> Schedule:
+    rate, warm_up = stage.learning_rate, min(stage.warm_up_steps, steps - 1)
+    if stage.schedule == "cosine":
+        return Cosine(rate, steps=steps, warm_up=warm_up)
+    if stage.schedule == "authors":
+        return InversePower(rate, warm_up=warm_up)
+    return Constant(rate, warm_up=warm_up)
+
+
+def _optimiser(model: nn.Module, settings: OptimiserSettings) -> torch.optim.Optimizer:
+    """Return an optimiser whose rate is set before each step."""
+    decay = settings.weight_decay
+    if settings.name == "sgd":
+        return torch.optim.SGD(
+            model.parameters(), lr=0.0, momentum=settings.momentum, weight_decay=decay
+        )
+    return torch.optim.AdamW(model.parameters(), lr=0.0, weight_decay=decay)
+
+
+def _average(model: nn.Module, settings: ForceSettings) -> Ema | None:
+    return None if settings.ema is None else Ema(model, settings.ema)
+
+
+def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tensor]) -> Tensor:
+    """Return the mean absolute error (3,) over all frames, in shares of the box of forces."""
+    off = [
+        (predicted_shares(model, each) - model.shares(labels.to(model.low.device))).abs()
+        for each, labels in zip(held, wanted, strict=True)
+    ]
+    return torch.cat(off).mean(dim=0)
+
+
+def _save(
+    run: RunFolder,
+    course: Course,
+    model: nn.Module,
+    best: State | None,
+    optimiser: Any,
+    average: Ema | None,
+    score: float | None = None,
+) -> None:
+    models: dict[str, nn.Module | State] = {"model": model}
+    if best is not None:
+        models["best"] = best
+    training = {"optimiser": optimiser, "course": asdict(course)}
+    if average is not None:
+        training["average"] = average
+    run.save(course.steps, models, training, score=score)
+
+
+def _resumed(
+    run: RunFolder, model: nn.Module, optimiser: Any, average: Ema | None
+) -> tuple[Course, State | None]:
+    """Return how far a run is, and the best weights of its stage; fill what it goes on with."""
+    training = {"optimiser": optimiser}
+    if average is not None:
+        training["average"] = average
+    run.restore({"model": model}, training)
+    folder = run.latest()
+    best = None if folder is None else folder / "best.safetensors"
+    course = Course(**run.training_values()["course"])
+    if best is None or not best.exists():
+        return course, None
+    device = next(model.parameters()).device
+    return course, {name: value.to(device) for name, value in read_weights(best).items()}
+
+
+def _finished(
+    accelerator: Accelerator, model: ForceModel, settings: ForceSettings
+) -> ForcePredictor:
+    # Without this the model would go on to evaluate in the precision that it was trained in.
+    bare: ForceModel = accelerator.unwrap_model(model, keep_fp32_wrapper=False)
+    return ForcePredictor(bare.eval(), settings)

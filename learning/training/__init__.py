@@ -1,0 +1,1 @@
+"""What every training needs: run folders, chance without state, schedules, averages, devices."""

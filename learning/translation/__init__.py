@@ -1,0 +1,27 @@
+"""Marker-to-marker translation: what another sensor would have shown of the same press.
+
+Four translators behind one interface (`translator`): `flow` is classical and needs no training,
+`field`, `direct` and `diffusion` are trained. `archive` translates whole archives.
+"""
+
+from learning.translation.translator import (
+    FLOW,
+    LEARNED,
+    PairTranslator,
+    SensorView,
+    Translator,
+    aimed,
+    load_translator,
+    require_masks,
+)
+
+__all__ = [
+    "FLOW",
+    "LEARNED",
+    "PairTranslator",
+    "SensorView",
+    "Translator",
+    "aimed",
+    "load_translator",
+    "require_masks",
+]

@@ -1,0 +1,168 @@
+"""The authors' checkpoints: what their files hold, under the names that tensors have here.
+
+`model_N.pkl` of the translator holds ranks, names of adapted layers, and the adapters of UNet,
+autoencoder and reference encoder; `checkpoint.pth` of the marker autoencoder holds one adapter. All
+of it is tensors, numbers and lists, so nothing in a file is ever run.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from learning.errors import LearningError
+from learning.settings import read_settings
+from learning.training.run_folder import RunFolder
+from learning.training.weights import load_weights, weights_hash
+from learning.translation.diffusion.adapters import (
+    UNET_ADAPTER,
+    UNET_TARGETS,
+    VAE_ADAPTER,
+    VAE_TARGETS,
+    is_adapter,
+)
+from learning.translation.diffusion.loading import BASE, KIND, MARKER_VAE
+from learning.translation.diffusion.network import MarkerToMarker, build, rank_of
+from learning.translation.diffusion.settings import (
+    MARKER_VAE_PRESETS,
+    TRANSLATOR_PRESETS,
+    MarkerVaeSettings,
+    TranslatorSettings,
+    Weights,
+)
+from learning.translation.diffusion.train_vae import MarkerVae
+from learning.translation.diffusion.weights import (
+    fingerprint,
+    read_plain,
+    read_unet,
+    read_vae,
+    require_base_folder,
+)
+
+_ADAPTER = re.compile(r"\.lora_([AB])\.[^.]+\.weight$")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AuthorsCheckpoint:
+    """What one of their files holds."""
+
+    kind: Literal["translator", "marker_vae"]
+    """Which of the two it is."""
+    tensors: dict[str, torch.Tensor]
+    """State of the translator, or of the marker autoencoder, as they are named here."""
+    vae_rank: int
+    """Rank of the autoencoder's adapter."""
+    unet_rank: int = 0
+    """Rank of the UNet's; 0: there is none."""
+
+
+def read_authors(path: Path) -> AuthorsCheckpoint:
+    """Return what a file of the authors holds.
+
+    Raises:
+        LearningError: Not there, or not such a file: the message says what is wrong with it.
+    """
+    content = read_plain(path)
+    if not isinstance(content, dict):
+        raise LearningError(f"{path}: found {type(content).__name__}; allowed: a checkpoint")
+    _require_targets(path, content, "vae_lora_target_modules", VAE_TARGETS)
+    vae = _adapter(path, content, "state_dict_vae", VAE_ADAPTER)
+    rank = _rank(path, content, "rank_vae", vae)
+    if "state_dict_unet" not in content:
+        tensors = {f"vae.{name}": each for name, each in vae.items()}
+        return AuthorsCheckpoint("marker_vae", tensors, rank)
+    _require_targets(path, content, "unet_lora_target_modules", UNET_TARGETS)
+    _require_targets(path, content, "ref_encoder_lora_target_modules", VAE_TARGETS)
+    unet = _adapter(path, content, "state_dict_unet", UNET_ADAPTER, also=("conv_in.",))
+    reference = _adapter(path, content, "state_dict_ref_encoder", VAE_ADAPTER)
+    if _rank(path, content, "rank_ref_encoder", reference) != rank:
+        raise LearningError(f"{path}: rank_ref_encoder: differs from rank_vae ({rank})")
+    tensors = {f"unet.{name}": each for name, each in unet.items()}
+    tensors |= {f"vae.{name}": each for name, each in vae.items()}
+    # The reference encoder only encodes.
+    tensors |= {
+        f"reference.{name}": each for name, each in reference.items() if name.startswith("encoder.")
+    }
+    return AuthorsCheckpoint("translator", tensors, rank, _rank(path, content, "rank_unet", unet))
+
+
+def _adapter(
+    path: Path, content: Mapping[str, Any], key: str, adapter: str, also: tuple[str, ...] = ()
+) -> dict[str, torch.Tensor]:
+    """Return the tensors under a key, their adapter called as here."""
+    found = content.get(key)
+    if not isinstance(found, Mapping) or not found:
+        raise LearningError(f"{path}: {key}: missing; allowed: a checkpoint of the authors' code")
+    tensors = {}
+    for name, tensor in found.items():
+        if not isinstance(tensor, torch.Tensor) or not (is_adapter(name) or name.startswith(also)):
+            raise LearningError(f"{path}: {key}: found {name!r}; allowed: tensors of adapters")
+        if not bool(tensor.isfinite().all()):
+            raise LearningError(f"{path}: {key}: {name}: holds values that are not finite")
+        renamed = _ADAPTER.sub(rf".lora_\1.{adapter}.weight", name)
+        tensors[renamed] = tensor.float().contiguous()
+    return tensors
+
+
+def _rank(
+    path: Path, content: Mapping[str, Any], key: str, adapter: Mapping[str, torch.Tensor]
+) -> int:
+    found = rank_of(adapter)
+    if content.get(key) != found:
+        raise LearningError(f"{path}: {key}: found {content.get(key)!r}; its tensors have {found}")
+    return found
+
+
+def _require_targets(
+    path: Path, content: Mapping[str, Any], key: str, known: tuple[str, ...]
+) -> None:
+    found = content.get(key)
+    if not isinstance(found, list | tuple | set) or set(found) != set(known):
+        raise LearningError(f"{path}: {key}: found {found!r}; allowed: {list(known)}")
+
+
+def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
+    """Write the folder of a training from a file of the authors.
+
+    The network is put together once on the published weights, so that a file that does not fit is
+    refused here and nothing is written.
+
+    Args:
+        path: Their file.
+        base: Folder of SD-Turbo.
+        out: Folder to write, new or empty.
+
+    Returns:
+        What it is, and how many numbers it holds.
+
+    Raises:
+        LearningError: Not such a file, one that does not fit, or a folder that holds something.
+    """
+    found = read_authors(path)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise LearningError(f"{out}: holds something already; allowed: a new or empty folder")
+    require_base_folder(base)
+    weights = Weights(base=base)
+    settings: TranslatorSettings | MarkerVaeSettings
+    network: MarkerToMarker | MarkerVae
+    if found.kind == "translator":
+        settings = read_settings(TranslatorSettings, TRANSLATOR_PRESETS, "authors_code")
+        settings = replace(
+            settings, weights=weights, vae_rank=found.vae_rank, unet_rank=found.unet_rank
+        )
+        network = build(read_unet(base), read_vae(base), settings)
+    else:
+        settings = read_settings(MarkerVaeSettings, MARKER_VAE_PRESETS, "authors_code")
+        settings = replace(settings, weights=weights, vae_rank=found.vae_rank)
+        network = MarkerVae(read_vae(base), settings)
+    load_weights(network, found.tensors, str(path))
+    kind = KIND if found.kind == "translator" else MARKER_VAE
+    facts = {BASE: fingerprint(base), "imported_from": f"{path.name} sha256 {weights_hash(path)}"}
+    with RunFolder.open(out, kind, settings, "the authors' checkpoint", facts=facts) as run:
+        run.finish(0, {"model": network})
+    return kind, sum(tensor.numel() for tensor in found.tensors.values())

@@ -1,0 +1,100 @@
+"""Tokens that the UNet's cross-attention reads: the untouched target, and the untouched source.
+
+The paper says only that the reference's latent is the cross-attention's condition. Three ways:
+
+* `channel_tokens`: a token for each channel of the latent, its raster being the features (authors'
+  code). Nothing to learn; fits where the raster is as large as the cross-attention is wide.
+* `pixel_tokens`: a token for each pixel of the latent.
+* `patch_tokens`: a token for each 2 x 2 pixels of the latent.
+
+The latter two are projected linearly and know their place.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import nn
+
+from learning.errors import LearningError
+
+Conditioning = Literal["channel_tokens", "patch_tokens", "pixel_tokens"]
+PATCH = 2
+"""Side of a patch [px of the latent]."""
+
+
+class ReferenceTokens(nn.Module):
+    """Latents of references as tokens (n, count, width)."""
+
+    def __init__(
+        self, kind: Conditioning, *, channels: int, width: int, source_reference: bool
+    ) -> None:
+        """Make the tokens' layers.
+
+        Args:
+            kind: How tokens are made.
+            channels: Of the latent.
+            width: Of the UNet's cross-attention.
+            source_reference: Whether the untouched source is given as well.
+        """
+        super().__init__()
+        self.kind, self.width, self.source_reference = kind, width, source_reference
+        self.side = {"channel_tokens": 0, "pixel_tokens": 1, "patch_tokens": PATCH}[kind]
+        if self.side:
+            self.projection = nn.Linear(channels * self.side**2, width)
+            self.norm = nn.LayerNorm(width)
+        if source_reference:
+            self.role = nn.Parameter(torch.randn(2, width) * 0.02)
+            """Added to the tokens of the target and of the source."""
+
+    def forward(self, target: torch.Tensor, source: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the tokens (n, count, width) of one or two latents (n, channels, h, w).
+
+        Raises:
+            LearningError: The source's reference is given where none is read, or missing; or the
+                raster does not fit `channel_tokens`.
+        """
+        if not self.source_reference:
+            if source is not None:
+                raise LearningError("source_reference: found one; this network reads none")
+            return self._tokens(target)
+        if source is None:
+            raise LearningError("source_reference: missing; this network reads the source's own")
+        both = self._tokens(target) + self.role[0], self._tokens(source) + self.role[1]
+        return torch.cat(both, dim=1)
+
+    def _tokens(self, latent: torch.Tensor) -> torch.Tensor:
+        count, channels, height, width = latent.shape
+        if not self.side:
+            if height * width != self.width:
+                raise LearningError(
+                    f"channel_tokens: found a latent of {height} x {width}; allowed: "
+                    f"{self.width} pixels, the width of the cross-attention"
+                )
+            return latent.reshape(count, channels, self.width)
+        patches = nn.functional.pixel_unshuffle(latent, self.side)
+        rows, columns = patches.shape[2:]
+        tokens = self.projection(patches.flatten(2).transpose(1, 2))
+        places = sine_places(rows, columns, self.width).to(tokens)
+        normed: torch.Tensor = self.norm(tokens + places)
+        return normed
+
+
+def sine_places(rows: int, columns: int, width: int) -> torch.Tensor:
+    """Return a code of every place of a raster (rows x columns, width), in row-major order.
+
+    Half of the features code the row, half the column, by sines and cosines of falling frequency
+    (as in Vaswani et al. 2017, once for each axis).
+    """
+    halves = width // 2, width - width // 2
+    by_row = _sines(rows, halves[0])[:, None].expand(rows, columns, halves[0])
+    by_column = _sines(columns, halves[1])[None].expand(rows, columns, halves[1])
+    return torch.cat((by_row, by_column), dim=2).reshape(rows * columns, width)
+
+
+def _sines(count: int, width: int) -> torch.Tensor:
+    frequencies = torch.exp(torch.arange(0, width, 2) * (-math.log(10_000.0) / max(width, 1)))
+    angles = torch.arange(count)[:, None] * frequencies
+    return torch.stack((angles.sin(), angles.cos()), dim=2).flatten(1)[:, :width]

@@ -1,0 +1,284 @@
+r"""Training of the diffusion translator on location pairs.
+
+    python -m learning train-diffusion sim.markers.zarr --split split.json --preset paper_main \
+        --base sd-turbo --clip clip-vit-base-patch32 --vgg vgg16-397923af.pth --lpips vgg.pth \
+        --marker-vae runs/marker-vae --out runs/m2m-sim
+    python -m learning train-diffusion real.markers.zarr ... --from runs/m2m-sim --out runs/m2m-real
+
+The paper trains on all pairs of simulated patterns, then on each group of real sensors. The same
+commands under `torchrun --nproc-per-node N -m learning ...` use N devices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+
+from learning.errors import LearningError
+from learning.training.launch import accelerator as launched
+from learning.training.sampling import batch as sampled
+from learning.training.sampling import generator as chance
+from learning.training.schedules import set_rate
+from learning.training.weights import load_weights
+from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
+from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
+from learning.translation.diffusion.pairs import ImagePairs, unit
+from learning.translation.diffusion.perceptual import PerceptualDistance
+from learning.translation.diffusion.settings import Optimiser, TranslatorSettings
+from learning.translation.diffusion.updates import Batch, Judges, Side, merged, two_pass
+from learning.translation.diffusion.weights import (
+    read_clip,
+    read_perceptual,
+    read_unet,
+    read_vae,
+)
+
+if TYPE_CHECKING:
+    from accelerate import Accelerator
+
+    from learning.training.run_folder import RunFolder
+
+_AT_ONCE = 16  # images that are encoded or measured together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pretrained:
+    """The published networks that training starts from."""
+
+    unet: Any
+    """SD-Turbo's."""
+    vae: Any
+    """SD-Turbo's."""
+    clip: Any = None
+    """CLIP's image half; None where nothing is judged by it."""
+    perceptual: PerceptualDistance | None = None
+    """LPIPS; None where it counts nothing."""
+
+
+def read_pretrained(settings: TranslatorSettings) -> Pretrained:
+    """Return the networks that a training needs, from the user's files.
+
+    Raises:
+        LearningError: Something is not there; the message says what to fetch.
+    """
+    weights, losses = settings.weights, settings.losses
+    return Pretrained(
+        read_unet(weights.base),
+        read_vae(weights.base),
+        read_clip(weights.clip) if losses.adversarial else None,
+        read_perceptual(weights.vgg, weights.lpips) if losses.perceptual else None,
+    )
+
+
+def train(
+    pairs: ImagePairs,
+    pretrained: Pretrained,
+    settings: TranslatorSettings,
+    *,
+    validation: ImagePairs | None = None,
+    vae_adapter: Mapping[str, torch.Tensor] | None = None,
+    start_from: Mapping[str, torch.Tensor] | None = None,
+    run: RunFolder | None = None,
+    accelerator: Accelerator | None = None,
+    stopping: Callable[[], bool] = lambda: False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> MarkerToMarker:
+    """Return the trained network; with a run folder, go on from its latest checkpoint.
+
+    Args:
+        pairs: What is trained on; copied to the device.
+        pretrained: Networks to start from. UNet and autoencoder become part of the result.
+        settings: Everything else.
+        validation: What is measured on; None: nothing.
+        vae_adapter: What the marker autoencoder has learned, for encoder, decoder and reference.
+        start_from: State of a trained network, of the same settings.
+        run: Where to write; None: nowhere.
+        accelerator: What the training runs on; None: as the settings say.
+        stopping: Whether to save and end after the step in hand.
+        progress: Called with the steps done and their number.
+
+    Raises:
+        LearningError: No pairs, weights that do not fit, or a loss that is not finite.
+    """
+    if not len(pairs):
+        raise LearningError("pairs: found none; allowed: one or more")
+    runs_on = accelerator or launched(settings.launch)
+    device, rank, ranks = runs_on.device, runs_on.process_index, runs_on.num_processes
+
+    # Data: all on the device.
+    pairs = pairs.to(device)
+    validation = None if validation is None else validation.to(device)
+
+    # Models.
+    network = build(pretrained.unet, pretrained.vae, settings, vae_adapter=vae_adapter)
+    if start_from is not None:
+        load_weights(network, start_from, "start_from")
+    network.to(device).train()
+    perceptual, features, heads = _judges(pretrained, settings, device)
+
+    # Optimisers, wrapped for the devices; the discriminator is apart from the generator.
+    own = settings.optimiser
+    wrapped, optimiser = runs_on.prepare(network, _adamw(network.learning().values(), own))
+    generator, critic = Side(wrapped, optimiser, own.clip_norm), None
+    models: dict[str, nn.Module] = {"model": network}
+    states: dict[str, Any] = {"generator": optimiser}
+    if heads is not None:
+        wrapped, optimiser = runs_on.prepare(heads, _adamw(heads.parameters(), own))
+        critic = Side(wrapped, optimiser, own.clip_norm)
+        models["discriminator"], states["discriminator"] = heads, optimiser
+    if runs_on.scaler is not None:
+        states["scaler"] = runs_on.scaler
+    judges = Judges(settings.losses, perceptual, features, critic)
+
+    # Loop. What is drawn depends on seed, step and process alone, so a resumed run is the same run.
+    done = 0 if run is None else run.restore(models, states)
+    references = encoded_references(network, pairs.references, runs_on)
+    for step in range(done, settings.steps):
+        rate = own.rate.at(step)
+        for side in filter(None, (generator, critic)):
+            set_rate(side.optimiser, rate)
+        numbers = range(step * settings.accumulation, (step + 1) * settings.accumulation)
+        batches = [_batch(pairs, references, settings, each, rank, ranks) for each in numbers]
+        if settings.two_pass:
+            losses = two_pass(batches[0], generator, judges, runs_on)
+        else:
+            losses = merged(batches, generator, judges, runs_on)
+        done = step + 1
+        progress(done, settings.steps)
+        if done % settings.log_every == 0 or done in (1, settings.steps):
+            said = {f"train/{name}": float(loss) for name, loss in losses.items()}
+            _require_finite(said, done)
+            if run is not None:
+                run.log(done, {"train/rate": rate, **said})
+        if run is None:
+            continue
+
+        # Evaluation and checkpoints.
+        stop, last = stopping(), done == settings.steps
+        measured: dict[str, float] = {}
+        if validation is not None and (done % settings.validate_every == 0 or last):
+            measured = evaluate(network, validation, settings, runs_on)
+            run.log(done, measured)
+        if done % settings.checkpoint_every == 0 or last or stop or measured:
+            run.save(done, models, states, score=measured.get("validation/square"))
+        if last:
+            run.finish(done, {"model": network}, score=measured.get("validation/square"))
+        if stop:
+            break
+    return network.eval()
+
+
+@torch.no_grad()
+def evaluate(
+    network: MarkerToMarker, pairs: ImagePairs, settings: TranslatorSettings, runs_on: Accelerator
+) -> dict[str, float]:
+    """Return mean square and Dice of a network on pairs, of images in [0, 1] and their masks."""
+    count = min(settings.validated, len(pairs))
+    # Spread over all pairs, the same ones each time.
+    chosen = torch.linspace(0, len(pairs) - 1, count, device=pairs.source.device).round().long()
+    references = encoded_references(network, pairs.references, runs_on)
+    square, both, marked = 0.0, 0.0, 0.0
+    for first in range(0, count, _AT_ONCE):
+        part = pairs.rows(chosen[first : first + _AT_ONCE])
+        target, source = _latents(part, references, settings.source_reference, noise=None)
+        with runs_on.autocast():
+            made = network(part.sources(), target, source)
+        grey = network.grey(made).float() / 255
+        true = part.targets()[:, 0]
+        square += float(((grey - true) ** 2).mean(dim=(1, 2)).sum())
+        ours, theirs = grey > 0.5, true > 0.5
+        both += float((ours & theirs).sum())
+        marked += float(ours.sum() + theirs.sum())
+    return {
+        "validation/square": square / count,
+        "validation/dice": 2 * both / marked if marked else 1.0,
+    }
+
+
+def encoded_references(
+    network: MarkerToMarker, references: torch.Tensor, runs_on: Accelerator
+) -> Posterior:
+    """Return the posteriors of untouched images (K, h, w) uint8 by the frozen encoder."""
+    with runs_on.autocast():
+        parts = [
+            network.reference_posterior(unit(part)) for part in torch.split(references, _AT_ONCE)
+        ]
+    return Posterior(
+        torch.cat([part.mean for part in parts]), torch.cat([part.deviation for part in parts])
+    )
+
+
+def _judges(
+    pretrained: Pretrained, settings: TranslatorSettings, device: torch.device
+) -> tuple[PerceptualDistance | None, ClipFeatures | None, DiscriminatorHeads | None]:
+    perceptual, features, heads = None, None, None
+    if settings.losses.perceptual:
+        if pretrained.perceptual is None:
+            raise LearningError("losses.perceptual: found one; it needs LPIPS, or 0")
+        perceptual = pretrained.perceptual.to(device)
+    if settings.losses.adversarial:
+        if pretrained.clip is None:
+            raise LearningError("losses.adversarial: found one; it needs CLIP, or 0")
+        features = ClipFeatures(pretrained.clip).to(device)
+        clip = pretrained.clip.config
+        with torch.random.fork_rng():
+            torch.manual_seed(settings.seed)
+            heads = DiscriminatorHeads(clip.hidden_size, clip.projection_dim).to(device)
+    return perceptual, features, heads
+
+
+def _adamw(parameters: Any, settings: Optimiser) -> torch.optim.AdamW:
+    return torch.optim.AdamW(
+        list(parameters),
+        lr=settings.rate.at(0),
+        betas=settings.betas,
+        eps=settings.epsilon,
+        weight_decay=settings.weight_decay,
+    )
+
+
+def _batch(
+    pairs: ImagePairs,
+    references: Posterior,
+    settings: TranslatorSettings,
+    number: int,
+    rank: int,
+    ranks: int,
+) -> Batch:
+    """Return one batch; what is drawn depends on nothing but seed, number and rank."""
+    device = pairs.source.device
+    index = sampled(settings.seed, number, settings.batch, len(pairs), rank=rank, ranks=ranks)
+    chosen = pairs.rows(torch.from_numpy(index).to(device))
+    generator = torch.Generator(device)
+    generator.manual_seed(int(chance(settings.seed, "noise", number, rank).integers(2**62)))
+    noise = None
+    if settings.sample_latents:
+        shape = (3, settings.batch, *references.mean.shape[1:])
+        noise = torch.randn(shape, generator=generator, device=device)
+    target, source = _latents(
+        chosen, references, settings.source_reference, None if noise is None else noise[1:]
+    )
+    own = None if noise is None else noise[0]
+    return Batch(chosen.sources(), chosen.targets(), target, source, own, generator)
+
+
+def _latents(
+    pairs: ImagePairs, references: Posterior, source_reference: bool, noise: torch.Tensor | None
+) -> tuple[torch.Tensor, torch.Tensor | None]:
+    """Return the latents of the untouched targets, and of the sources where they are read."""
+    drawn = (None, None) if noise is None else (noise[0], noise[1])
+    target = references.rows(pairs.reference[pairs.target]).at(drawn[0])
+    if not source_reference:
+        return target, None
+    return target, references.rows(pairs.reference[pairs.source]).at(drawn[1])
+
+
+def _require_finite(losses: Mapping[str, float], step: int) -> None:
+    for name, loss in losses.items():
+        if not math.isfinite(loss):
+            raise LearningError(f"{name}: found {loss} on step {step}; allowed: finite")

@@ -1,0 +1,223 @@
+"""Published weights that the user has: files and folders are read here, and nothing is fetched."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+import pickle
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from learning.errors import LearningError
+from learning.training.weights import load_weights, read_weights
+from learning.translation.diffusion.perceptual import WIDTHS, PerceptualDistance
+
+EXTRA = "pip install 'tactile-rig[diffusion]'"
+SD_TURBO = (
+    "a folder of Stable Diffusion Turbo in diffusers' layout (unet/ and vae/, each with "
+    "config.json and diffusion_pytorch_model.safetensors), as `stabilityai/sd-turbo` on the "
+    "Hugging Face hub"
+)
+CLIP = (
+    "a folder of CLIP ViT-B/32 in transformers' layout (config.json, model.safetensors), as "
+    "`openai/clip-vit-base-patch32` on the Hugging Face hub"
+)
+VGG = "torchvision's VGG16 (vgg16-397923af.pth)"
+LPIPS = "the linear heads of LPIPS for VGG (weights/v0.1/vgg.pth of the lpips package)"
+_WEIGHTS = (
+    "diffusion_pytorch_model.safetensors",
+    "diffusion_pytorch_model.fp16.safetensors",
+    "diffusion_pytorch_model.bin",
+)
+_CLIP_WEIGHTS = ("model.safetensors", "pytorch_model.bin")
+_OLD_ATTENTION = {".query.": ".to_q.", ".key.": ".to_k.", ".value.": ".to_v."}
+_OLD_OUTPUT = ".proj_attn.", ".to_out.0."
+_LISTED = 3  # names of tensors that an error lists
+
+
+def vendor(module: str) -> Any:
+    """Return diffusers, peft or transformers, which only this translator needs.
+
+    Raises:
+        LearningError: Not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise LearningError(f"{module}: cannot be imported ({error}); {EXTRA}") from error
+
+
+def read_unet(folder: str) -> nn.Module:
+    """Return the UNet in a folder of SD-Turbo, in float32 on the CPU.
+
+    Raises:
+        LearningError: Not there, or not such a network's.
+    """
+    return _diffusers_model(vendor("diffusers").UNet2DConditionModel, folder, "unet")
+
+
+def read_vae(folder: str) -> nn.Module:
+    """Return the autoencoder in a folder of SD-Turbo, in float32 on the CPU.
+
+    Raises:
+        LearningError: Not there, or not such a network's.
+    """
+    return _diffusers_model(vendor("diffusers").AutoencoderKL, folder, "vae")
+
+
+def read_clip(folder: str) -> Any:
+    """Return the image half of CLIP in a folder, a `CLIPVisionModelWithProjection`.
+
+    Raises:
+        LearningError: Not there, or not a CLIP's.
+    """
+    where = Path(folder)
+    if not folder or not (where / "config.json").is_file():
+        raise LearningError(f"weights.clip: found {folder!r}; needed: {CLIP}")
+    transformers = vendor("transformers")
+    try:
+        config = transformers.CLIPVisionConfig.from_pretrained(where, local_files_only=True)
+        clip = transformers.CLIPVisionModelWithProjection(config)
+    except (OSError, ValueError, TypeError) as error:
+        raise LearningError(f"{where / 'config.json'}: not CLIP's: {_first_line(error)}") from error
+    # The other half, of texts, may be in the file as well.
+    own = clip.state_dict().keys()
+    tensors = read_tensors(_weights_file(where, _CLIP_WEIGHTS))
+    load_weights(clip, {name: tensors[name].float() for name in own & tensors.keys()}, folder)
+    return clip
+
+
+def read_perceptual(vgg: str, lpips: str) -> PerceptualDistance:
+    """Return LPIPS with the weights of VGG16 and of its linear heads.
+
+    Raises:
+        LearningError: Not there, or not such weights.
+    """
+    for key, path, wanted in (("vgg", vgg, VGG), ("lpips", lpips, LPIPS)):
+        if not path or not Path(path).is_file():
+            raise LearningError(f"weights.{key}: found {path!r}; needed: {wanted}")
+    trunk = {
+        name: tensor
+        for name, tensor in read_tensors(Path(vgg)).items()
+        if name.startswith("features.")
+    }
+    heads = {
+        name.replace("lin", "heads.", 1).removesuffix(".model.1.weight"): tensor
+        for name, tensor in read_tensors(Path(lpips)).items()
+    }
+    widths = [len(heads.get(f"heads.{stage}", torch.empty(1, 0))[0]) for stage in range(5)]
+    distance = PerceptualDistance(widths if all(widths) else WIDTHS)
+    load_weights(distance, {**trunk, **heads}, f"{vgg}, {lpips}")
+    return distance
+
+
+def read_tensors(path: Path) -> dict[str, torch.Tensor]:
+    """Return the tensors of a file by name: safetensors, or a pickle of nothing but tensors.
+
+    Raises:
+        LearningError: Not there, or neither.
+    """
+    content = read_plain(path)
+    if not isinstance(content, dict) or not all(
+        isinstance(value, torch.Tensor) for value in content.values()
+    ):
+        raise LearningError(f"{path}: found {type(content).__name__}; allowed: named tensors")
+    return content
+
+
+def read_plain(path: Path) -> Any:
+    """Return what a file of weights holds; pickles may hold tensors and plain values only.
+
+    Raises:
+        LearningError: Not there, not readable, or a pickle that would run code.
+    """
+    if not path.is_file():
+        raise LearningError(f"{path}: no such file")
+    if path.suffix == ".safetensors":
+        return read_weights(path)
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, OSError) as error:
+        raise LearningError(f"{path}: is no file of weights: {_first_line(error)}") from error
+
+
+def require_base_folder(folder: str) -> None:
+    """Refuse a folder that does not hold SD-Turbo.
+
+    Raises:
+        LearningError: The message says what to fetch.
+    """
+    for part in ("unet", "vae"):
+        if not folder or not (Path(folder) / part / "config.json").is_file():
+            raise LearningError(
+                f"weights.base: found {folder!r} without {part}/config.json; needed: {SD_TURBO}"
+            )
+
+
+def fingerprint(folder: str) -> str:
+    """Return what tells the weights in a folder of SD-Turbo from others: `sha256:` and 16 digits.
+
+    Taken of the configurations, the files' sizes and their first and last MiB.
+    """
+    seen = hashlib.sha256()
+    for part in ("unet", "vae"):
+        where = Path(folder) / part
+        seen.update((where / "config.json").read_bytes())
+        path = _weights_file(where)
+        size = path.stat().st_size
+        seen.update(str(size).encode())
+        with path.open("rb") as file:
+            seen.update(file.read(1 << 20))
+            file.seek(max(0, size - (1 << 20)))
+            seen.update(file.read())
+    return f"sha256:{seen.hexdigest()[:16]}"
+
+
+def _diffusers_model(model: Any, folder: str, part: str) -> nn.Module:
+    where = Path(folder) / part
+    require_base_folder(folder)
+    try:
+        config = json.loads((where / "config.json").read_text())
+        # Made without its random weights, since every one of them is read.
+        with torch.device("meta"):
+            made: nn.Module = model.from_config(config)
+    except (ValueError, TypeError, KeyError) as error:
+        raise LearningError(f"{where / 'config.json'}: not of a {part}: {error}") from error
+    path = _weights_file(where)
+    tensors = {_new_name(name): tensor.float() for name, tensor in read_tensors(path).items()}
+    if any(True for _ in made.buffers()):
+        raise LearningError(f"{where}: found a {part} with buffers; allowed: Stable Diffusion's")
+    made.to_empty(device="cpu")
+    load_weights(made, tensors, str(path))
+    return made
+
+
+def _weights_file(where: Path, names: Sequence[str] = _WEIGHTS) -> Path:
+    for name in names:
+        if (where / name).is_file():
+            return where / name
+    raise LearningError(f"{where}: found no weights; allowed: {', '.join(names)}")
+
+
+def _new_name(name: str) -> str:
+    """Return what diffusers calls a tensor today: old autoencoders name attention otherwise."""
+    if ".attentions." in name:
+        for old, new in (*_OLD_ATTENTION.items(), _OLD_OUTPUT):
+            name = name.replace(old, new)
+    return name
+
+
+def _some(names: list[str]) -> str:
+    if not names:
+        return "nothing"
+    rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return ", ".join(names[:_LISTED]) + rest
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).split("\n", 1)[0]

@@ -1,0 +1,11 @@
+"""The learned field translator: displacement as a network sees it, and as another sensor shows it.
+
+`train` is the training, `loading` reads a trained model. Nets never draw a marker: they say how
+the target's reference is to be deformed, so edges are as sharp as the reference's, and patterns
+need not have been seen in training.
+"""
+
+from learning.translation.field.loading import KIND, load
+from learning.translation.field.translator import FieldTranslator
+
+__all__ = ["KIND", "FieldTranslator", "load"]

@@ -1,0 +1,1 @@
+"""Forces of a sensor while it is touched, by a model that `learning` trained."""

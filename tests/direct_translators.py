@@ -1,0 +1,62 @@
+"""Direct translators for tests: a few thousand weights, images of 32 x 32."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch.nn import functional
+
+from learning.training.launch import LaunchSettings
+from learning.training.run_folder import RunFolder
+from learning.translation.autoencoder.network import Autoencoder, Encoder
+from learning.translation.direct import KIND, DirectNetwork
+from learning.translation.direct.aligned import AlignedImages
+from learning.translation.direct.settings import DirectSettings
+from learning.translation.direct.train import new_network
+
+TINY = DirectSettings(
+    description="of tests",
+    widths=(8, 8, 16),
+    blocks=1,
+    heads=2,
+    steps=4,
+    batch=4,
+    learning_rate=5e-3,
+    warm_up=1,
+    average=0.5,
+    discriminator_width=8,
+    launch=LaunchSettings(device="cpu"),
+    validate_every=2,
+    validation_images=4,
+    save_every=2,
+)
+
+
+def encoder(widths: tuple[int, int, int] = (8, 8, 16)) -> Encoder:
+    """Return the encoder of an autoencoder, always the same."""
+    torch.manual_seed(7)
+    return Autoencoder(widths, 4).encoder
+
+
+def tiny_network(settings: DirectSettings = TINY) -> DirectNetwork:
+    """Return an untrained network."""
+    return new_network(settings, encoder())
+
+
+def finished_run(path: Path, settings: DirectSettings = TINY) -> None:
+    """Make the folder of a run that ended as it began."""
+    with RunFolder.open(path, KIND, settings, "data") as run:
+        run.finish(settings.steps, {"model": tiny_network(settings)})
+
+
+def coarse(aligned: AlignedImages) -> AlignedImages:
+    """Return the same moments at an eighth of the side."""
+
+    def shrunk(images: torch.Tensor) -> torch.Tensor:
+        flat = images.flatten(0, -3).unsqueeze(1).float()
+        small = functional.avg_pool2d(flat, 8).squeeze(1).round().to(torch.uint8)
+        return small.unflatten(0, images.shape[:-2])
+
+    return replace(aligned, images=shrunk(aligned.images), references=shrunk(aligned.references))

@@ -1,0 +1,282 @@
+"""Small marker archives for tests: patterns moved by a field in closed form, forces of its state.
+
+A press pushes what is seen outwards from its place and, while sheared, along with it:
+
+    d(p) = outward (p - c) / width exp(-|p - c|^2 / (2 width^2)) + shear exp(-|p - c|^2 / (2 far^2))
+
+in pixels, with `outward` = 16 px per mm of depth and `far` = 2 width. Images are the pattern at the
+inverse of p + d(p), found by iteration on a coarse grid. All sensors see the same places under the
+same indenters; their forces differ by their stiffness alone.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder import MarkerArchive
+from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
+from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, pack
+from recorder.spec import PHASES
+
+MM_PER_PX = 0.03
+LATTICE = Lattice()
+OUTWARD_PX_PER_MM, FAR = 16.0, 2.0
+DEPTHS_MM, SHEAR_MM = (1.0, 1.5), 0.6
+WIDTHS_PX = {"sphere": 90.0, "cone": 60.0, "prism": 120.0}
+"""Width of the field under an indenter; others have that of the sphere."""
+STIFFNESS = {"dots": 1.0, "grid": 1.6, "diamonds": 0.6, "dense": 1.2}
+"""Factor on the forces of a sensor, by its name, which is its pattern's too."""
+FORCE_DEPTH_MM = 1.2
+NORMAL_N_PER_MM, NORMAL_N_PER_MM2, SHEAR_N_PER_MM = 2.0, 0.8, 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What a press does to the surface at one moment."""
+
+    centre: tuple[float, float]
+    """Column and row of its place [px]."""
+    width_px: float
+    depth_mm: float
+    shear_mm: tuple[float, float] = (0.0, 0.0)
+    """Along columns and down rows."""
+    loading: bool = True
+
+
+def made_up_archive(
+    path: Path,
+    sensors: Sequence[str] = ("dots", "grid"),
+    indenters: Sequence[str] = ("sphere", "cone", "prism"),
+    unseen: Sequence[str] = ("cone",),
+    targets: int = 2,
+    frames_per_phase: int = 2,
+    displacement: bool = True,
+    *,
+    force_depth: int = 0,
+    unloading: float = 1.0,
+    stiffness: Mapping[str, float] = STIFFNESS,
+    unlabelled: Sequence[str] = (),
+    invalid: Sequence[int] = (),
+    finish: bool = True,
+) -> MarkerArchive:
+    """Make an archive and open it.
+
+    Args:
+        path: Where, `X.markers.zarr`.
+        sensors: Names of `STIFFNESS`.
+        indenters: Their names, by code.
+        unseen: Those of them that no model may be trained on.
+        targets: Presses of each indenter.
+        frames_per_phase: A press has one untouched frame and four times as many.
+        displacement: Whether the first sensor keeps the field, and the others share it.
+        force_depth: Presses without a location by the last indenter, at the end of each sensor.
+        unloading: Factor on the pressing force while it unloads.
+        stiffness: Factor on the forces of a sensor, by name.
+        unlabelled: Sensors without a wrench.
+        invalid: Rows, the same in every sensor, that are not there.
+        finish: Whether the archive is completed; otherwise its last unit is missing.
+    """
+    presses = _presses(indenters, targets, frames_per_phase, force_depth)
+    length = 1 + 4 * frames_per_phase
+    plans = tuple(
+        SensorPlan(
+            name=name,
+            rows=length * len(presses),
+            chunk_rows=length,
+            unit_rows=length * targets,
+            references=pack(_pattern(name, *_pixels())[None]),
+            mm_per_px=MM_PER_PX,
+            lattice=LATTICE if displacement and name == sensors[0] else None,
+            displacement_of=sensors[0] if displacement and name != sensors[0] else None,
+        )
+        for name in sensors
+    )
+    writer = ArchiveWriter.begin(path, ArchivePlan(plans, tuple(indenters), {"made_up": True}))
+    units = writer.sensors[sensors[0]].units
+    for unit in range(units - (not finish)):
+        rows = writer.sensors[sensors[0]].rows_of(unit)
+        within = [(row, *divmod(row, length)) for row in range(rows.start, rows.stop)]
+        states = [presses[press][2][frame] for _, press, frame in within]
+        table = _table(presses, within, targets)
+        table["seen"] = np.array([indenters[each] not in unseen for each in table["indenter"]])
+        table["valid"] = np.array([row not in invalid for row, _, _ in within])
+        field = np.array([lattice_field(state) for state in states])
+        field[~table["valid"]] = np.nan
+        masks = _masks(sensors, states)
+        for name in sensors:
+            factor = np.nan if name in unlabelled else stiffness[name]
+            wrench = np.array([wrench_of(state, factor, unloading) for state in states])
+            wrench[~table["valid"]] = np.nan
+            masks[name][~table["valid"]] = 0
+            writer.sensors[name].write(
+                unit,
+                packed=masks[name],
+                table={**table, "wrench": wrench},
+                source=["made up" if there else "missing" for there in table["valid"]],
+                displacement=field if displacement and name == sensors[0] else None,
+            )
+    if finish:
+        writer.finish()
+    return MarkerArchive(path)
+
+
+def wrench_of(state: State, stiffness: float, unloading: float = 1.0) -> NDArray[np.float64]:
+    """Return Fx Fy Fz [N] and torques of 0: a parabola of depth, a line of shear, both of width."""
+    size = (state.width_px / WIDTHS_PX["sphere"]) ** 2
+    factor = stiffness * size * (1.0 if state.loading else unloading)
+    normal = NORMAL_N_PER_MM * state.depth_mm + NORMAL_N_PER_MM2 * state.depth_mm**2
+    right, down = state.shear_mm
+    force = (SHEAR_N_PER_MM * right, -SHEAR_N_PER_MM * down, -normal)
+    return factor * np.array([*force, 0.0, 0.0, 0.0])
+
+
+def field_at(state: State, columns: Any, rows: Any) -> tuple[Any, Any]:
+    """Return the displacement (column, row) [px] of what is seen, untouched, at places [px]."""
+    x, y = columns - state.centre[0], rows - state.centre[1]
+    square = (x**2 + y**2) / (2 * state.width_px**2)
+    outward = OUTWARD_PX_PER_MM * state.depth_mm / state.width_px * np.exp(-square)
+    along = np.exp(-square / FAR**2) / MM_PER_PX
+    return outward * x + along * state.shear_mm[0], outward * y + along * state.shear_mm[1]
+
+
+def lattice_field(state: State) -> NDArray[np.float16]:
+    """Return the field on the lattice, as archives keep it."""
+    moved = field_at(state, LATTICE.columns[None, :], LATTICE.rows[:, None])
+    return np.stack(moved, axis=-1).astype(np.float16)
+
+
+def mask_of(name: str, state: State) -> NDArray[np.bool_]:
+    """Return the mask (480, 640) that a sensor shows."""
+    return _pattern(name, *_untouched(state))
+
+
+def _masks(sensors: Sequence[str], states: Sequence[State]) -> dict[str, NDArray[np.uint8]]:
+    """Return the packed masks (n, 38400) of sensors: where material was is the same for all."""
+    packed = {name: np.empty((len(states), PACKED), np.uint8) for name in sensors}
+    for row, state in enumerate(states):
+        places = _untouched(state)
+        for name in sensors:
+            packed[name][row] = pack(_pattern(name, *places))
+    return packed
+
+
+def _untouched(state: State) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return column and row (480, 640) [px] at which the material of each pixel was untouched."""
+    if state.depth_mm == 0 and state.shear_mm == (0.0, 0.0):
+        return _pixels()
+    columns, rows = np.meshgrid(_coarse(WIDTH), _coarse(HEIGHT))
+    x, y = columns, rows
+    for _ in range(12):
+        moved = field_at(state, x, y)
+        x, y = columns - moved[0], rows - moved[1]
+    across, down = _refined(WIDTH), _refined(HEIGHT)
+    fine_x, fine_y = (down @ (each.astype(np.float32) @ across.T) for each in (x, y))
+    return fine_x, fine_y
+
+
+def _presses(
+    indenters: Sequence[str], targets: int, steps: int, force_depth: int
+) -> list[tuple[int, int, list[State]]]:
+    """Code of the indenter, target (behind the others without a location), states."""
+    made = []
+    for code, indenter in enumerate(indenters):
+        for target in range(targets):
+            path = _sheared(DEPTHS_MM[target % len(DEPTHS_MM)], target, steps)
+            made.append((code, target, _states(indenter, code * targets + target, path)))
+    for repeat in range(force_depth):
+        loading = [(d, 0.0, 0.0, True) for d in np.linspace(0, FORCE_DEPTH_MM, 2 * steps + 1)]
+        path = [*loading, *((d, 0.0, 0.0, False) for d, *_ in loading[-2::-1])]
+        made.append((len(indenters) - 1, targets + repeat, _states(indenters[-1], 0, path)))
+    return made
+
+
+def _sheared(depth: float, target: int, steps: int) -> list[tuple[float, float, float, bool]]:
+    """Depth, shear to the right and down [mm], whether it loads: untouched, then four phases."""
+    angle = np.pi / 4 * (3 * target + 1)
+    right, down = SHEAR_MM * np.cos(angle), SHEAR_MM * np.sin(angle)
+    shares = [step / steps for step in range(1, steps + 1)]
+    return [
+        (0.0, 0.0, 0.0, True),
+        *((depth * share, 0.0, 0.0, True) for share in shares),
+        *((depth, right * share, down * share, True) for share in shares),
+        *((depth, right * (1 - share), down * (1 - share), True) for share in shares),
+        *((depth * (1 - share), 0.0, 0.0, False) for share in shares),
+    ]
+
+
+def _states(
+    indenter: str, place: int, path: Iterable[tuple[float, float, float, bool]]
+) -> list[State]:
+    # Multiples of irrational numbers spread places evenly, whatever their number.
+    centre = (
+        WIDTH * (0.3 + 0.4 * ((0.5 + 0.755 * place) % 1)),
+        HEIGHT * (0.3 + 0.4 * ((0.5 + 0.570 * place) % 1)),
+    )
+    width = WIDTHS_PX.get(indenter, WIDTHS_PX["sphere"])
+    return [State(centre, width, depth, (x, y), loading) for depth, x, y, loading in path]
+
+
+def _table(
+    presses: Sequence[tuple[int, int, list[State]]],
+    within: Sequence[tuple[int, int, int]],
+    targets: int,
+) -> dict[str, NDArray[Any]]:
+    """Columns that sensors share, for rows of a press and a frame."""
+    states = [presses[press][2][frame] for _, press, frame in within]
+    code = np.array([presses[press][0] for _, press, _ in within])
+    target = np.array([presses[press][1] for _, press, _ in within])
+    frame = np.array([frame for *_, frame in within])
+    steps = (len(presses[0][2]) - 1) // 4
+    phase = np.maximum(frame - 1, 0) // steps
+    nowhere = target >= targets
+    phase[nowhere] = np.where(frame[nowhere] <= 2 * steps, 0, PHASES.index("normal_dec"))
+    centres = np.array([state.centre for state in states])
+    offset = (centres - (WIDTH / 2, HEIGHT / 2)) * (1, -1)
+    return {
+        "indenter": code,
+        "location": np.where(nowhere, -1, code * targets + target),
+        "target": target,
+        "phase": phase,
+        "depth": np.array([state.depth_mm * 1e-3 for state in states]),
+        "position": offset * MM_PER_PX * 1e-3,
+        "frame": frame,
+        "t_ns": frame * 25_000_000,
+        "reference": np.zeros(len(frame), np.int64),
+    }
+
+
+@functools.cache
+def _pixels() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    columns, rows = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(HEIGHT))
+    return columns, rows.astype(np.float32)
+
+
+def _pattern(name: str, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether there is a marker at places [px] of the untouched surface."""
+    if name == "diamonds":
+        x, y = x + y, y - x
+    pitch, half = {"dots": (64, 15), "grid": (72, 14), "diamonds": (88, 18), "dense": (40, 9)}[name]
+    # As np.mod, in a quarter of its time.
+    u, v = (place - pitch * np.floor(place / pitch) - pitch / 2 for place in (x, y))
+    if name in ("dots", "dense"):
+        return np.asarray(u * u + v * v < half * half)
+    return np.asarray((np.abs(u) < half) & (np.abs(v) < half))
+
+
+def _coarse(side: int) -> NDArray[np.float64]:
+    return np.linspace(0, side - 1, side // 10 + 1)
+
+
+@functools.cache
+def _refined(side: int) -> NDArray[np.float32]:
+    """Matrix (side, n) that interpolates linearly between places of the coarse grid."""
+    coarse = _coarse(side)
+    hats = 1 - np.abs(np.arange(side)[:, None] - coarse[None, :]) / (coarse[1] - coarse[0])
+    return np.clip(hats, 0, 1).astype(np.float32)

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from learning.data.fields import warp
+from learning.data.images import shrink_masks
+from learning.data.procedural import (
+    before,
+    random_fields,
+    random_patterns,
+    sample_patterns,
+    untouched,
+)
+from recorder.markers import HEIGHT, WIDTH
+
+CPU = torch.device("cpu")
+
+
+def _chance(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def _pixels() -> torch.Tensor:
+    """Places of the pixels of the full image (1, 2, 480, 640)."""
+    rows, columns = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    return torch.stack([columns, rows])[None].float()
+
+
+def test_the_same_chance_draws_the_same_patterns_and_another_draws_others() -> None:
+    one = random_patterns(4, _chance(3), CPU, side=64)
+    assert torch.equal(one, random_patterns(4, _chance(3), CPU, side=64))
+    assert not torch.equal(one, random_patterns(4, _chance(4), CPU, side=64))
+    assert not torch.equal(one[0], one[1])
+
+
+def test_patterns_are_grey_images_of_markers_on_nothing() -> None:
+    images = random_patterns(24, _chance(), CPU, side=64)
+    assert images.shape == (24, 1, 64, 64)
+    assert 0 <= float(images.min()) <= float(images.max()) <= 1
+    covered = images.mean(dim=(1, 2, 3))
+    assert bool((covered > 0.003).all())
+    assert bool((covered < 0.75).all())
+
+
+def test_a_small_image_is_what_shrinking_a_mask_of_the_same_pattern_gives() -> None:
+    patterns = sample_patterns(3, _chance(1), CPU)
+    masks = patterns.draw(_pixels())[:, 0] > 0.5
+    shrunk = shrink_masks(masks).float() / 255
+    drawn = patterns.draw(untouched(256, CPU))[:, 0]
+    assert float((drawn - shrunk).abs().mean()) < 0.02
+
+
+def test_some_of_the_patterns_are_drawn_as_they_are_among_all() -> None:
+    patterns = sample_patterns(3, _chance(2), CPU)
+    every = patterns.draw(untouched(64, CPU))
+    some = patterns[torch.tensor([2, 0])]
+    assert len(some) == 2
+    assert torch.equal(some.draw(untouched(64, CPU)), every[[2, 0]])
+
+
+def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
+    patterns = sample_patterns(2, _chance(5), CPU)
+    field = torch.tensor([20.0, 15.0]).view(1, 2, 1, 1).expand(2, 2, 24, 32)
+    # 2.5 columns and 1.875 rows are a pixel: 8 pixels each.
+    moved = patterns.draw(before(field, None))
+    rest = patterns.draw(untouched(256, CPU))
+    assert torch.allclose(moved[..., 8:, 8:], rest[..., :-8, :-8], atol=1e-3)
+
+
+def test_a_deformed_pattern_is_its_image_warped() -> None:
+    patterns = sample_patterns(2, _chance(6), CPU)
+    field = random_fields(2, _chance(7), CPU)
+    drawn = patterns.draw(before(field, None))
+    warped = warp(patterns.draw(untouched(256, CPU)), field, None)
+    middle = (..., slice(32, -32), slice(32, -32))
+    assert float((drawn - warped)[middle].abs().mean()) < 0.02
+    still = patterns.draw(untouched(256, CPU))
+    assert float((drawn - still)[middle].abs().mean()) > 0.05
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_made_up_fields_never_fold_the_surface(seed: int) -> None:
+    field = random_fields(16, _chance(seed), CPU)
+    assert field.shape == (16, 2, 24, 32)
+    along_rows, along_columns = torch.gradient(field, spacing=20.0, dim=(2, 3))
+    area = (1 + along_columns[:, 0]) * (1 + along_rows[:, 1])
+    area = area - along_columns[:, 1] * along_rows[:, 0]
+    assert float(area.min()) > 0

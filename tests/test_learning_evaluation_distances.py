@@ -1,0 +1,178 @@
+"""Distances of features against closed forms, and what the features are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.evaluation.distances import (
+    frechet_distance,
+    kernel_distance,
+    squared_kernel_distance,
+)
+from learning.evaluation.features import MarkerGrid, load_extractor
+from learning.evaluation.inception import FEATURES, Inception, load_inception
+from learning.evaluation.two_samples import classifier_accuracy, embedded, mixing_score
+
+
+def exactly(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Samples with exactly this mean and covariance."""
+    drawn = np.random.default_rng(3).normal(size=(40, len(mean)))
+    drawn -= drawn.mean(axis=0)
+    white = drawn @ np.linalg.inv(np.linalg.cholesky(np.atleast_2d(np.cov(drawn.T)))).T
+    return white @ np.linalg.cholesky(covariance).T + mean
+
+
+def test_frechet_of_gaussians_on_a_line_is_that_of_mean_and_deviation() -> None:
+    one = exactly(np.array([1.0]), np.array([[4.0]]))
+    other = exactly(np.array([4.0]), np.array([[0.25]]))
+    assert frechet_distance(one, other) == pytest.approx(9 + (2 - 0.5) ** 2)
+
+
+def test_frechet_of_gaussians_in_a_plane_is_the_closed_form() -> None:
+    first = np.array([[2.0, 0.7], [0.7, 1.0]])
+    second = np.array([[1.0, -0.4], [-0.4, 3.0]])
+    product = first @ second
+    # The trace of the root of a 2 x 2 matrix, from its own trace and determinant.
+    root = np.sqrt(np.trace(product) + 2 * np.sqrt(np.linalg.det(product)))
+    expected = 5 + np.trace(first) + np.trace(second) - 2 * root
+    mean = np.array([1.0, 2.0])
+    found = frechet_distance(exactly(np.zeros(2), first), exactly(mean, second))
+    assert found == pytest.approx(expected)
+
+
+def test_frechet_of_a_set_to_itself_is_nothing_even_of_few_samples() -> None:
+    few = np.random.default_rng(0).normal(size=(8, 50))
+    assert frechet_distance(few, few) == pytest.approx(0, abs=1e-8)
+
+
+def test_the_kernel_distance_is_the_unbiased_sum_over_pairs() -> None:
+    one = np.array([[1.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
+    other = np.array([[3.0, 0.0], [0.0, 0.0]])
+
+    def kernel(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+        return float((a @ b / 2 + 1) ** 3)
+
+    within = sum(kernel(one[i], one[j]) for i in range(3) for j in range(3) if i != j) / 6
+    beyond = sum(kernel(other[i], other[j]) for i in range(2) for j in range(2) if i != j) / 2
+    across = sum(kernel(a, b) for a in one for b in other) / 6
+    assert squared_kernel_distance(one, other) == pytest.approx(within + beyond - 2 * across)
+
+
+def test_the_kernel_distance_of_one_distribution_strays_about_zero() -> None:
+    drawn = np.random.default_rng(1).normal(size=(600, 4))
+    mean, spread = kernel_distance(drawn[:300], drawn[300:], size=50, subsets=60, seed=0)
+    assert abs(mean) < spread
+    apart, _ = kernel_distance(drawn[:300], drawn[300:] + 2, size=50, subsets=60, seed=0)
+    assert apart > 10 * spread
+
+
+def test_distances_of_too_few_or_other_features_are_refused() -> None:
+    with pytest.raises(LearningError, match="2 samples or more"):
+        frechet_distance(np.zeros((1, 3)), np.zeros((5, 3)))
+    with pytest.raises(LearningError, match="allowed"):
+        squared_kernel_distance(np.zeros((5, 3)), np.zeros((5, 4)))
+    with pytest.raises(LearningError, match="not numbers"):
+        frechet_distance(np.full((5, 3), np.nan), np.zeros((5, 3)))
+
+
+def test_a_classifier_tells_other_sets_apart_and_guesses_on_equal_ones() -> None:
+    drawn, each = np.random.default_rng(2).normal(size=(200, 3)), np.arange(200)
+    assert classifier_accuracy(drawn[:100], drawn[100:] + 8, each, seed=0) == 1
+    assert 0.35 < classifier_accuracy(drawn[:100], drawn[100:], each, seed=0) < 0.65
+
+
+def test_a_classifier_does_not_know_samples_by_their_likes() -> None:
+    chance = np.random.default_rng(3)
+    groups = np.repeat(np.arange(20), 10)
+    # Ten samples of a kind lie together, and are all in one set.
+    drawn = chance.normal(size=(20, 40))[groups] + 0.01 * chance.normal(size=(200, 40))
+    known = classifier_accuracy(drawn[:100], drawn[100:], np.arange(200), seed=0)
+    assert known > 0.9
+    assert classifier_accuracy(drawn[:100], drawn[100:], groups, seed=0) < 0.75
+
+
+def test_a_classifier_needs_groups_for_every_fold() -> None:
+    with pytest.raises(LearningError, match="5 or more"):
+        classifier_accuracy(np.zeros((4, 2)), np.ones((9, 2)), np.arange(13), seed=0)
+
+
+def test_sets_far_apart_do_not_mix_and_equal_ones_mix_fully() -> None:
+    drawn = np.random.default_rng(4).normal(size=(600, 2))
+    assert mixing_score(drawn[:300], drawn[300:] + 50) == 0
+    assert mixing_score(drawn[:400], drawn[400:]) == pytest.approx(1, abs=0.1)
+
+
+def test_the_mixing_score_is_the_share_of_foreign_neighbours_over_chance() -> None:
+    one, other = np.array([[0.0], [1.0]]), np.array([[1.1], [5.0]])
+    # Nearest of each: 1.0, 1.1 (foreign), 1.0 (foreign), 1.1; by chance 2 of 3 are foreign.
+    assert mixing_score(one, other, neighbours=1) == pytest.approx(0.5 / (2 / 3))
+
+
+def test_an_embedding_is_the_same_for_a_seed() -> None:
+    drawn = np.random.default_rng(5).normal(size=(20, 5))
+    one, again = embedded(drawn, seed=0), embedded(drawn, seed=0)
+    assert one.shape == (20, 2)
+    assert one.tolist() == again.tolist()
+
+
+def test_the_marker_grid_tells_what_is_set_where_and_how_much_is_edge() -> None:
+    image = np.zeros((1, 256, 256), np.uint8)
+    image[0, 32:64, 96:112] = 255  # the left half of one cell, second row and fourth column
+    coverage, column, row, edge = MarkerGrid().features(image).reshape(4, 8, 8)
+    assert coverage[1, 3] == pytest.approx(0.5)
+    assert coverage.sum() == pytest.approx(0.5)
+    across = np.linspace(-1, 1, 32)[:16].mean() / 2
+    assert column[1, 3] == pytest.approx(across)
+    assert row[1, 3] == pytest.approx(0)
+    # The right end of the half, and its lower end; its left end belongs to the cell before.
+    assert edge[1, 3] == pytest.approx((32 + 16) / 1024)
+    assert edge[1, 2] == pytest.approx(32 / 1024)
+
+
+def test_images_of_another_size_have_no_features() -> None:
+    with pytest.raises(LearningError, match="allowed: uint8"):
+        MarkerGrid().features(np.zeros((2, 128, 128), np.uint8))
+
+
+def test_features_without_weights_are_named_for_what_they_are() -> None:
+    extractor = load_extractor("marker-grid")
+    assert extractor.name == "marker-grid-8x8"
+    assert not extractor.is_inception
+    with pytest.raises(LearningError, match="allowed: marker-grid"):
+        load_extractor("/nowhere/at-all.pth")
+
+
+def test_inception_has_the_parameters_that_were_published() -> None:
+    with torch.device("meta"):
+        network = Inception()
+    # Inception v3 without its auxiliary head and its 1000 classes: 23,834,568 - 2,049,000.
+    assert sum(each.numel() for each in network.parameters()) == 21_785_568
+    names = network.state_dict().keys()
+    assert {"Mixed_7c.branch3x3dbl_3b.bn.running_var", "Mixed_5b.branch_pool.conv.weight"} <= names
+
+
+@pytest.mark.slow
+def test_inception_makes_features_of_weights_in_its_layout(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    weights = Inception().state_dict()
+    weights |= {"fc.weight": torch.zeros(1008, FEATURES), "fc.bias": torch.zeros(1008)}
+    torch.save(weights, tmp_path / "inception.pth")
+    extractor = load_extractor(str(tmp_path / "inception.pth"))
+    assert extractor.is_inception
+    images = np.random.default_rng(0).integers(0, 255, (2, 256, 256), np.uint8)
+    assert extractor.features(images).shape == (2, FEATURES)
+
+
+def test_weights_of_something_else_are_refused(tmp_path: Path) -> None:
+    torch.save({"layer.weight": torch.zeros(2)}, tmp_path / "other.pth")
+    with pytest.raises(LearningError, match="allowed: the weights of Inception"):
+        load_inception(tmp_path / "other.pth")
+    (tmp_path / "none.pth").write_bytes(b"nothing")
+    with pytest.raises(LearningError, match=r"none\.pth: found no weights"):
+        load_inception(tmp_path / "none.pth")

@@ -1,0 +1,117 @@
+"""Overlap and markers of masks against what is known by hand, and the nearest frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.evaluation.baselines import nearest_frames
+from learning.evaluation.marker_errors import endpoint_errors, marker_errors
+from learning.evaluation.overlap import overlap
+from recorder.markers import HEIGHT, WIDTH, Lattice
+
+
+def squares(*corners: tuple[int, int], side: int = 20) -> NDArray[np.bool_]:
+    """One mask with squares, their upper left corners given as column and row."""
+    mask = np.zeros((1, HEIGHT, WIDTH), np.bool_)
+    for column, row in corners:
+        mask[0, row : row + side, column : column + side] = True
+    return mask
+
+
+def test_dice_and_iou_of_a_shifted_square_are_those_of_its_overlap() -> None:
+    found = overlap(squares((100, 100)), squares((105, 100)))
+    assert found.dice == pytest.approx([15 / 20])
+    assert found.iou == pytest.approx([15 / 25])
+    assert found.area_ratio_error == pytest.approx([0])
+
+
+def test_masks_that_never_meet_have_no_dice_and_empty_ones_all_of_it() -> None:
+    nothing = np.zeros_like(squares())
+    assert overlap(squares((0, 0)), squares((50, 50))).dice == pytest.approx([0])
+    assert overlap(nothing, nothing).dice == pytest.approx([1])
+    assert overlap(nothing, nothing).iou == pytest.approx([1])
+    assert np.isnan(overlap(nothing, nothing).area_ratio_error)
+
+
+def test_the_error_of_the_area_counts_too_much_as_too_little() -> None:
+    both, one = squares((0, 0), (50, 50)), squares((0, 0))
+    assert overlap(both, one).area_ratio_error == pytest.approx([1])
+    assert overlap(one, both).area_ratio_error == pytest.approx([0.5])
+
+
+def test_masks_of_torch_give_what_masks_of_numpy_give() -> None:
+    one = np.random.default_rng(1).random((3, 40, 60)) < 0.5
+    other = np.random.default_rng(2).random((3, 40, 60)) < 0.5
+    by_torch = overlap(torch.from_numpy(one), torch.from_numpy(other))
+    assert by_torch.dice.tolist() == overlap(one, other).dice.tolist()
+    assert isinstance(by_torch.iou, np.ndarray)
+
+
+def test_masks_of_other_shapes_or_types_are_refused() -> None:
+    with pytest.raises(LearningError, match="allowed: both"):
+        overlap(squares(), np.concatenate([squares(), squares()]))
+    with pytest.raises(LearningError, match="found uint8"):
+        overlap(squares().astype(np.uint8), squares())  # type: ignore[arg-type]
+
+
+def test_markers_are_as_far_off_as_they_were_moved() -> None:
+    true = squares((100, 100), (200, 100), (300, 300))
+    found = squares((103, 104), (200, 100), (300, 301))
+    errors = marker_errors(found, true)
+    distances = np.sort(np.linalg.norm(errors.apart, axis=1))
+    assert distances == pytest.approx([0, 1, 5])
+    assert [3.0, 4.0] in errors.apart.tolist()
+    assert not errors.mismatched.any()
+
+
+def test_a_marker_too_few_is_a_mismatch_and_does_not_move_the_others() -> None:
+    true = np.concatenate([squares((100, 100), (200, 100)), squares((100, 100))])
+    found = np.concatenate([squares((100, 100)), squares((100, 100))])
+    errors = marker_errors(found, true)
+    assert errors.mismatched.tolist() == [True, False]
+    assert errors.apart == pytest.approx(np.zeros((2, 2)))
+
+
+def test_frames_without_markers_have_no_distances() -> None:
+    errors = marker_errors(np.zeros_like(squares()), squares((100, 100)))
+    assert errors.apart.shape == (0, 2)
+    assert errors.mismatched.tolist() == [True]
+
+
+def test_markers_where_the_field_takes_them_have_no_endpoint_error() -> None:
+    lattice = Lattice()
+    reference = squares((100, 100), (300, 200))
+    field = np.broadcast_to(np.array([6.0, -8.0]), lattice.shape)[None]
+    moved, stayed = squares((106, 92), (306, 192)), reference
+    assert endpoint_errors(moved, reference[0], field, lattice) == pytest.approx(np.zeros((2, 2)))
+    missed = endpoint_errors(stayed, reference[0], field, lattice)
+    assert missed == pytest.approx(np.array([[-6.0, 8.0]] * 2))
+
+
+def test_markers_without_material_are_left_out() -> None:
+    lattice = Lattice()
+    field = np.zeros((1, *lattice.shape))
+    field[0, :, : lattice.shape[1] // 2] = np.nan
+    reference = squares((100, 100), (500, 200))
+    assert len(endpoint_errors(reference, reference[0], field, lattice)) == 1
+
+
+def test_the_nearest_frame_is_of_the_same_phase_and_motion() -> None:
+    table = {
+        "position": np.array([[0, 0], [4e-3, 0], [0, 0], [0, 0], [1e-3, 0]]),
+        "depth": np.array([1.0, 1.0, 0.5, 1.0, 1.0]) * 1e-3,
+        "phase": np.array([0, 0, 0, 1, 0]),
+    }
+    wanted = np.array([4, 3])
+    assert nearest_frames(table, wanted, np.array([0, 1, 2])).tolist() == [0, 0]
+    assert nearest_frames(table, wanted, np.array([1, 2, 3])).tolist() == [2, 3]
+
+
+def test_no_frames_to_choose_from_is_an_error() -> None:
+    table = {"position": np.zeros((1, 2)), "depth": np.zeros(1), "phase": np.zeros(1, np.int8)}
+    with pytest.raises(LearningError, match="no frames to choose from"):
+        nearest_frames(table, np.array([0]), np.empty(0, np.int64))

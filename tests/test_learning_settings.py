@@ -1,0 +1,157 @@
+"""Settings: strict YAML into frozen values, and every error says where and what is allowed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import pytest
+
+from learning.errors import LearningError
+from learning.settings import differing_keys, read_settings, settings_to_dict
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    KIND: ClassVar[str] = "slow"
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fast:
+    KIND: ClassVar[str] = "fast"
+    rate: float
+    boost: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    widths: tuple[int, ...] = (1, 2)
+    box: tuple[float, float] = (0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if min(self.widths) < 1:
+            raise LearningError(f"widths: found {self.widths}; allowed: 1 and more")
+
+
+@dataclass(frozen=True, slots=True)
+class Outer:
+    steps: int
+    rate: float = 1e-3
+    name: Literal["a", "b"] = "a"
+    limit: float | None = None
+    source: str | int = 0
+    on: bool = False
+    inner: Inner = field(default_factory=Inner)
+    speed: Slow | Fast = field(default_factory=lambda: Slow(1.0))
+    stages: tuple[Slow, ...] = ()
+
+
+FULL = """
+steps: 5
+rate: 1e-4
+name: b
+limit: 2
+on: true
+inner: {widths: [4, 8, 16], box: [0, 0.5]}
+speed: {kind: fast, rate: 3}
+stages: [{rate: 1}, {rate: 2}]
+"""
+
+
+@pytest.fixture
+def presets(tmp_path: Path) -> Path:
+    (tmp_path / "full.yaml").write_text(FULL)
+    (tmp_path / "small.yaml").write_text("extends: full.yaml\nsteps: 2\ninner: {widths: [1]}\n")
+    return tmp_path
+
+
+def test_every_kind_of_field_is_read(presets: Path) -> None:
+    read = read_settings(Outer, presets, "full")
+    assert read == Outer(
+        5, 1e-4, "b", 2.0, 0, True, Inner((4, 8, 16), (0.0, 0.5)), Fast(3.0), (Slow(1.0), Slow(2.0))
+    )
+
+
+def test_a_file_extends_another_key_by_key(presets: Path) -> None:
+    read = read_settings(Outer, presets, presets / "small.yaml")
+    assert (read.steps, read.rate, read.inner) == (2, 1e-4, Inner((1,), (0.0, 0.5)))
+
+
+def test_overrides_win_in_their_order(presets: Path) -> None:
+    given = ("steps=7", "inner.widths=[3]", "rate=2e-5", "steps=8", "speed={kind: slow, rate: 9}")
+    read = read_settings(Outer, presets, "full", given)
+    assert (read.steps, read.rate, read.inner.widths) == (8, 2e-5, (3,))
+    assert read.speed == Slow(9.0)
+
+
+def test_plain_values_make_the_same_settings_again(presets: Path) -> None:
+    from learning.settings import build
+
+    read = read_settings(Outer, presets, "full")
+    assert build(Outer, settings_to_dict(read), "again") == read
+
+
+def test_keys_that_differ_are_named_by_their_path() -> None:
+    one = settings_to_dict(Outer(1))
+    other = settings_to_dict(Outer(2, inner=Inner((3,)), speed=Fast(1.0)))
+    assert differing_keys(one, other) == ["inner.widths", "speed.boost", "speed.kind", "steps"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("steps: 5\nstep: 3", "unknown step; known: steps, rate"),
+        ("rate: 1", "missing steps"),
+        ("steps: 5\nsteps: 6", "key 'steps' is written twice"),
+        ("steps: 5.0", ".steps: found float 5.0; allowed: int"),
+        ("steps: true", ".steps: found bool True; allowed: int"),
+        ("steps: 5\nrate: fast", ".rate: found str 'fast'; allowed: a number"),
+        ("steps: 5\nrate: .nan", ".rate: found nan; allowed: a finite number"),
+        ("steps: 5\non: 1", ".on: found int 1; allowed: bool"),
+        ("steps: 5\nname: c", ".name: found str 'c'; allowed: a, b"),
+        ("steps: 5\nlimit: x", ".limit: found str 'x'; allowed: a number"),
+        ("steps: 5\nsource: 1.5", ".source: found float 1.5; allowed: str, or int"),
+        ("steps: 5\ninner: {widths: 3}", ".inner.widths: found int 3; allowed: a list"),
+        ("steps: 5\ninner: {widths: [1, a]}", ".inner.widths[1]: found str 'a'; allowed: int"),
+        ("steps: 5\ninner: {box: [1]}", ".inner.box: found 1 values; allowed: 2"),
+        ("steps: 5\ninner: {widths: [0]}", ".inner: widths: found (0,); allowed: 1 and more"),
+        ("steps: 5\ninner: 3", ".inner: found int 3; allowed: a mapping"),
+        ("steps: 5\nspeed: {rate: 1}", ".speed: found kind None; allowed"),
+        ("steps: 5\nspeed: {kind: slow, rate: 1, boost: 1}", ".speed: unknown boost; known: rate"),
+        ("steps: 5\nstages: [{kind: fast, rate: 1}]", ".stages[0].kind: found 'fast'"),
+        ("- 5", "found list [5]; allowed: a mapping"),
+        ("steps: [", "not YAML"),
+        ("extends: it.yaml\nsteps: 1", "extend each other in a circle"),
+        ("extends: none.yaml\nsteps: 1", "none.yaml: no such file"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "it.yaml"
+    path.write_text(text)
+    with pytest.raises(LearningError) as raised:
+        read_settings(Outer, tmp_path, path)
+    assert said in str(raised.value)
+    assert str(tmp_path) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("steps", "--set: found 'steps'; allowed: key=value"),
+        ("a..b=1", "--set: found 'a..b=1'"),
+        ("nothing=1", "unknown nothing"),
+        ("inner.depth=1", ".inner: unknown depth"),
+        ("steps=[", "--set steps: not YAML"),
+    ],
+)
+def test_wrong_overrides_are_refused(presets: Path, override: str, said: str) -> None:
+    with pytest.raises(LearningError) as raised:
+        read_settings(Outer, presets, "full", [override])
+    assert said in str(raised.value)
+
+
+def test_an_unknown_preset_lists_those_that_there_are(presets: Path) -> None:
+    with pytest.raises(LearningError, match=r"found 'huge'; known: full, small, or a \.yaml file"):
+        read_settings(Outer, presets, "huge")

@@ -1,0 +1,244 @@
+"""Run folders: a training that is stopped anywhere goes on as if it had not been."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+from learning.errors import LearningError
+from learning.training.ema import Ema
+from learning.training.model_folder import load_finished, read_config, read_model_folder
+from learning.training.run_folder import RunFolder
+from learning.training.sampling import generator, seed_torch
+from learning.training.schedules import Cosine, set_rate
+from learning.training.weights import load_weights, read_weights, save_weights
+
+
+@dataclass(frozen=True, slots=True)
+class Toy:
+    width: int = 8
+    steps: int = 40
+    seed: int = 3
+
+
+class Net(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(4, width), nn.BatchNorm1d(width), nn.Dropout(0.2), nn.Linear(width, 1)
+        )
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        out: torch.Tensor = self.layers(values)
+        return out
+
+
+def _train(folder: Path, until: int, *, resume: bool = False) -> Net:
+    """Train with momentum, dropout and an average, saving every 10 steps, up to some step."""
+    toy = Toy()
+    seed_torch(toy.seed, "weights")
+    net = Net(toy.width)
+    ema = Ema(net, 0.9)
+    optimiser = torch.optim.AdamW(net.parameters())
+    rate = Cosine(1e-2, toy.steps, warm_up=5)
+    with RunFolder.open(folder, "force", toy, "data", resume) as run:
+        done = run.restore({"model": net}, {"optimiser": optimiser, "ema": ema})
+        for step in range(done, until):
+            seed_torch(toy.seed, "step", step)
+            values = torch.from_numpy(generator(toy.seed, "batch", step).normal(size=(16, 4)))
+            set_rate(optimiser, rate.at(step))
+            loss = (net(values.float()) - values.float().sum(1, keepdim=True)).square().mean()
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            ema.update(net)
+            run.log(step + 1, {"train/loss": loss.item()})
+            if (step + 1) % 10 == 0:
+                run.save(
+                    step + 1,
+                    {"model": net},
+                    {"optimiser": optimiser, "ema": ema},
+                    score=abs(step - 14.0),
+                )
+        if until == toy.steps:
+            run.finish(until, {"model": net}, facts={"range": [1.0, 2.0]})
+    return net
+
+
+def _losses(folder: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_two_halves_are_the_whole_bit_for_bit(tmp_path: Path) -> None:
+    whole = _train(tmp_path / "whole", 40)
+    _train(tmp_path / "halves", 20)
+    torch.manual_seed(99)
+    halves = _train(tmp_path / "halves", 40, resume=True)
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, halves.state_dict()[name]), name
+    assert _losses(tmp_path / "whole") == _losses(tmp_path / "halves")
+    ends = [
+        torch.load(tmp_path / name / "checkpoints/00000040/training.pt", weights_only=True)
+        for name in ("whole", "halves")
+    ]
+    assert all(
+        torch.equal(value, ends[1]["ema"]["average"][name])
+        for name, value in ends[0]["ema"]["average"].items()
+    )
+
+
+def test_steps_after_the_last_checkpoint_are_taken_again(tmp_path: Path) -> None:
+    whole = _train(tmp_path / "whole", 40)
+    _train(tmp_path / "killed", 27)
+    with (tmp_path / "killed/metrics.jsonl").open("a") as file:
+        file.write('{"step": 28, "train/lo')
+    resumed = _train(tmp_path / "killed", 40, resume=True)
+    assert torch.equal(whole.layers[0].weight, resumed.layers[0].weight)
+    assert _losses(tmp_path / "killed") == _losses(tmp_path / "whole")
+
+
+def test_a_kill_before_the_rename_leaves_the_checkpoint_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "run"
+    _train(folder, 10)
+
+    def killed(self: Path, target: Path) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "rename", killed)
+    with pytest.raises(KeyboardInterrupt):
+        _train(folder, 20, resume=True)
+    monkeypatch.undo()
+    left = [path.name for path in (folder / "checkpoints").iterdir()]
+    assert sorted(left) == [".writing-00000020", "00000010"]
+    _train(folder, 20, resume=True)
+    left = [path.name for path in (folder / "checkpoints").iterdir()]
+    assert sorted(left) == ["00000010", "00000020"]
+
+
+def test_the_last_ones_and_the_best_are_kept(tmp_path: Path) -> None:
+    _train(tmp_path / "run", 40)
+    run = RunFolder.open(tmp_path / "run", "force", Toy(), "data", resume=True)
+    kept = sorted(path.name for path in (tmp_path / "run/checkpoints").iterdir())
+    # Scores are |step - 15|: 10 and 20 are as good, and the older one counts.
+    assert kept == ["00000010", "00000030", "00000040"]
+    assert run.best() == tmp_path / "run/checkpoints/00000010"
+    assert run.latest() == tmp_path / "run/checkpoints/00000040"
+    assert run.finished
+
+
+def test_other_settings_or_data_are_refused_by_name(tmp_path: Path) -> None:
+    _train(tmp_path / "run", 10)
+    before = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*"))
+    other = replace(Toy(), width=16, seed=4)
+    with pytest.raises(LearningError, match=r"begun with other settings\.seed, settings\.width"):
+        RunFolder.open(tmp_path / "run", "force", other, "data", resume=True)
+    with pytest.raises(LearningError, match="begun with other data; allowed: the same"):
+        RunFolder.open(tmp_path / "run", "force", Toy(), "other", resume=True)
+    with pytest.raises(LearningError, match="begun with other kind"):
+        RunFolder.open(tmp_path / "run", "field", Toy(), "data", resume=True)
+    with pytest.raises(LearningError, match="a run is there; resume it"):
+        RunFolder.open(tmp_path / "run", "force", Toy(), "data")
+    after = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*"))
+    assert before == after
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    for resume in (False, True):
+        with pytest.raises(LearningError, match="holds something else"):
+            RunFolder.open(tmp_path, "force", Toy(), "data", resume)
+    assert os.listdir(tmp_path) == ["notes.txt"]
+    with pytest.raises(LearningError, match="kind: found 'net'; allowed: autoencoder, field"):
+        RunFolder.open(tmp_path / "new", "net", Toy(), "data")
+
+
+def test_a_finished_run_is_a_model(tmp_path: Path) -> None:
+    net = _train(tmp_path / "run", 40)
+    found = read_model_folder(tmp_path / "run", "force")
+    assert found.settings(Toy) == Toy()
+    assert found.config.facts == {"range": [1.0, 2.0]}
+    assert (found.config.step, found.config.data) == (40, "data")
+    assert len(found.hash()) == 64
+    again = Net(8)
+    found.load(again)
+    assert torch.equal(again.layers[0].weight, net.layers[0].weight)
+    settings, weights = load_finished(tmp_path / "run", "force", Toy)
+    assert (settings, set(weights)) == (Toy(), set(net.state_dict()))
+    # A checkpoint is one as well.
+    assert read_model_folder(tmp_path / "run/checkpoints/00000030").config.step == 30
+
+
+def test_what_is_no_model_is_refused(tmp_path: Path) -> None:
+    _train(tmp_path / "run", 10)
+    with pytest.raises(LearningError, match=r"found no model\.safetensors; allowed: a finished"):
+        read_model_folder(tmp_path / "run")
+    with pytest.raises(LearningError, match="found kind 'force'; allowed: 'field'"):
+        read_model_folder(tmp_path / "run", "field")
+    with pytest.raises(LearningError, match=r"found no config\.yaml"):
+        read_model_folder(tmp_path)
+    (tmp_path / "config.yaml").write_text("kind: force\n")
+    with pytest.raises(LearningError, match="settings: found None; allowed: dict"):
+        read_config(tmp_path)
+
+
+def test_weights_of_another_network_are_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "model.safetensors"
+    save_weights(Net(8), path)
+    kept = {name: value.clone() for name, value in Net(16).state_dict().items()}
+    wider = Net(16)
+    wider.load_state_dict(kept)
+    with pytest.raises(LearningError) as raised:
+        load_weights(wider, path)
+    assert "layers.0.weight (8, 4), expected (16, 4)" in str(raised.value)
+    assert torch.equal(wider.layers[0].weight, kept["layers.0.weight"])
+    with pytest.raises(LearningError, match=r"missing weight; unexpected layers\.0\.bias"):
+        load_weights(nn.Linear(4, 8, bias=False), path)
+    with pytest.raises(LearningError, match="found NaN or infinity in weight"):
+        load_weights(nn.Linear(1, 1, bias=False), {"weight": torch.tensor([[torch.nan]])})
+
+
+def test_damaged_weights_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.safetensors"
+    save_weights(Net(8), path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(LearningError, match="not a whole safetensors file"):
+        read_weights(path)
+    with pytest.raises(LearningError, match="no such file"):
+        read_weights(tmp_path / "none.safetensors")
+
+
+def test_damaged_training_states_are_refused(tmp_path: Path) -> None:
+    _train(tmp_path / "run", 10)
+    states = tmp_path / "run/checkpoints/00000010/training.pt"
+    states.write_bytes(states.read_bytes()[:50])
+    with pytest.raises(LearningError, match=r"training\.pt: damaged, or not plain states"):
+        _train(tmp_path / "run", 20, resume=True)
+
+
+def test_states_that_could_not_be_read_back_are_not_kept(tmp_path: Path) -> None:
+    run = RunFolder.open(tmp_path / "run", "force", Toy(), "data")
+    with pytest.raises(LearningError, match="not plain states"):
+        run.save(1, {"model": Net(8)}, {"path": tmp_path})
+    assert run.latest() is None
+
+
+def test_processes_that_do_not_write_leave_no_trace(tmp_path: Path) -> None:
+    run = RunFolder.open(tmp_path / "run", "force", Toy(), "data", writes=False)
+    run.log(1, {"loss": 1.0})
+    run.save(1, {"model": Net(8)}, {})
+    run.finish(1, {"model": Net(8)})
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_is_not_finite_is_logged_as_null(tmp_path: Path) -> None:
+    with RunFolder.open(tmp_path / "run", "force", Toy(), "data") as run:
+        run.log(1, {"r2": float("nan"), "loss": 2.0, "what": "text"})
+    assert _losses(tmp_path / "run") == [{"step": 1, "r2": None, "loss": 2.0, "what": "text"}]

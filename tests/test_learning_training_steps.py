@@ -1,0 +1,158 @@
+"""Steps of a training: chance without state, learning rates, averages, devices, Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from learning.errors import LearningError
+from learning.training.ema import Ema
+from learning.training.launch import LaunchSettings, accelerator, described
+from learning.training.sampling import batch, generator, seed_torch
+from learning.training.schedules import Constant, Cosine, InversePower, Stages, set_rate
+from learning.training.stopping import Stop
+
+
+def test_chance_depends_on_seed_and_words_alone() -> None:
+    assert generator(1, "a", 2).random() == generator(1, "a", 2).random()
+    different = [(1, "a", 2), (2, "a", 2), (1, "b", 2), (1, "a", 3), (1, "a", "2"), (1, "a2")]
+    assert len({generator(*words).random() for words in different}) == len(different)
+
+
+def test_torch_draws_the_same_after_the_same_words() -> None:
+    drawn = []
+    for words in (("step", 1), ("step", 2), ("step", 1)):
+        seed_torch(5, *words)
+        drawn.append(torch.rand(3))
+    assert torch.equal(drawn[0], drawn[2])
+    assert not torch.equal(drawn[0], drawn[1])
+
+
+@pytest.mark.parametrize("ranks", [1, 3])
+def test_a_pass_sees_everything_once_over_all_processes(ranks: int) -> None:
+    size, count = 4, 24
+    steps = count // (size * ranks)
+    for number in range(2):
+        seen = [
+            batch(7, number * steps + step, size, count, rank=rank, ranks=ranks)
+            for step in range(steps)
+            for rank in range(ranks)
+        ]
+        assert sorted(np.concatenate(seen).tolist()) == list(range(count))
+
+
+def test_batches_reach_from_one_pass_into_the_next() -> None:
+    seen = np.concatenate([batch(0, step, 4, 6) for step in range(3)])
+    assert sorted(seen[:6].tolist()) == sorted(seen[6:].tolist()) == list(range(6))
+    assert len(batch(0, 0, 10, 3)) == 10
+    with pytest.raises(LearningError, match="found 4 of 0"):
+        batch(0, 0, 4, 0)
+
+
+def test_rates_are_those_of_the_paper_and_of_the_authors() -> None:
+    paper = Stages((0.1, 1e-3), (40, 40))
+    assert [paper.at(step, 10) for step in (0, 399, 400, 799, 5000)] == [
+        0.1,
+        0.1,
+        1e-3,
+        1e-3,
+        1e-3,
+    ]
+    authors = InversePower(0.1)
+    assert authors.at(1000) == pytest.approx(0.1 * 1.3**-0.75)
+    assert authors.at(0) == pytest.approx(0.1)
+
+
+def test_rates_rise_and_fall() -> None:
+    rate = Cosine(1.0, 110, warm_up=10, final=0.1)
+    assert rate.at(0) == pytest.approx(1 / 11)
+    assert rate.at(10) == pytest.approx(1.0)
+    assert rate.at(60) == pytest.approx(0.55)
+    assert rate.at(110) == rate.at(500) == pytest.approx(0.1)
+    assert Constant(2.0, warm_up=3).at(1) == pytest.approx(1.0)
+    assert Constant(2.0, warm_up=3).at(3) == 2.0
+    optimiser = torch.optim.SGD(nn.Linear(1, 1).parameters(), lr=1.0)
+    set_rate(optimiser, 0.25)
+    assert optimiser.param_groups[0]["lr"] == 0.25
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (Constant, {"rate": -1.0}),
+        (Cosine, {"rate": 1.0, "steps": 5, "warm_up": 5}),
+        (Stages, {"rates": (0.1,), "epochs": (1, 2)}),
+        (InversePower, {"rate": 1.0, "gamma": -1.0}),
+    ],
+)
+def test_schedules_that_make_no_sense_are_refused(kind: type, given: dict[str, object]) -> None:
+    with pytest.raises(LearningError, match="allowed"):
+        kind(**given)
+
+
+def test_an_average_follows_and_can_be_put_on() -> None:
+    net = nn.Sequential(nn.Linear(1, 1, bias=False), nn.BatchNorm1d(1))
+    with torch.no_grad():
+        net[0].weight.fill_(0.0)
+    ema = Ema(net, 0.5)
+    for value in (1.0, 1.0):
+        with torch.no_grad():
+            net[0].weight.fill_(value)
+        net[1].num_batches_tracked.add_(1)
+        ema.update(net)
+    # Early on 2/11 and 3/12 of the average are left.
+    left = (2 / 11) * (3 / 12)
+    assert ema.weights["0.weight"].item() == pytest.approx(1 - left)
+    assert ema.weights["1.num_batches_tracked"].item() == 2
+    with ema.applied(net):
+        assert net[0].weight.item() == pytest.approx(1 - left)
+    assert net[0].weight.item() == 1.0
+    again = Ema(net, 0.5)
+    again.load_state_dict(ema.state_dict())
+    assert again.state_dict()["updates"] == 2
+    with pytest.raises(LearningError, match="another module or decay"):
+        Ema(net, 0.9).load_state_dict(ema.state_dict())
+
+
+def test_the_device_is_the_one_that_there_is() -> None:
+    launched = accelerator(LaunchSettings(device="cpu", mixed_precision="bf16"))
+    said = described(launched)
+    assert said.startswith("cpu (CPU)")
+    assert said.endswith("mixed precision bf16")
+    with pytest.raises(LearningError, match="found fp16 on a CPU"):
+        accelerator(LaunchSettings(device="cpu", mixed_precision="fp16"))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_an_error() -> None:
+    with pytest.raises(LearningError, match="found cuda, and this machine has none"):
+        accelerator(LaunchSettings(device="cuda"))
+
+
+def test_ctrl_c_asks_once_and_ends_at_once_the_second_time() -> None:
+    now, said = [0.0], []
+    before = signal.getsignal(signal.SIGINT)
+    with Stop(said.append, clock=lambda: now[0]) as stop:
+        assert not stop.asked
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.asked
+        # torchrun passes on what the terminal has sent already.
+        os.kill(os.getpid(), signal.SIGINT)
+        now[0] = 5.0
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert len(said) == 1
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_one_process_stops_when_it_was_asked() -> None:
+    launched = accelerator(LaunchSettings(device="cpu"))
+    stop = Stop()
+    assert not stop.agreed(launched)
+    stop.asked = True
+    assert stop.agreed(launched)

@@ -1,0 +1,96 @@
+"""Networks of SD-Turbo's, CLIP's and VGG16's make, a few thousand random numbers each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from learning.settings import read_settings
+from learning.translation.diffusion.full_size_check import random_pretrained
+from learning.translation.diffusion.pairs import ImagePairs
+from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
+from learning.translation.diffusion.train import Pretrained
+
+SIDE = 16
+"""Of images: their latents are 4 x 4."""
+WIDTH = 16
+"""Of the cross-attention: as many as a latent has pixels, as with the real networks at 256."""
+UNET: dict[str, Any] = {
+    "sample_size": 4,
+    "in_channels": 4,
+    "out_channels": 4,
+    "down_block_types": ["CrossAttnDownBlock2D", "DownBlock2D"],
+    "up_block_types": ["UpBlock2D", "CrossAttnUpBlock2D"],
+    "block_out_channels": [8, 16],
+    "layers_per_block": 1,
+    "norm_num_groups": 4,
+    "attention_head_dim": [2, 4],
+    "cross_attention_dim": WIDTH,
+    "use_linear_projection": True,
+}
+VAE: dict[str, Any] = {
+    "in_channels": 3,
+    "out_channels": 3,
+    "down_block_types": ["DownEncoderBlock2D"] * 3,
+    "up_block_types": ["UpDecoderBlock2D"] * 3,
+    "block_out_channels": [4, 4, 8],
+    "layers_per_block": 1,
+    "norm_num_groups": 2,
+    "latent_channels": 4,
+    "scaling_factor": 0.18215,
+}
+DEEP_VAE: dict[str, Any] = {
+    **VAE,
+    "down_block_types": ["DownEncoderBlock2D"] * 5,
+    "up_block_types": ["UpDecoderBlock2D"] * 5,
+    "block_out_channels": [2, 2, 2, 4, 4],
+}
+"""For images of 256 x 256, whose latents are 16 x 16 then."""
+CLIP: dict[str, Any] = {
+    "hidden_size": 8,
+    "intermediate_size": 16,
+    "num_hidden_layers": 9,
+    "num_attention_heads": 2,
+    "image_size": 32,
+    "patch_size": 8,
+    "projection_dim": 6,
+}
+VGG = (2, 2, 3, 3, 3)
+
+
+def tiny_pretrained(vae: dict[str, Any] = VAE) -> Pretrained:
+    """Return networks that differ from the full-size ones in their sizes alone."""
+    return random_pretrained(UNET, vae, CLIP, VGG)
+
+
+def write_base(folder: Path, vae: dict[str, Any] = VAE) -> Path:
+    """Write SD-Turbo's two networks in diffusers' layout, as diffusers itself does."""
+    made = tiny_pretrained(vae)
+    made.unet.save_pretrained(folder / "unet")
+    made.vae.save_pretrained(folder / "vae")
+    return folder
+
+
+def tiny_settings(preset: str = "ours", **weights: str) -> TranslatorSettings:
+    """Return a preset for a few steps on a CPU, with tiny adapters."""
+    few = ["steps=4", "batch=2", "launch={device: cpu, mixed_precision: no}", "log_every=1"]
+    given = [f"weights.{name}={value}" for name, value in weights.items()]
+    return read_settings(
+        TranslatorSettings,
+        TRANSLATOR_PRESETS,
+        preset,
+        [*few, "unet_rank=2", "vae_rank=2", "optimiser.rate={kind: constant, rate: 0.01}", *given],
+    )
+
+
+def striped_pairs(count: int = 4) -> ImagePairs:
+    """Return pairs of stripes: the target has those of the source, turned by a right angle."""
+    lines = torch.arange(SIDE)
+    shifted = torch.stack([((lines + 2 * each) // 4) % 2 for each in range(count)])
+    source = (shifted[:, None, :] * 255).expand(-1, SIDE, -1).to(torch.uint8)
+    images = torch.cat((source, source.transpose(1, 2)))
+    belongs = torch.arange(2 * count) // count
+    every = torch.arange(2 * count)
+    return ImagePairs(images, belongs, images[[0, count]], every[:count], every[count:])
