@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import functools
 import sys
 from dataclasses import replace
@@ -40,10 +41,6 @@ LEARNING = Path(__file__).parent.parent / "learning"
 @functools.cache
 def _network(preset: str = "ours") -> MarkerToMarker:
     """Return a network that tests leave as it is."""
-    return _new_network(preset)
-
-
-def _new_network(preset: str = "ours") -> MarkerToMarker:
     made = tiny_pretrained()
     return build(made.unet, made.vae, tiny_settings(preset))
 
@@ -130,11 +127,12 @@ def test_images_are_translated_to_images_of_their_size() -> None:
 
 def test_grey_levels_come_back_from_either_range() -> None:
     images = unit(torch.arange(256, dtype=torch.uint8).view(1, 16, 16))
-    for preset in ("ours", "authors_code"):
-        network = _network(preset)
-        assert torch.equal(network.grey(network.native(images)), (images * 255)[:, 0].byte())
-    assert float(_network("ours").native(images).min()) == -1
-    assert float(_network("authors_code").native(images).min()) == 0
+    for pixel_range, black in (("minus_one_one", -1), ("zero_one", 0)):
+        network = copy.copy(_network())
+        network.pixel_range = pixel_range
+        native = network.native(images)
+        assert torch.equal(network.grey(native), (images * 255)[:, 0].byte())
+        assert (float(native.min()), float(native.max())) == (black, 1)
 
 
 @pytest.mark.parametrize("preset", ["ours", "authors_code"])
@@ -171,16 +169,17 @@ def _judges(made: object) -> list[tuple[str, torch.Tensor]]:
 
 
 def test_state_is_what_the_published_weights_do_not_hold_and_goes_back() -> None:
-    network, other = _network(), _new_network()
-    state = network.state_dict()
+    network = _network()
+    state = {name: each.clone() for name, each in network.state_dict().items()}
     assert {name.split(".")[0] for name in state} == {"unet", "vae", "reference", "tokens"}
     assert not [name for name in state if ".base_layer." in name]
     changed = {name: each + 1 for name, each in state.items()}
-    other.load_state_dict(changed)
-    assert all(torch.equal(each, changed[name]) for name, each in other.state_dict().items())
+    network.load_state_dict(changed)
+    assert all(torch.equal(each, changed[name]) for name, each in network.state_dict().items())
+    network.load_state_dict(state)
     lacking = dict(list(changed.items())[1:])
     with pytest.raises(RuntimeError, match="Missing key"):
-        other.load_state_dict(lacking)
+        network.load_state_dict(lacking)
 
 
 def test_learning_does_not_import_the_diffusion_extra_before_it_is_needed() -> None:

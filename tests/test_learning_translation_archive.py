@@ -247,7 +247,7 @@ def test_an_archive_that_is_half_written_is_refused(tmp_path):
 
 def test_a_damaged_archive_is_an_error_and_the_rest_can_be_made_later(tmp_path):
     small = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
-    (shard,) = (one for one in (small.path / "dots/markers/c").rglob("*") if one.is_file())
+    shard = small.path / "dots/markers/c.0.0"
     whole = shard.read_bytes()
     shard.write_bytes(whole[: len(whole) // 2])
     out, pair = tmp_path / "x.markers.zarr", [Pair("dots", "grid")]

@@ -26,7 +26,7 @@ from learning.translation.field.frames import Frames, gather_role
 from learning.translation.field.model import FieldModel
 from learning.translation.field.settings import PRESETS, ExampleSettings, FieldSettings
 from learning.translation.field.translator import FieldTranslator
-from recorder import MarkerArchive
+from recorder import MarkerArchive, SessionError
 from recorder.markers import HEIGHT, WIDTH, draw_discs, place_discs
 
 UNTOUCHED = State((320.0, 240.0), 90.0, 0.0)
@@ -201,6 +201,27 @@ def test_frames_are_those_of_the_role_and_pairs_share_place_and_phase(
     assert bool((frames.sensor[source] != frames.sensor[target]).all())
     assert frames.shift is not None
     assert torch.equal(frames.shift[source], frames.shift[target])
+
+
+def test_more_frames_than_there_is_memory_for_are_refused(
+    archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("learning.translation.field.frames.free_bytes", lambda device: 1_000_000)
+    with pytest.raises(LearningError, match="frames: found"):
+        gather_role(archive, make_split(archive), tuple(archive), "train")
+
+
+def test_an_unknown_sensor_is_refused(archive: MarkerArchive) -> None:
+    with pytest.raises(LearningError, match="no sensor 'none'; known: dots, grid"):
+        gather_role(archive, make_split(archive), ("none",), "train")
+
+
+def test_an_archive_that_is_not_finished_is_refused(tmp_path: Path, archive: MarkerArchive) -> None:
+    begun = made_up_archive(
+        tmp_path / "x.markers.zarr", indenters=("sphere",), frames_per_phase=1, finish=False
+    )
+    with pytest.raises(SessionError, match="still being written"):
+        gather_role(begun, make_split(archive), ("dots",), "train")
 
 
 def test_frames_that_do_not_fit_together_are_refused(frames: Frames) -> None:

@@ -34,8 +34,8 @@ from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, aimed
 from recorder import MarkerArchive
 
-BEFORE, TRANSFERRED, TARGET = "source-only", "transferred", "target"
-_CHOICES = {"compensated": "default", "oracle": "oracle"}
+BEFORE, TRANSFERRED, COMPENSATED, TARGET = "source-only", "transferred", "compensated", "target"
+_CHOICES = {COMPENSATED: "default", "oracle": "oracle"}
 """How the compensation file calls what evaluations call so."""
 
 
@@ -155,7 +155,7 @@ class Forces:
         data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint} {presses.sensor}"
         with RunFolder.open(folder, KIND, settings, data, True, keep=1) as run:
             if not run.finished:
-                steps = Progress(f"epochs of {name}", sys.stderr)
+                steps = Progress(f"steps of {name}", sys.stderr)
                 try:
                     with Stop(partial(print, file=sys.stderr)) as stop:
                         train_force(

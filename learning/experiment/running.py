@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from learning.compensation import read_stored
@@ -18,10 +19,11 @@ from learning.data.fingerprint import archive_fingerprint
 from learning.data.splits import Split, make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.features import MarkerGrid
+from learning.evaluation.force_table import UNSEEN, ForceRow
 from learning.evaluation.report import Report, write_report
 from learning.evaluation.scoring import score_translation
 from learning.evaluation.translation_scores import TranslationScores, read_scores
-from learning.experiment.forces import Forces
+from learning.experiment.forces import BEFORE, COMPENSATED, TRANSFERRED, Forces
 from learning.experiment.models import Places, make_translators, run_command
 from learning.experiment.parts import TESTED, Pair, pairs_of, thinned
 from learning.experiment.settings import ExperimentSettings
@@ -78,6 +80,23 @@ def run_experiment(
     predictions = forces.predict_all(wanted)
     scores = _scores(archive, split, settings, places, wanted, models, say)
     return write_report(predictions, scores, places.report, title=settings.description)
+
+
+def gained(rows: Sequence[ForceRow]) -> str:
+    """Return R2 on unseen indenters before and after, means over pairs, axes and translators.
+
+    After is what needs no label of the target: with the default compensation, where there is one.
+
+    Args:
+        rows: Errors of an experiment's pairs.
+    """
+    unseen = [row for row in rows if row.role == UNSEEN]
+    after = COMPENSATED if any(row.method == COMPENSATED for row in unseen) else TRANSFERRED
+    said = []
+    for name, method in ((BEFORE, BEFORE), (TRANSFERRED, after)):
+        values = [row.errors.r2_mean for row in unseen if row.method == method]
+        said.append(f"{name} R2 {np.mean(values):.3f}")
+    return "  ".join(said)
 
 
 def _begin(

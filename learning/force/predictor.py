@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from learning.data.force_range import AUTHORS
 from learning.data.presses import Presses
 from learning.force.batches import prepared_rows, require_form
 from learning.force.network import ForceModel
@@ -105,7 +106,7 @@ def load_force_model(
 
 
 def untrained(preset: str, device: str | torch.device = "cpu") -> ForcePredictor:
-    """Return a model with the random weights that training a preset begins with.
+    """Return a model of a preset with random weights; its box of forces is the authors'.
 
     Raises:
         LearningError: No such preset.
@@ -113,4 +114,5 @@ def untrained(preset: str, device: str | torch.device = "cpu") -> ForcePredictor
     settings = read_settings(ForceSettings, PRESETS, preset)
     seed_torch(settings.seed, "force", "weights")
     model = ForceModel(settings.network, settings.input)
+    model.set_range(AUTHORS)
     return ForcePredictor(model.to(torch.device(device)).eval(), settings)

@@ -256,7 +256,7 @@ def _save(
     models: dict[str, nn.Module | State] = {"model": model}
     if best is not None:
         models["best"] = best
-    training = {"optimiser": optimiser, "course": asdict(course)}
+    training: dict[str, Any] = {"optimiser": optimiser, "course": asdict(course)}
     if average is not None:
         training["average"] = average
     run.save(course.steps, models, training, score=score)
@@ -266,7 +266,7 @@ def _resumed(
     run: RunFolder, model: nn.Module, optimiser: Any, average: Ema | None
 ) -> tuple[Course, State | None]:
     """Return how far a run is, and the best weights of its stage; fill what it goes on with."""
-    training = {"optimiser": optimiser}
+    training: dict[str, Any] = {"optimiser": optimiser}
     if average is not None:
         training["average"] = average
     run.restore({"model": model}, training)

@@ -40,8 +40,7 @@ def add_to(verbs: Verbs) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from learning.evaluation.force_table import UNSEEN, gain_line
-    from learning.experiment.running import run_experiment
+    from learning.experiment.running import gained, run_experiment
     from learning.experiment.settings import PRESETS, ExperimentSettings
     from learning.settings import read_settings
 
@@ -58,5 +57,5 @@ def _run(options: argparse.Namespace) -> int:
     for line in report.lines:
         print(line)
     print(f"{report.files[0]}: written, beside {len(report.files) - 1} tables")
-    print(gain_line(report.force, UNSEEN))
+    print(gained(report.force))
     return 0

@@ -106,7 +106,7 @@ def _run(options: argparse.Namespace) -> int:
         finally:
             reading.close()
             steps.close()
-        if stop.asked:
+        if stop.agreed(launched):
             print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
             return EXIT_INTERRUPTED
         run.finish(settings.steps, {"model": network})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,19 +57,18 @@ def _run(options: argparse.Namespace) -> int:
     from learning.training.run_folder import RunFolder
     from learning.training.stopping import EXIT_INTERRUPTED, Stop
     from learning.translation.direct import KIND
-    from learning.translation.direct.aligned import align
+    from learning.translation.direct.aligned import align, group
     from learning.translation.direct.settings import PRESETS, DirectSettings
     from learning.translation.direct.train import train
     from recorder import MarkerArchive
 
     settings = read_settings(DirectSettings, PRESETS, options.preset, options.set)
     archive, split = MarkerArchive(options.archive), read_split(options.split)
-    split.check(archive)
-    sensors = tuple(options.sensors.split(",")) if options.sensors else None
+    sensors = group(archive, split, options.sensors.split(",") if options.sensors else None)
+    if not len(split.locations("train")):
+        raise LearningError(f"{options.split}: found no location to train on")
     network, mark = _begun(options, settings)
-    data = " ".join(
-        [archive_fingerprint(archive), split.fingerprint, mark, *(sensors or ("all sensors",))]
-    )
+    data = " ".join([archive_fingerprint(archive), split.fingerprint, mark, *sensors])
     launched = accelerator(settings.launch)
     with RunFolder.open(
         options.out, KIND, settings, data, options.resume, writes=launched.is_main_process
@@ -79,23 +79,17 @@ def _run(options: argparse.Namespace) -> int:
         print(described(launched), file=sys.stderr)
         reading, steps = Progress("images", sys.stderr), Progress("steps", sys.stderr)
         try:
-            training, validation = (
-                align(
-                    archive,
-                    split,
-                    role,
-                    sensors=sensors,
-                    preset=settings.pairs,
-                    fields=role == "train",
-                    device=launched.device,
-                    progress=reading,
-                )
-                if len(split.locations(role))
-                else None
-                for role in ("train", "validation")
+            gather = functools.partial(
+                align,
+                archive,
+                split,
+                sensors=sensors,
+                preset=settings.pairs,
+                device=launched.device,
             )
-            if training is None:
-                raise LearningError(f"{options.split}: found no location to train on")
+            training = gather("train", progress=reading)
+            measured = len(split.locations("validation")) > 0
+            validation = gather("validation", fields=False) if measured else None
             with Stop(lambda line: print(line, file=sys.stderr)) as stop:
                 trained = train(
                     network,
@@ -110,7 +104,7 @@ def _run(options: argparse.Namespace) -> int:
         finally:
             reading.close()
             steps.close()
-        if stop.asked:
+        if stop.agreed(launched):
             print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
             return EXIT_INTERRUPTED
         run.finish(settings.steps, {"model": trained}, facts={"sensors": list(training.sensors)})

@@ -115,11 +115,11 @@ def train(
     validation = None if validation is None else validation.to(device)
 
     # Models.
+    perceptual, features, heads = _judges(pretrained, settings, device)
     network = build(pretrained.unet, pretrained.vae, settings, vae_adapter=vae_adapter)
     if start_from is not None:
         load_weights(network, start_from, "start_from")
     network.to(device).train()
-    perceptual, features, heads = _judges(pretrained, settings, device)
 
     # Optimisers, wrapped for the devices; the discriminator is apart from the generator.
     own = settings.optimiser

@@ -74,28 +74,29 @@ def merged(
     batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
 ) -> dict[str, torch.Tensor]:
     """Learn from the batches of one step; the mean of each loss, before it is weighted."""
-    said = []
+    share = 1 / len(batches)
+    said: list[dict[str, torch.Tensor]] = []
+    shown = []
     for number, batch in enumerate(batches):
-        last = number == len(batches) - 1
-        share = 1 / len(batches)
-        with _synchronised(generator.network, last, runs_on):
+        with _synchronised(generator.network, number == len(batches) - 1, runs_on):
             made = _translate(generator.network, batch)
             parts = _reconstruction(made, batch, generator, judges, runs_on)
             if judges.heads is not None:
                 parts["adversarial"] = _fooling(made, batch, judges, runs_on)
             runs_on.backward(_weighted(parts, judges.losses) * share)
-        if judges.heads is not None and judges.features is not None:
-            true = _native(batch, generator, runs_on)
-            shown = torch.cat((true, made.detach()))
-            with _synchronised(judges.heads.network, last, runs_on):
-                logits = judges.heads.network(_seen(shown, batch, judges.features))
-                real = multilevel_sigmoid([level[: len(true)] for level in logits], real=True)
-                fake = multilevel_sigmoid([level[len(true) :] for level in logits], real=False)
-                parts["discriminator"] = real + fake
-                runs_on.backward(parts["discriminator"] * judges.losses.adversarial * share)
         said.append({name: part.detach() for name, part in parts.items()})
+        shown.append(made.detach())
     _advance(generator, runs_on)
-    if judges.heads is not None:
+    if judges.heads is not None and judges.features is not None:
+        for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
+            # One pass for both: spectral norms move with every pass.
+            both = torch.cat((_native(batch, generator, runs_on), made))
+            with _synchronised(judges.heads.network, number == len(batches) - 1, runs_on):
+                logits = judges.heads.network(_seen(both, batch, judges.features))
+                true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
+                loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
+                runs_on.backward(loss * judges.losses.adversarial * share)
+            said[number]["discriminator"] = loss.detach()
         _advance(judges.heads, runs_on)
     return {name: torch.stack([each[name] for each in said]).mean() for name in said[0]}
 

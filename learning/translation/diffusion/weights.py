@@ -37,7 +37,6 @@ _WEIGHTS = (
 _CLIP_WEIGHTS = ("model.safetensors", "pytorch_model.bin")
 _OLD_ATTENTION = {".query.": ".to_q.", ".key.": ".to_k.", ".value.": ".to_v."}
 _OLD_OUTPUT = ".proj_attn.", ".to_out.0."
-_LISTED = 3  # names of tensors that an error lists
 
 
 def vendor(module: str) -> Any:
@@ -210,13 +209,6 @@ def _new_name(name: str) -> str:
         for old, new in (*_OLD_ATTENTION.items(), _OLD_OUTPUT):
             name = name.replace(old, new)
     return name
-
-
-def _some(names: list[str]) -> str:
-    if not names:
-        return "nothing"
-    rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return ", ".join(names[:_LISTED]) + rest
 
 
 def _first_line(error: Exception) -> str:

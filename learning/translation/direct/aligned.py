@@ -76,16 +76,7 @@ def align(
             or no frames that belong together.
         SessionError: No such sensor, or an archive that is damaged or still being written.
     """
-    split.check(archive)
-    trained = split.trained_sensors(archive)
-    names = tuple(sensors or trained)
-    for name in names:
-        if name not in trained:
-            raise LearningError(f"sensors: found {name!r}; allowed: {', '.join(trained)}")
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise LearningError(
-            f"sensors: found {', '.join(names) or 'none'}; allowed: two or more different ones"
-        )
+    names = group(archive, split, sensors)
     chosen = [archive[name] for name in names]
     rows, location = _common_rows(chosen, preset)
     kept = np.isin(location, split.locations(role))
@@ -118,6 +109,32 @@ def align(
         field_of=(-1,) * len(names) if found is None else found[1],
         lattice=None if found is None else found[2],
     )
+
+
+def group(
+    archive: MarkerArchive, split: Split, sensors: Sequence[str] | None = None
+) -> tuple[str, ...]:
+    """Return the names of the sensors that are trained on together.
+
+    Args:
+        archive: Where they are.
+        split: Which of them are held out.
+        sensors: Those that are wanted; None: all that are not held out.
+
+    Raises:
+        LearningError: A split of another archive, fewer than two sensors or one that is held out.
+    """
+    split.check(archive)
+    trained = split.trained_sensors(archive)
+    names = tuple(sensors or trained)
+    for name in names:
+        if name not in trained:
+            raise LearningError(f"sensors: found {name!r}; allowed: {', '.join(trained)}")
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise LearningError(
+            f"sensors: found {', '.join(names) or 'none'}; allowed: two or more different ones"
+        )
+    return names
 
 
 def _common_rows(

@@ -14,6 +14,7 @@ from torch import Tensor
 from learning.data.fields import read_fields
 from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.presses import read_frames
+from learning.data.residence import FRAME_BYTES, free_bytes
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from learning.translation.field.deformation import SIDE, from_displacement
@@ -23,6 +24,7 @@ from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 from recorder.markers import unpack
 
 _AT_ONCE = 256  # frames that are read together
+_SHIFT_BYTES = 2 * 2 * SIDE * SIDE  # of a frame, float16
 _DISTANCES_AT_ONCE = 8  # full-size masks whose distances are worked out together
 
 
@@ -150,12 +152,14 @@ def gather_frames(
         progress: Called with the frames that were read and those there are.
 
     Raises:
-        LearningError: No frame, or a sensor whose reference has no marker.
+        LearningError: No frame, more of them than there is memory for, an unknown sensor, or one
+            whose reference has no marker.
         SessionError: A damaged archive.
     """
     if not any(map(len, rows.values())):
         raise LearningError(f"{archive.name}: found no frame to learn from; allowed: one and more")
     device = torch.device(device)
+    _require_room(sum(map(len, rows.values())), device)
     images, references, distances, shifts = [], [], [], []
     begun = held = 0
     for name, wanted in rows.items():
@@ -208,6 +212,21 @@ def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.devic
     shift = from_displacement(fields.displacement, fields.lattice).half()
     shift[~fields.known.flatten(1).any(dim=1)] = torch.nan
     return shift
+
+
+def _require_room(count: int, device: torch.device) -> None:
+    """Refuse more frames than a device has memory for.
+
+    Raises:
+        LearningError: Images and fields would not leave enough for the training.
+    """
+    # They are there twice while those of all sensors are joined; later there is room to train.
+    needed, free = count * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
+    if needed > free:
+        raise LearningError(
+            f"frames: found {count:,}, {needed / 1e9:.1f} GB; allowed: {free / 1e9:.1f} GB on "
+            f"{device} (a larger every_frame, fewer sensors)"
+        )
 
 
 def _passed_on(

@@ -1,0 +1,157 @@
+"""An experiment makes everything once, goes on where it was, and refuses to become another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from made_up_archives import made_up_archive
+
+from learning.data.images import shrink_masks
+from learning.data.splits import make_split
+from learning.errors import LearningError
+from learning.evaluation.predictions import read_predictions
+from learning.experiment import forces, running
+from learning.experiment.parts import as_images, look_of, pairs_of, thinned, trained_on
+from learning.experiment.settings import PRESETS, ExperimentSettings
+from learning.experiment.translating import flow_fields, translate_presses, warp_presses
+from learning.settings import preset_names, read_settings
+from learning.translation.flow import FlowTranslator
+from learning.translation.translator import SensorView
+from recorder import MarkerArchive
+
+CPU = torch.device("cpu")
+SMALL = (
+    'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
+    '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
+    "fine_tuning=[]",
+    "scored_presses=1",
+)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("experiment") / "made-up.markers.zarr"
+    return made_up_archive(path, targets=3, frames_per_phase=2, force_depth=2)
+
+
+def settings(*changed: str) -> ExperimentSettings:
+    return read_settings(ExperimentSettings, PRESETS, "demo", (*SMALL, *changed))
+
+
+def run(archive: MarkerArchive, out: Path, *changed: str) -> list[str]:
+    said: list[str] = []
+    report = running.run_experiment(
+        archive.path, out, settings(*changed), pairs=["dots:grid"], say=said.append
+    )
+    return [*said, running.gained(report.force)]
+
+
+def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
+    archive: MarkerArchive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    said = run(archive, out)
+    assert said[-1].startswith("source-only R2 ")
+    assert "  transferred R2 " in said[-1]
+    assert (out / "report" / "report.html").is_file()
+    found = read_predictions(out / "results" / "dots-to-grid.compensated.flow.npz")
+    assert set(found.role) == {"new_press", "new_indenter"}
+    assert set(found.indenter[found.role == "new_indenter"]) == {"cone"}
+
+    def refuse(*arguments: object, **options: object) -> None:
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr(forces, "train_force", refuse)
+    assert run(archive, out) == [line for line in said if not line.startswith("python")]
+    with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
+        run(archive, out, "seed=1")
+
+
+def test_presses_translated_together_are_those_translated_one_by_one(
+    archive: MarkerArchive,
+) -> None:
+    source, target = archive["dots"], archive["grid"]
+    split = make_split(archive)
+    packed = trained_on(source, split, "train", settings(), CPU)
+    assert packed is not None
+    look = look_of(target, packed, CPU)
+    views = SensorView.of(source), SensorView.of(target)
+    warped = warp_presses(packed, look, flow_fields(packed, *views))
+    translator = FlowTranslator(*views)
+    for press in range(len(packed)):
+        rows = packed.rows[packed.starts[press] : packed.starts[press + 1]].numpy()
+        alone = translator.translate(
+            torch.from_numpy(source.masks(rows)),
+            torch.from_numpy(target.reference(0)),
+            torch.from_numpy(source.reference(0)),
+            ordered=True,
+        )
+        together = warped.images[packed.starts[press] : packed.starts[press + 1]]
+        # Fields are kept in 16 bits: an edge may fall on the pixel beside.
+        assert (together.int() - shrink_masks(alone).int()).abs().float().mean() < 0.5
+    assert (warped.wrench == packed.wrench).all()
+    assert warped.sensor == "dots-to-grid"
+
+
+class Same:
+    """A translator that shows the source as it is."""
+
+    name = "same"
+
+    def translate(
+        self,
+        source: torch.Tensor,
+        target_reference: torch.Tensor,
+        source_reference: torch.Tensor | None = None,
+        *,
+        ordered: bool = False,
+    ) -> torch.Tensor:
+        assert source_reference is not None
+        return source
+
+
+def test_frames_keep_their_places_in_translation(archive: MarkerArchive) -> None:
+    packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
+    assert packed is not None
+    shown = translate_presses(packed, look_of(archive["grid"], packed, CPU), Same())
+    assert torch.equal(shown.images, as_images(packed).images)
+    assert not torch.equal(shown.references, as_images(packed).references)
+
+
+def test_a_thinner_split_moves_what_it_leaves_out_and_nothing_else(archive: MarkerArchive) -> None:
+    split = make_split(archive, new_press=0.3, validation=0.0)
+    few = thinned(split, 1, seed=0)
+    assert len(few.locations("new_indenter")) == len(few.locations("new_press")) == 1
+    assert np.array_equal(few.locations("train"), split.locations("train"))
+    assert len(few.presses) == len(split.presses)
+    few.check(archive)
+
+
+def test_pairs_are_all_directed_ones_or_those_asked_for(archive: MarkerArchive) -> None:
+    assert len(pairs_of(archive, None)) == 2
+    with pytest.raises(LearningError, match="found 'dots:dots'; allowed: SOURCE:TARGET"):
+        pairs_of(archive, ["dots:dots"])
+    with pytest.raises(LearningError, match="two of dots, grid"):
+        pairs_of(archive, ["dots:squares"])
+
+
+@pytest.mark.parametrize("name", preset_names(PRESETS))
+def test_presets_can_be_read(name: str) -> None:
+    assert read_settings(ExperimentSettings, PRESETS, name).translators
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ("translators=[]", "translators: found"),
+        ("translators=[flow, flow]", "each once"),
+        ("train_presses=0", "train_presses: found 0; allowed: 1 and more, or none"),
+        ("scored_presses=-1", "scored_presses: found -1"),
+    ],
+)
+def test_senseless_experiments_are_refused(changed: str, said: str) -> None:
+    with pytest.raises(LearningError, match=said):
+        settings(changed)
