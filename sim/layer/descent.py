@@ -59,15 +59,15 @@ def descend(
         done += 1
         move = problem.project(x - step * slope) - x
         answer = problem.apply(move)
-        curvature = float(np.vdot(move, answer))
-        if not curvature > 0:
-            break
+        curvature, size = float(np.vdot(move, answer)), float(np.vdot(answer, answer))
+        if not (curvature > 0 and size > 0):
+            break  # nothing is left that a number can hold: squares vanish before residuals do
         share = min(1.0, -float(np.vdot(slope, move)) / curvature)
         x = x + share * move
         slope = slope + share * answer
         if done % 2:
             step = float(np.vdot(move, move)) / curvature
         else:
-            step = curvature / float(np.vdot(answer, answer))
+            step = curvature / size
         residual = problem.residual(x, slope)
     return Found(x, slope, residual, done)

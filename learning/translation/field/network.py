@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import torch
@@ -81,7 +82,9 @@ class Contraction(nn.Module):
             for width, wider in itertools.pairwise(widths)
         )
         deepest = side // 2 ** (len(widths) - 1)
-        self.attention = Attention(widths[-1], max(1, widths[-1] // 32), deepest)
+        # Heads of some 32 channels, as far as they divide the width.
+        heads = math.gcd(widths[-1], max(1, widths[-1] // 32))
+        self.attention = Attention(widths[-1], heads, deepest)
         self.last = ResidualBlock(widths[-1], widths[-1], condition)
 
     def forward(self, field: Tensor, condition: Tensor | None = None) -> list[Tensor]:
