@@ -16,10 +16,10 @@ DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning live endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning live endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z -]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
@@ -100,7 +100,7 @@ markers: $(VENV)/.markers  ## Marker archive of sessions: SESSIONS="a.zarr b.zar
 split: $(VENV)/.learning  ## Say which presses train and which test: ARCHIVE=x.markers.zarr [OUT=split.json] [ARGS="--new-press 0.2"]
 	@$(PY) -m learning split $(ARCHIVE) --out $(or $(OUT),$(ARCHIVE:.markers.zarr=.split.json)) $(ARGS)
 
-train-field train-autoencoder train-direct train-diffusion: $(VENV)/.learning  ## Train a translator: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
+train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(VENV)/.learning  ## Train a translator: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
 	@$(LAUNCH) -m learning $@ $(ARCHIVE) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 train-force: $(VENV)/.learning  ## Train a force model: ARCHIVE= SENSOR= SPLIT= OUT=runs/x [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
@@ -122,8 +122,8 @@ bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time: [ARG
 	@$(PY) -m learning bench $(ARGS)
 
 demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes): [OUT=runs/demo-learning]
-	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.03 --steps 5 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
-	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo
+	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.03 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
+	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)

@@ -164,6 +164,7 @@ def test_a_translator_starts_from_the_trained_autoencoder_in_all_three_places() 
             assert torch.equal(state[f"reference.{name}"], each)
 
 
+@pytest.mark.slow
 def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: Path) -> None:
     settings = _vae_settings("accumulation=2", "steps=2")
     images, states = striped_pairs().images, []

@@ -104,7 +104,11 @@ FEW = (Variant("torch", "fp32"), Variant("torch", "bf16"), Variant("onnxruntime"
 
 
 @pytest.mark.slow
-def test_costs_are_of_every_way_to_run_a_model(predictor: ForcePredictor, tmp_path: Path) -> None:
+def test_costs_are_of_every_way_to_run_a_model(
+    predictor: ForcePredictor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The calibration's progress bar would keep a thread for the life of the process.
+    monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
     sample = sample_of(noise_presses(2), predictor)
     rows = costs("toy", predictor, sample, tmp_path, threads=1, least_frames=3, variants=FEW)
     assert [(row.runtime, row.precision) for row in rows] == [

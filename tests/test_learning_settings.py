@@ -86,6 +86,11 @@ def test_overrides_win_in_their_order(presets: Path) -> None:
     assert read.speed == Slow(9.0)
 
 
+@pytest.mark.parametrize("text", ["6612e71f", "1e5 dots", "truely", "no", "1e"])
+def test_words_that_begin_like_a_number_stay_words(presets: Path, text: str) -> None:
+    assert read_settings(Outer, presets, "full", (f"source={text}",)).source == text
+
+
 def test_plain_values_make_the_same_settings_again(presets: Path) -> None:
     from learning.settings import build
 
