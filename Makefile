@@ -122,7 +122,7 @@ bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time: [ARG
 	@$(PY) -m learning bench $(ARGS)
 
 demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes): [OUT=runs/demo-learning]
-	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.03 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
+	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]

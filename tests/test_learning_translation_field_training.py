@@ -192,5 +192,4 @@ def test_patterns_and_indenters_never_seen_are_better_than_without_a_warp(tmp_pa
     assert scores["dice"] > scores["dice_still"] + 0.03
     assert scores["shift_error_px"] < 2.0
     mapped = map_scores(model, unseen, found_in_sources(model, unseen), 32, 0)
-    print(scores, mapped)
     assert mapped["dice"] > mapped["dice_still"] + 0.03

@@ -65,9 +65,6 @@ def descend(
         share = min(1.0, -float(np.vdot(slope, move)) / curvature)
         x = x + share * move
         slope = slope + share * answer
-        if done % 2:
-            step = float(np.vdot(move, move)) / curvature
-        else:
-            step = curvature / size
+        step = float(np.vdot(move, move)) / curvature if done % 2 else curvature / size
         residual = problem.residual(x, slope)
     return Found(x, slope, residual, done)
