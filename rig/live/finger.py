@@ -19,7 +19,7 @@ from rig.arm.rotation import transform
 from rig.bench import Bench, addressed, bench_from
 from rig.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.emulators import Stage, emulator_commands, world_commands
-from rig.errors import ConfigError
+from rig.errors import ConfigError, DeviceLost
 from rig.latest import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.launched import Launched
 from rig.mock import free_loopback
@@ -28,13 +28,15 @@ from rig.world.simulated import PRESS_FILE, SimulatedSpec
 from rig.world.truth import Truth
 from trajectories import Point
 
-_RATE_HZ = 125.0
+_RATE_HZ = 125
 # As a UR3's controller; motion between two states is a straight line.
 _STRIDE = 37
 # Targets of a plan differ little from one to the next; so far on, depth and direction do.
 _SENSORS = ("camera", "taxels")
 _END_TIMEOUT = 5.0
 # For the World's process [s].
+_FIRST_TIMEOUT = 10.0
+# For its first state [s].
 
 
 class TouchedMock:
@@ -59,6 +61,7 @@ class TouchedMock:
         self._truth_path = folder / "truth.log"
         self._launched = Launched(folder, SystemClock())
         self._arm: LatestRecord | None = None
+        self._published: LatestRecord | None = None
         self._finger: _Finger | None = None
 
     def __enter__(self) -> TouchedMock:
@@ -99,9 +102,10 @@ class TouchedMock:
             self._finger.close()
             self._finger = None
         self._launched.close()
-        if self._arm is not None:
-            self._arm.close()
-            self._arm = None
+        for record in (self._arm, self._published):
+            if record is not None:
+                record.close()
+        self._arm = self._published = None
 
     def _start(self) -> None:
         bench, folder = self.bench, self._folder
@@ -113,7 +117,7 @@ class TouchedMock:
             "indenter": bench.indenter,
         }
         spec.write_text(json.dumps(told))
-        LatestRecord.create(world, WORLD_STATE).close()
+        published = self._published = LatestRecord.create(world, WORLD_STATE)
         if isinstance(bench.world, SimulatedSpec):
             LatestRecord.create(folder / PRESS_FILE, PRESS_STATE).close()
         self._arm = LatestRecord.create(arm, ARM_TRUTH)
@@ -122,8 +126,16 @@ class TouchedMock:
         commands = {name: emulators[name] for name in _SENSORS if name in emulators}
         for name, arguments in {**commands, **world_commands(stage)}.items():
             self._launched.start(name, arguments)
+        clock = SystemClock()
+        self._finger = _Finger(self._arm, bench, clock)
         self._launched.wait_ready()
-        self._finger = _Finger(self._arm, bench, SystemClock())
+        # Before its first state an emulator has nothing to serve but zeros, which are no counts.
+        latest_ns = clock.now_ns() + round(_FIRST_TIMEOUT * SECOND_NS)
+        while not published.count:
+            if clock.now_ns() > latest_ns:
+                raise DeviceLost(f"world: no state in {_FIRST_TIMEOUT:g} s")
+            self._launched.check()
+            clock.sleep_until(clock.now_ns() + SECOND_NS // _RATE_HZ)
 
 
 class _Finger:
