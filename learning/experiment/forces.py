@@ -222,6 +222,7 @@ class Forces:
         return self._tested[sensor]
 
     def _force_settings(self, changed: Sequence[str]) -> ForceSettings:
+        changed = (*changed, f"launch.device={self.device.type}")
         settings = read_settings(ForceSettings, PRESETS, self.settings.force.preset, changed)
         if settings.input.stored_form != "images":
             raise LearningError(

@@ -68,7 +68,7 @@ def make_translators(
     models: dict[str, Model] = {}
     for name in settings.translators:
         folder: str | Path = name
-        for command in _commands(name, places, settings):
+        for command in _commands(name, places, settings, device):
             folder = places.model(command[0].removeprefix("train-"))
             run_command(command, say)
         models[name] = Model(load_translator(folder, device), name, hash_of(folder), str(device))
@@ -106,6 +106,6 @@ def _commands(name: str, places: Places, settings: ExperimentSettings) -> Iterat
 def _training(places: Places, kind: str, choice: ModelChoice) -> list[str]:
     command = [f"train-{kind}", str(places.archive), "--split", str(places.split)]
     command += ["--out", str(places.model(kind)), "--resume", "--preset", choice.preset]
-    for each in choice.set:
+    for each in (*choice.set, f"launch.device={device.type}"):
         command += ["--set", each]
     return command

@@ -95,7 +95,7 @@ def gained(rows: Sequence[ForceRow]) -> str:
     said = []
     for name, method in ((BEFORE, BEFORE), (TRANSFERRED, after)):
         values = [row.errors.r2_mean for row in unseen if row.method == method]
-        said.append(f"{name} R2 {np.mean(values):.3f}")
+        said.append(f"{name} R2 {np.mean(values):.3f}" if values else f"{name} R2 unknown")
     return "  ".join(said)
 
 
