@@ -155,3 +155,25 @@ def test_presets_can_be_read(name: str) -> None:
 def test_senseless_experiments_are_refused(changed: str, said: str) -> None:
     with pytest.raises(LearningError, match=said):
         settings(changed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_learned_translators_are_trained_by_their_own_commands(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    said = run(
+        archive,
+        out,
+        "translators=[field, direct]",
+        "compensation=[]",
+        'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}',
+        'autoencoder={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
+        'direct={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
+    )
+    commands = [line.split()[3] for line in said if line.startswith("python")]
+    assert commands == ["train-field", "train-autoencoder", "train-direct"]
+    for name in ("field", "direct"):
+        assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()
+        assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()

@@ -93,17 +93,19 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
         raise LearningError(f"`{said}` ended with exit code {code}")
 
 
-def _commands(name: str, places: Places, settings: ExperimentSettings) -> Iterator[list[str]]:
+def _commands(
+    name: str, places: Places, settings: ExperimentSettings, device: torch.device
+) -> Iterator[list[str]]:
     """Return the commands that train a translator, the one that gives it last."""
     if name == "field":
-        yield _training(places, "field", settings.field)
+        yield _training(places, "field", settings.field, device)
     if name == "direct":
-        yield _training(places, "autoencoder", settings.autoencoder)
+        yield _training(places, "autoencoder", settings.autoencoder, device)
         begun = ["--autoencoder", str(places.model("autoencoder"))]
-        yield [*_training(places, "direct", settings.direct), *begun]
+        yield [*_training(places, "direct", settings.direct, device), *begun]
 
 
-def _training(places: Places, kind: str, choice: ModelChoice) -> list[str]:
+def _training(places: Places, kind: str, choice: ModelChoice, device: torch.device) -> list[str]:
     command = [f"train-{kind}", str(places.archive), "--split", str(places.split)]
     command += ["--out", str(places.model(kind)), "--resume", "--preset", choice.preset]
     for each in (*choice.set, f"launch.device={device.type}"):
