@@ -27,7 +27,7 @@ SMALL = (
     'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
     '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
     "fine_tuning=[]",
-    "scored_presses=1",
+    "scored_presses=0",
 )
 
 
@@ -168,6 +168,7 @@ def test_learned_translators_are_trained_by_their_own_commands(
         out,
         "translators=[field, direct]",
         "compensation=[]",
+        "scored_presses=1",
         'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}',
         'autoencoder={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
         'direct={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',

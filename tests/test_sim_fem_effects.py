@@ -208,6 +208,7 @@ def test_weakening_by_one_changes_nothing_and_by_zero_leaves_nothing() -> None:
     assert ALL["gravity"].weakened(0.0).acceleration == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_the_cost_of_an_effect_is_measured_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measure, "NUMERICS", COARSE)
     monkeypatch.setattr(measure, "EXACT", TIGHT)
