@@ -162,8 +162,9 @@ def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
     odd = ForceStream(Stub(), StepInputs((1, 2, 8, 8), False, (1, 1, 1, 1), False))
     with pytest.raises(LearningError, match=r"takes frames \(2, 8, 8\)"):
         LivePredictor(odd, preset("uskin")).begin(np.stack([REST] * 3))
-    with pytest.raises(LearningError, match="no such file"):
-        open_live(tmp_path, sensor="uskin")
+    for runtime in ("onnx", "openvino", "openvino-bf16"):
+        with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
+            open_live(tmp_path, sensor="uskin", runtime=runtime)
     with pytest.raises(LearningError, match="none is meant for sensor nobody"):
         open_live(tmp_path, sensor="nobody")
     with pytest.raises(LearningError, match="runtime: found 'paper'"):

@@ -32,8 +32,8 @@ from learning.markers.taxels import taxel_masks
 
 Frame = NDArray[Any]
 
-RUNTIMES = ("onnx", "torch")
-"""What may step a model: ONNX Runtime the exported one, torch the trained one."""
+RUNTIMES = ("onnx", "openvino", "openvino-bf16", "torch")
+"""What may step a model: ONNX Runtime and OpenVINO the exported one, torch the trained one."""
 START_FRAMES = 10
 """Untouched frames that the reference is taken from."""
 _TAXELS = (16, 3)
@@ -171,6 +171,9 @@ def open_live(
 def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:
     if runtime == "onnx":
         return open_exported(model, threads=threads)
+    if runtime in ("openvino", "openvino-bf16"):
+        bf16 = runtime.endswith("bf16")
+        return open_exported(model, runtime="openvino", threads=threads, bf16=bf16)
     if runtime != "torch":
         raise LearningError(f"runtime: found {runtime!r}; allowed: {', '.join(RUNTIMES)}")
     import torch

@@ -37,7 +37,7 @@ def open_predictor(
 
     Args:
         model: Its folder.
-        runtime: onnx or torch.
+        runtime: onnx, openvino, openvino-bf16 or torch.
         sensor: Name of the sensor, which tells how markers are found.
         preset: Name or file that says it instead.
         threads: Of a step; 0: what the runtime thinks best.

@@ -42,9 +42,10 @@ def add_to(verbs: Verbs) -> None:
     )
     parser.add_argument(
         "--runtime",
-        choices=("onnx", "torch"),
+        choices=("onnx", "openvino", "openvino-bf16", "torch"),
         default="onnx",
-        help="what steps the model (%(default)s: the exported one, python -m learning export-onnx)",
+        help="what steps the model (%(default)s, which like openvino takes the exported one: "
+        "python -m learning export-onnx; openvino-bf16 is the fastest on CPUs that have it)",
     )
     parser.add_argument(
         "--threads", type=int, default=0, help="of the model (default: what its runtime likes)"
