@@ -55,6 +55,8 @@ class Forces:
     say: Callable[[str], None]
     _tested: dict[str, Tested] = field(default_factory=dict)
     _seen: dict[str, tuple[Presses, Presses | None]] = field(default_factory=dict)
+    _own: dict[str, tuple[Path, ForcePredictor]] = field(default_factory=dict)
+    _data: str = ""
 
     def predict_all(self, pairs: Sequence[Pair]) -> list[Predictions]:
         """Return what models say of the tested frames of all targets.
@@ -117,15 +119,15 @@ class Forces:
 
     def _own_model(self, sensor: str) -> tuple[Path, ForcePredictor]:
         """Return the model that a sensor's own frames and labels give."""
-        choice = self.settings.force
-        settings = self._force_settings(choice.set)
-        packed, held = self._frames(sensor)
-        return self._trained(
-            f"force-{sensor}",
-            settings,
-            as_images(packed),
-            None if held is None else as_images(held),
-        )
+        if sensor not in self._own:
+            settings = self._force_settings(self.settings.force.set)
+
+            def frames() -> tuple[Presses, Presses | None]:
+                packed, held = self._frames(sensor)
+                return as_images(packed), None if held is None else as_images(held)
+
+            self._own[sensor] = self._trained(f"force-{sensor}", settings, sensor, frames)
+        return self._own[sensor]
 
     def _tuned_model(
         self, pair: Pair, method: str, translator: str, shown: Presses
@@ -139,22 +141,33 @@ class Forces:
             labels = self.compensation.pair(pair.source, pair.target, _CHOICES[method]).applied
         name = f"force-{pair.source}-to-{pair.target}.{method}.{translator}"
         _, own = self._own_model(pair.source)
-        return self._trained(name, settings, shown, None, start_from=own, compensation=labels)
+        return self._trained(
+            name,
+            settings,
+            shown.sensor,
+            lambda: (shown, None),
+            start_from=own,
+            compensation=labels,
+        )
 
     def _trained(
         self,
         name: str,
         settings: ForceSettings,
-        presses: Presses,
-        validation: Presses | None,
+        sensor: str,
+        frames: Callable[[], tuple[Presses, Presses | None]],
         *,
         start_from: ForcePredictor | None = None,
         compensation: Compensation | None = None,
     ) -> tuple[Path, ForcePredictor]:
+        """Return a model and its folder; frames to train and validate on are made if need be."""
         folder = self.places.model(name)
-        data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint} {presses.sensor}"
+        if not self._data:
+            self._data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint}"
+        data = f"{self._data} {sensor}"
         with RunFolder.open(folder, KIND, settings, data, True, keep=1) as run:
             if not run.finished:
+                presses, validation = frames()
                 steps = Progress(f"steps of {name}", sys.stderr)
                 try:
                     with Stop(partial(print, file=sys.stderr)) as stop:

@@ -18,6 +18,7 @@ from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import Look
 from learning.progress import Progress
 from learning.training.sampling import generator
+from learning.translation.archive import target_references
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
@@ -109,21 +110,10 @@ def as_images(presses: Presses) -> Presses:
 def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> Look:
     """Return how a target looks untouched at the places of a source's presses.
 
-    A target that drifts has a reference for each contact point: that of the same location. Where it
-    was not pressed there, its first.
-
     Raises:
         SessionError: A damaged archive.
     """
-    table = target.table
-    known = np.flatnonzero((table["location"] >= 0) & table["valid"])
-    location, first = np.unique(table["location"][known], return_index=True)
-    of_press = np.zeros(len(presses), np.int64)
-    if len(location):
-        asked = presses.location.numpy()
-        place = np.minimum(np.searchsorted(location, asked), len(location) - 1)
-        there = location[place] == asked
-        of_press[there] = table["reference"][known[first[place[there]]]]
+    of_press = target_references(presses.location.numpy(), target.table).astype(np.int64)
     return Look(
         target.name,
         SensorView.of(target),

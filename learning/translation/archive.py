@@ -139,7 +139,7 @@ class TranslatedSensor:
         self._table = self._source.table
         self._presses = _press_of(self._table)
         self._rows = _by_press(self._table, rows)
-        self._reference = _target_references(self._table, self._target.table)
+        self._reference = target_references(self._table["location"], self._target.table)
         source, target = SensorView.of(self._source), SensorView.of(self._target)
         self._translator = aimed(model.translator, source, target)
         self._device = model.device
@@ -258,20 +258,20 @@ def _by_press(table: Mapping[str, np.ndarray[Any, Any]], rows: Rows) -> Rows:
     return np.asarray(rows[np.lexsort((table["frame"][rows], first[of.reshape(-1)]))])
 
 
-def _target_references(
-    source: Mapping[str, np.ndarray[Any, Any]], target: Mapping[str, np.ndarray[Any, Any]]
+def target_references(
+    locations: NDArray[np.integer[Any]], target: Mapping[str, np.ndarray[Any, Any]]
 ) -> NDArray[np.int16]:
-    """Return which reference of the target belongs to each row of the source (n,).
+    """Return which reference of the target belongs to each location of a source (n,).
 
     A target that drifts has one for each contact point: that of the same location. Where it was not
     pressed there, its first.
     """
     known = np.flatnonzero((target["location"] >= 0) & target["valid"])
     location, first = np.unique(target["location"][known], return_index=True)
-    found = np.zeros(len(source["location"]), np.int16)
+    found = np.zeros(len(locations), np.int16)
     if len(location):
-        place = np.minimum(np.searchsorted(location, source["location"]), len(location) - 1)
-        there = location[place] == source["location"]
+        place = np.minimum(np.searchsorted(location, locations), len(location) - 1)
+        there = location[place] == locations
         found[there] = target["reference"][known[first[place[there]]]]
     return found
 

@@ -160,3 +160,20 @@ def require_masks(
                 f"{what}: found {str(masks.dtype).removeprefix('torch.')} {tuple(masks.shape)}; "
                 f"allowed: bool {shape}"
             )
+
+
+def untouched_source(
+    source: torch.Tensor, source_reference: torch.Tensor | None, *, ordered: bool
+) -> torch.Tensor:
+    """Return the untouched source, bool (480, 640): what is given, or how an ordered press begins.
+
+    Raises:
+        LearningError: Neither is known.
+    """
+    if source_reference is not None:
+        return source_reference
+    if not ordered:
+        raise LearningError(
+            "source_reference: missing; allowed: the untouched source, or an ordered press"
+        )
+    return source[0]

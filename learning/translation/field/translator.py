@@ -15,7 +15,7 @@ from learning.errors import LearningError
 from learning.translation.field.deformation import render
 from learning.translation.field.distance import resampled, signed_distance
 from learning.translation.field.model import FieldModel
-from learning.translation.translator import SensorView, require_masks
+from learning.translation.translator import SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
 
 _AT_ONCE = 64
@@ -68,12 +68,7 @@ class FieldTranslator:
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()
-        if source_reference is None:
-            if not ordered:
-                raise LearningError(
-                    "source_reference: missing; allowed: the untouched source, or an ordered press"
-                )
-            source_reference = source[0]
+        source_reference = untouched_source(source, source_reference, ordered=ordered)
         device = self.model.usual_scale.device
         full = _distance(_packed(target_reference, "target_reference"), device)
         small = resampled(full, IMAGE_SIDE)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from learning.errors import LearningError
 from learning.translation.flow.fields import SMOOTHING, FieldReader
 from learning.translation.flow.warping import warp_masks
-from learning.translation.translator import FLOW, SensorView, require_masks
+from learning.translation.translator import FLOW, SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
 
 if TYPE_CHECKING:
@@ -72,12 +71,7 @@ class FlowTranslator:
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()
-        if source_reference is None:
-            if not ordered:
-                raise LearningError(
-                    "source_reference: missing; allowed: the untouched source, or an ordered press"
-                )
-            source_reference = source[0]
+        source_reference = untouched_source(source, source_reference, ordered=ordered)
         reader = _reader(pack(source_reference.cpu().numpy()).tobytes(), self.smoothing)
         fields = reader.displacement(
             source.cpu().numpy(), ordered=ordered, source=self.source, target=self.target
