@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -47,8 +47,6 @@ class Forces:
     split: Split
     settings: ExperimentSettings
     places: Places
-    translators: Mapping[str, Model]
-    compensation: StoredCompensation | None
     device: torch.device
     processes: int
     """How many follow markers."""
@@ -58,47 +56,77 @@ class Forces:
     _own: dict[str, tuple[Path, ForcePredictor]] = field(default_factory=dict)
     _data: str = ""
 
-    def predict_all(self, pairs: Sequence[Pair]) -> list[Predictions]:
-        """Return what models say of the tested frames of all targets.
+    def own(self, sensor: str) -> Predictions:
+        """Return what the model that learned from a sensor's own labels says of it.
 
         Raises:
             LearningError: Presses without labels, or a training that diverged.
             SessionError: A damaged archive.
             KeyboardInterrupt: It was stopped between two steps of a training.
         """
+        return self._predicted(Pair(sensor, sensor), TARGET, "")
+
+    def untranslated(self, pair: Pair) -> Predictions:
+        """Return what the source's own model says of the target.
+
+        Raises:
+            LearningError: Presses without labels, or a training that diverged.
+            SessionError: A damaged archive.
+            KeyboardInterrupt: It was stopped between two steps of a training.
+        """
+        return self._predicted(pair, BEFORE, "")
+
+    def carried_over(
+        self,
+        pairs: Sequence[Pair],
+        translator: str,
+        model: Model,
+        compensation: StoredCompensation | None,
+    ) -> list[Predictions]:
+        """Return what models say that learned from translated frames, with each kind of labels.
+
+        Args:
+            pairs: Of one source.
+            translator: What makes its frames the targets', by name.
+            model: That itself.
+            compensation: How labels are brought from one skin to another; None: the settings ask
+                for none.
+
+        Raises:
+            LearningError: Presses without labels, or a training that diverged.
+            SessionError: A damaged archive.
+            KeyboardInterrupt: It was stopped between two steps of a training.
+        """
+        # Sensors of one scale share the fields that were found in the source's frames.
+        known: dict[tuple[float, float], torch.Tensor] = {}
         found = []
-        for target in dict.fromkeys(pair.target for pair in pairs):
-            found.append(self._predicted(Pair(target, target), TARGET, ""))
-        for source in dict.fromkeys(pair.source for pair in pairs):
-            for pair in (pair for pair in pairs if pair.source == source):
-                found.append(self._predicted(pair, BEFORE, ""))
-            for name in self.translators:
-                # Sensors of one scale share the fields that were found in the source's frames.
-                known: dict[tuple[float, float], torch.Tensor] = {}
-                for pair in (pair for pair in pairs if pair.source == source):
-                    found += self._carried_over(pair, name, known)
-            self._seen.pop(source, None)
+        for pair in pairs:
+            shown: Presses | None = None
+            for method in (TRANSFERRED, *self.settings.compensation):
+                if not self._file(pair, method, translator).exists() and shown is None:
+                    shown = self._translated(pair, model, known)
+                labels = None
+                if compensation is not None and method in _CHOICES:
+                    labels = compensation.pair(pair.source, pair.target, _CHOICES[method]).applied
+                found.append(self._predicted(pair, method, translator, shown, labels))
+        for pair in pairs:
+            self._seen.pop(pair.source, None)
         return found
 
-    def _carried_over(
-        self, pair: Pair, name: str, known: dict[tuple[float, float], torch.Tensor]
-    ) -> Iterator[Predictions]:
-        """Return what models trained on translated frames say, of each kind of labels."""
-        shown: Presses | None = None
-        for method in (TRANSFERRED, *self.settings.compensation):
-            if not self._file(pair, method, name).exists() and shown is None:
-                shown = self._translated(pair, name, known)
-            yield self._predicted(pair, method, name, shown)
-
     def _predicted(
-        self, pair: Pair, method: str, translator: str, shown: Presses | None = None
+        self,
+        pair: Pair,
+        method: str,
+        translator: str,
+        shown: Presses | None = None,
+        labels: Compensation | None = None,
     ) -> Predictions:
         file = self._file(pair, method, translator)
         if not file.exists():
             if shown is None:
                 folder, model = self._own_model(pair.source)
             else:
-                folder, model = self._tuned_model(pair, method, translator, shown)
+                folder, model = self._tuned_model(pair, method, translator, shown, labels)
             tested = self._tested_on(pair.target)
             predictions_of(
                 self.archive[pair.target],
@@ -130,15 +158,15 @@ class Forces:
         return self._own[sensor]
 
     def _tuned_model(
-        self, pair: Pair, method: str, translator: str, shown: Presses
+        self,
+        pair: Pair,
+        method: str,
+        translator: str,
+        shown: Presses,
+        labels: Compensation | None,
     ) -> tuple[Path, ForcePredictor]:
         """Return the model that goes on from the source's with its frames translated."""
         settings = self._force_settings((*self.settings.force.set, *self.settings.fine_tuning))
-        labels = None
-        if method in _CHOICES:
-            if self.compensation is None:
-                raise LearningError(f"{method}: found no compensation file")
-            labels = self.compensation.pair(pair.source, pair.target, _CHOICES[method]).applied
         name = f"force-{pair.source}-to-{pair.target}.{method}.{translator}"
         _, own = self._own_model(pair.source)
         return self._trained(
@@ -188,16 +216,16 @@ class Forces:
         return folder, load_force_model(folder, self.device)
 
     def _translated(
-        self, pair: Pair, name: str, known: dict[tuple[float, float], torch.Tensor]
+        self, pair: Pair, model: Model, known: dict[tuple[float, float], torch.Tensor]
     ) -> Presses:
         packed, _ = self._frames(pair.source)
         source, target = self.archive[pair.source], self.archive[pair.target]
         views = SensorView.of(source), SensorView.of(target)
         look = look_of(target, packed, self.device)
-        progress = Progress(f"frames of {pair.source} to {pair.target} by {name}", sys.stderr)
+        progress = Progress(f"frames of {pair.source} to {pair.target} by {model.name}", sys.stderr)
         try:
-            if name != FLOW:
-                translator = aimed(self.translators[name].translator, *views)
+            if model.name != FLOW:
+                translator = aimed(model.translator, *views)
                 return translate_presses(packed, look, translator, progress=progress)
             scale = (
                 views[1].mm_per_column / views[0].mm_per_column,

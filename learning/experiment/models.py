@@ -12,7 +12,7 @@ from learning.errors import LearningError
 from learning.experiment.settings import ExperimentSettings, ModelChoice
 from learning.training.stopping import EXIT_INTERRUPTED
 from learning.translation.archive import Model, hash_of
-from learning.translation.translator import load_translator
+from learning.translation.translator import FLOW, load_translator
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,31 +48,36 @@ class Places:
         """Return the folder of a trained model."""
         return self.out / "models" / name
 
-    def translated(self, name: str) -> Path:
-        """Return the archive of translated frames that are scored."""
-        return self.out / "translated" / f"{name}.markers.zarr"
+    def translated(self, source: str, name: str) -> Path:
+        """Return the archive of a source's translated frames that are scored."""
+        return self.out / "translated" / f"{source}.{name}.markers.zarr"
 
 
-def make_translators(
+def train_translator(
     places: Places,
     settings: ExperimentSettings,
+    name: str,
     device: torch.device,
     say: Callable[[str], None],
-) -> dict[str, Model]:
-    """Return the translators by name, after training those that have to be and are not yet.
+) -> None:
+    """Train a translator, if it has to be and is not yet.
 
     Raises:
         LearningError: A training that was refused.
         KeyboardInterrupt: It was interrupted; the same experiment goes on with it.
     """
-    models: dict[str, Model] = {}
-    for name in settings.translators:
-        folder: str | Path = name
-        for command in _commands(name, places, settings, device):
-            folder = places.model(command[0].removeprefix("train-"))
-            run_command(command, say)
-        models[name] = Model(load_translator(folder, device), name, hash_of(folder), str(device))
-    return models
+    for command in _commands(name, places, settings, device):
+        run_command(command, say)
+
+
+def open_translator(places: Places, name: str, device: torch.device) -> Model:
+    """Return a translator.
+
+    Raises:
+        LearningError: It is not trained, or its files are damaged.
+    """
+    folder: str | Path = name if name == FLOW else places.model(name)
+    return Model(load_translator(folder, device), name, hash_of(folder), str(device))
 
 
 def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:

@@ -6,30 +6,24 @@ Whatever is there already is not made again: an experiment that was stopped goes
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from learning.compensation import read_stored
 from learning.data.fingerprint import archive_fingerprint
-from learning.data.splits import Split, make_split, read_split
+from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
-from learning.evaluation.features import MarkerGrid
 from learning.evaluation.force_table import UNSEEN, ForceRow
 from learning.evaluation.report import Report, write_report
-from learning.evaluation.scoring import score_translation
-from learning.evaluation.translation_scores import TranslationScores, read_scores
-from learning.experiment.forces import BEFORE, COMPENSATED, TRANSFERRED, Forces
-from learning.experiment.models import Places, make_translators, run_command
-from learning.experiment.parts import TESTED, Pair, pairs_of, thinned
+from learning.experiment.forces import BEFORE, COMPENSATED, TRANSFERRED
+from learning.experiment.models import Places
+from learning.experiment.parts import Pair, pairs_of
 from learning.experiment.settings import ExperimentSettings
-from learning.progress import Progress
+from learning.experiment.side_by_side import do_all
+from learning.experiment.worker import Work
 from learning.settings import settings_to_dict
-from learning.translation import archive as translated
 from recorder import MarkerArchive
 from recorder.durable import replace_file
 
@@ -44,6 +38,7 @@ def run_experiment(
     pairs: Sequence[str] | None = None,
     device: str = "cpu",
     processes: int = 1,
+    jobs: int = 1,
     say: Say = print,
 ) -> Report:
     """Run an experiment, or go on with it; return its report.
@@ -55,6 +50,7 @@ def run_experiment(
         pairs: `SOURCE:TARGET`; None: all directed pairs.
         device: Where models are trained and frames are translated.
         processes: How many follow markers.
+        jobs: Models trained side by side, each in a process of its own.
         say: Called with a line for each thing that was done.
 
     Raises:
@@ -67,19 +63,15 @@ def run_experiment(
         raise LearningError(archive.warning)
     wanted = pairs_of(archive, pairs)
     _begin(places, settings, archive, wanted)
-    split = _split(places, settings, archive)
-    models = make_translators(places, settings, torch.device(device), say)
-    if settings.compensation and not places.compensation.exists():
-        asked = ",".join(f"{pair.source}:{pair.target}" for pair in wanted)
-        command = ["compensate", str(archive_path), "--out", str(places.compensation)]
-        run_command([*command, "--pairs", asked, "--split", str(places.split)], say)
-    compensation = read_stored(places.compensation) if settings.compensation else None
-    forces = Forces(
-        archive, split, settings, places, models, compensation, torch.device(device), processes, say
+    _write_split(places, settings, archive)
+    work = Work(archive_path, out, settings, wanted, device, max(1, processes // jobs))
+    done = do_all(work, jobs, say)
+    return write_report(
+        [found for each in done for found in each.predictions],
+        [scores for each in done for scores in each.scores],
+        places.report,
+        title=settings.description,
     )
-    predictions = forces.predict_all(wanted)
-    scores = _scores(archive, split, settings, places, wanted, models, say)
-    return write_report(predictions, scores, places.report, title=settings.description)
 
 
 def gained(rows: Sequence[ForceRow]) -> str:
@@ -124,57 +116,15 @@ def _begin(
             )
 
 
-def _split(places: Places, settings: ExperimentSettings, archive: MarkerArchive) -> Split:
+def _write_split(places: Places, settings: ExperimentSettings, archive: MarkerArchive) -> None:
+    """Write the roles of presses, or make sure that those that are there fit the archive."""
     if places.split.exists():
-        split = read_split(places.split)
-        split.check(archive)
-        return split
-    split = make_split(
+        read_split(places.split).check(archive)
+        return
+    made = make_split(
         archive,
         validation=settings.validation,
         new_press=settings.new_press,
         seed=settings.seed,
     )
-    split.write(places.split)
-    return split
-
-
-def _scores(
-    archive: MarkerArchive,
-    split: Split,
-    settings: ExperimentSettings,
-    places: Places,
-    pairs: Sequence[Pair],
-    models: dict[str, translated.Model],
-    say: Say,
-) -> list[TranslationScores]:
-    """Translate some tested presses into an archive, and score its sensors."""
-    if not settings.scored_presses:
-        return []
-    few = thinned(split, settings.scored_presses, settings.seed)
-    roles = [role for role in TESTED if len(few.locations(role))]
-    scores = []
-    for name, model in models.items():
-        path = places.translated(name)
-        progress = Progress(f"frames by {name}", sys.stderr)
-        try:
-            translated.translate_archive(
-                archive,
-                path,
-                [translated.Pair(pair.source, pair.target) for pair in pairs],
-                model,
-                split=few,
-                roles=roles,
-                progress=progress,
-            )
-        finally:
-            progress.close()
-        for sensor in MarkerArchive(path).values():
-            file = places.predictions / f"{sensor.name}.{name}.scores.npz"
-            if not file.exists():
-                score_translation(
-                    archive, sensor, few, roles, MarkerGrid(), seed=settings.seed
-                ).write(file)
-            scores.append(read_scores(file))
-        say(f"translations by {name} scored: {path}")
-    return scores
+    made.write(places.split)

@@ -36,6 +36,13 @@ def add_to(verbs: Verbs) -> None:
         metavar="N",
         help="that follow markers (all cores)",
     )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="models trained side by side, as long as the memory holds them (1)",
+    )
     parser.set_defaults(run=_run)
 
 
@@ -52,6 +59,7 @@ def _run(options: argparse.Namespace) -> int:
         pairs=options.pairs.split(",") if options.pairs else None,
         device=options.device,
         processes=options.processes,
+        jobs=options.jobs,
         say=lambda line: print(line, flush=True),
     )
     for line in report.lines:

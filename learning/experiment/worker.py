@@ -1,0 +1,176 @@
+"""The work of an experiment, in pieces that need nothing of each other: many can run at once.
+
+First a piece for each translator, one for compensation, and one for each sensor: its own force
+model, and what that says of its own frames and of others'. Then a piece for each source and
+translator: models that learn from translated frames, and scores of translations. Whatever is there
+already is not made again.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from learning.compensation import read_stored
+from learning.data.splits import read_split
+from learning.evaluation.features import MarkerGrid
+from learning.evaluation.predictions import Predictions
+from learning.evaluation.scoring import score_translation
+from learning.evaluation.translation_scores import TranslationScores, read_scores
+from learning.experiment.forces import Forces
+from learning.experiment.models import Places, open_translator, run_command, train_translator
+from learning.experiment.parts import TESTED, Pair, thinned
+from learning.experiment.settings import ExperimentSettings
+from learning.progress import Progress
+from learning.translation import archive as translated
+from learning.translation.archive import Model
+from recorder import MarkerArchive
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What a piece of work gives."""
+
+    predictions: list[Predictions] = field(default_factory=list)
+    scores: list[TranslationScores] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What all pieces have in common."""
+
+    archive: Path
+    """Frames of all sensors, with labels."""
+    out: Path
+    """Folder of the experiment, in which the split is."""
+    settings: ExperimentSettings
+    """Which models, on how much data."""
+    pairs: tuple[Pair, ...]
+    """From which sensors to which."""
+    device: str
+    """Where models are trained and frames are translated."""
+    processes: int
+    """How many follow markers, of each piece."""
+
+    @property
+    def first(self) -> list[tuple[str, ...]]:
+        """Pieces to begin with, the longest first: names of a worker's methods, and arguments."""
+        sources = [pair.source for pair in self.pairs]
+        sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
+        pieces: list[tuple[str, ...]] = [("train", name) for name in self.settings.translators]
+        if self.settings.compensation:
+            pieces.append(("compensate",))
+        return pieces + [("own", sensor) for sensor in sensors]
+
+    @property
+    def second(self) -> list[tuple[str, ...]]:
+        """Pieces that need what the first made."""
+        sources = dict.fromkeys(pair.source for pair in self.pairs)
+        names = self.settings.translators
+        return [("carried", source, name) for source in sources for name in names]
+
+
+class Worker:
+    """Does pieces of work; keeps what several of them read."""
+
+    def __init__(self, work: Work, say: Callable[[str], None]) -> None:
+        """Open the archive and the split.
+
+        Raises:
+            LearningError: A split that cannot be read.
+            SessionError: A damaged archive.
+        """
+        self._work, self._say = work, say
+        self._device = torch.device(work.device)
+        self._places = Places(work.out, work.archive)
+        self._archive, self._split = MarkerArchive(work.archive), read_split(self._places.split)
+        self._forces = Forces(
+            self._archive,
+            self._split,
+            work.settings,
+            self._places,
+            self._device,
+            work.processes,
+            say,
+        )
+
+    def do(self, piece: tuple[str, ...]) -> Done:
+        """Return what a piece of work gives.
+
+        Raises:
+            LearningError: Presses without labels, a training that was refused or diverged.
+            SessionError: A damaged archive.
+            KeyboardInterrupt: It was stopped between two steps of a training.
+        """
+        name, *arguments = piece
+        done: Done = getattr(self, name)(*arguments)
+        return done
+
+    def train(self, name: str) -> Done:
+        """Train a translator, where it has to be."""
+        train_translator(self._places, self._work.settings, name, self._device, self._say)
+        return Done()
+
+    def compensate(self) -> Done:
+        """Fit priors of skins, and choose how labels of the pairs are brought over."""
+        places, pairs = self._places, self._work.pairs
+        if not places.compensation.exists():
+            asked = ",".join(f"{pair.source}:{pair.target}" for pair in pairs)
+            command = ["compensate", str(places.archive), "--out", str(places.compensation)]
+            run_command([*command, "--pairs", asked, "--split", str(places.split)], self._say)
+        return Done()
+
+    def own(self, sensor: str) -> Done:
+        """Train a sensor's own model; predict it, and all that it is carried over to."""
+        pairs = [pair for pair in self._work.pairs if pair.source == sensor]
+        found = [self._forces.untranslated(pair) for pair in pairs]
+        if any(pair.target == sensor for pair in self._work.pairs):
+            found.append(self._forces.own(sensor))
+        return Done(found)
+
+    def carried(self, source: str, name: str) -> Done:
+        """Train models on a source's translated frames; predict their targets, score the frames."""
+        model = open_translator(self._places, name, self._device)
+        pairs = [pair for pair in self._work.pairs if pair.source == source]
+        stored = self._places.compensation
+        labels = read_stored(stored) if self._work.settings.compensation else None
+        found = self._forces.carried_over(pairs, name, model, labels)
+        return Done(found, self._scores(source, pairs, name, model))
+
+    def _scores(
+        self, source: str, pairs: Sequence[Pair], name: str, model: Model
+    ) -> list[TranslationScores]:
+        """Translate some tested presses into an archive, and score its sensors."""
+        settings = self._work.settings
+        if not settings.scored_presses:
+            return []
+        few = thinned(self._split, settings.scored_presses, settings.seed)
+        roles = [role for role in TESTED if len(few.locations(role))]
+        path = self._places.translated(source, name)
+        progress = Progress(f"frames of {source} by {name}", sys.stderr)
+        try:
+            translated.translate_archive(
+                self._archive,
+                path,
+                [translated.Pair(pair.source, pair.target) for pair in pairs],
+                model,
+                split=few,
+                roles=roles,
+                progress=progress,
+            )
+        finally:
+            progress.close()
+        scores = []
+        for sensor in MarkerArchive(path).values():
+            file = self._places.predictions / f"{sensor.name}.{name}.scores.npz"
+            if not file.exists():
+                score_translation(
+                    self._archive, sensor, few, roles, MarkerGrid(), seed=settings.seed
+                ).write(file)
+            scores.append(read_scores(file))
+        self._say(f"translations of {source} by {name} scored: {path}")
+        return scores
