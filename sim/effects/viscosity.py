@@ -32,6 +32,7 @@ class Viscosity:
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.element", "element_kernels", "viscous"),
         Snippet("sim.fem.element_blocks", "element_blocks_kernel", "viscous", "sim.fem.stencil"),
+        Snippet("sim.fem.element_rows", "element_rows_kernel", "viscous", "sim.fem.stencil"),
     )
     LIMIT: ClassVar[str] = "ratios -> 0: an elastic body"
 

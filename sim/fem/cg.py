@@ -19,20 +19,25 @@ LOOK = {"cpu": 1, "cuda": 8}
 
 CONCAVE = 1e300
 """Mark in place of the accuracy to reach: stop here, the tangent is not convex."""
+LANES = 128
+"""Threads of a GPU that add up the shares of one environment's sum."""
 SCALARS = 5
 """Numbers of each environment: r.z, r.r to reach, step, change of direction, slope."""
 
 
 @functools.cache
-def _kernels(real):
+def _kernels(real, lanes: int):
+    """Kernels for one precision; `lanes` threads add up a sum: 1, or a whole block of them."""
     vec3 = vector_of(real)
 
     @wp.func
-    def total(sums: wp.array3d(dtype=wp.float64), env: int, which: int):
+    def total(sums: wp.array3d(dtype=wp.float64), env: int, lane: int, which: int):
         """The whole of a dot product, from its shares."""
         whole = wp.float64(0.0)
-        for part in range(sums.shape[1]):
+        for part in range(lane, sums.shape[1], lanes):
             whole += sums[env, part, which]
+        if wp.static(lanes > 1):
+            whole = wp.tile_sum(wp.tile(whole))[0]
         return whole
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -64,17 +69,20 @@ def _kernels(real):
         count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
-        env = wp.tid()
-        count_out[env] = 0
+        env, lane = wp.tid()
+        if lane == 0:
+            count_out[env] = 0
         if active[env] == 0:
             return
-        rr = total(sums, env, 1)
-        scalars_out[env, 0] = total(sums, env, 0)
-        scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
-        scalars_out[env, 3] = wp.float64(0.0)
-        scalars_out[env, 4] = wp.float64(0.0)
-        if rr == wp.float64(0.0):
-            active[env] = 0
+        rz = total(sums, env, lane, 0)
+        rr = total(sums, env, lane, 1)
+        if lane == 0:
+            scalars_out[env, 0] = rz
+            scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
+            scalars_out[env, 3] = wp.float64(0.0)
+            scalars_out[env, 4] = wp.float64(0.0)
+            if rr == wp.float64(0.0):
+                active[env] = 0
 
     @wp.kernel(enable_backward=False, module="unique")
     def step_length(
@@ -85,21 +93,22 @@ def _kernels(real):
         count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
-        env = wp.tid()
+        env, lane = wp.tid()
         if active[env] == 0:
             return
-        curvature = total(sums, env, 0)
-        if curvature > wp.float64(0.0):
-            scalars_out[env, 2] = scalars_out[env, 0] / curvature
-        else:
-            # Not convex along p: keep what was found; at the very start go along p itself.
-            scalars_out[env, 2] = wp.float64(0.0)
-            if count_out[env] == 0:
-                scalars_out[env, 2] = wp.float64(1.0)
-            scalars_out[env, 1] = wp.float64(CONCAVE)
-        # The right-hand side times p is r.z: every later residual is at right angles to it.
-        scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
-        count_out[env] = count_out[env] + 1
+        curvature = total(sums, env, lane, 0)
+        if lane == 0:
+            if curvature > wp.float64(0.0):
+                scalars_out[env, 2] = scalars_out[env, 0] / curvature
+            else:
+                # Not convex along p: keep what was found; at the very start go along p itself.
+                scalars_out[env, 2] = wp.float64(0.0)
+                if count_out[env] == 0:
+                    scalars_out[env, 2] = wp.float64(1.0)
+                scalars_out[env, 1] = wp.float64(CONCAVE)
+            # The right-hand side times p is r.z: every later residual is at right angles to it.
+            scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
+            count_out[env] = count_out[env] + 1
 
     @wp.kernel(enable_backward=False, module="unique")
     def change(
@@ -109,15 +118,16 @@ def _kernels(real):
         active: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
-        env = wp.tid()
+        env, lane = wp.tid()
         if active[env] == 0:
             return
-        rz = total(sums, env, 0)
-        rr = total(sums, env, 1)
-        scalars_out[env, 3] = rz / scalars_out[env, 0]
-        scalars_out[env, 0] = rz
-        if not (rr > scalars_out[env, 1]):
-            active[env] = 0
+        rz = total(sums, env, lane, 0)
+        rr = total(sums, env, lane, 1)
+        if lane == 0:
+            scalars_out[env, 3] = rz / scalars_out[env, 0]
+            scalars_out[env, 0] = rz
+            if not (rr > scalars_out[env, 1]):
+                active[env] = 0
 
     @wp.kernel(enable_backward=False, module="unique")
     def turn(
@@ -172,6 +182,7 @@ class ConjugateGradient:
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
         self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
         self._graph = None
+        self._lanes = LANES if self._device.is_cuda else 1
 
     def solve(self, active, residual, accuracy, most: int) -> np.ndarray:
         """Fill `solution` of active environments; the iterations of each (B,).
@@ -182,7 +193,7 @@ class ConjugateGradient:
             accuracy: |r| / |residual| to reach, float64 NumPy (B,).
             most: Iterations at most; a GPU finishes the graph it is in.
         """
-        start, begin, _step_length, _change, turn = _kernels(self._real)
+        start, begin, _step_length, _change, turn = _kernels(self._real, self._lanes)
         wp.copy(self._active, active)
         self._accuracy.assign(accuracy)
         self._scalars.zero_()
@@ -190,13 +201,7 @@ class ConjugateGradient:
             start, self._shape, [residual], [self.solution, self._r, self._p, self._product]
         )
         self._advance()
-        wp.launch(
-            begin,
-            dim=self._shape[0],
-            inputs=[self._sums, self._accuracy],
-            outputs=[self._active, self._count, self._scalars],
-            device=self._device,
-        )
+        self._total(begin, [self._sums, self._accuracy], [self._active, self._count, self._scalars])
         self._launch(turn, self._shape, [self._scalars, self._z], [self._p])
         look = LOOK["cuda" if self._device.is_cuda else "cpu"]
         for _iteration in range(0, most, look):
@@ -228,23 +233,11 @@ class ConjugateGradient:
         wp.capture_launch(self._graph)
 
     def _once(self) -> None:
-        _start, _begin, step_length, change, turn = _kernels(self._real)
+        _start, _begin, step_length, change, turn = _kernels(self._real, self._lanes)
         self._stencil.product(self._active, self._p, self._product, self._along)
-        wp.launch(
-            step_length,
-            dim=self._shape[0],
-            inputs=[self._along],
-            outputs=[self._active, self._count, self._scalars],
-            device=self._device,
-        )
+        self._total(step_length, [self._along], [self._active, self._count, self._scalars])
         self._advance()
-        wp.launch(
-            change,
-            dim=self._shape[0],
-            inputs=[self._sums],
-            outputs=[self._active, self._scalars],
-            device=self._device,
-        )
+        self._total(change, [self._sums], [self._active, self._scalars])
         self._launch(turn, self._shape, [self._scalars, self._z], [self._p])
 
     def _advance(self) -> None:
@@ -254,6 +247,16 @@ class ConjugateGradient:
             (self._p, self._product),
             (self.solution, self._r, self._z),
             self._sums,
+        )
+
+    def _total(self, kernel, inputs, outputs) -> None:
+        wp.launch(
+            kernel,
+            dim=(self._shape[0], self._lanes),
+            inputs=inputs,
+            outputs=outputs,
+            device=self._device,
+            block_dim=LANES,
         )
 
     def _launch(self, kernel, dim, inputs, outputs) -> None:

@@ -30,7 +30,7 @@ nu = 0.4999 makes 1e-4 of it; below 1e-6 float32 has no digits left."""
 
 
 @functools.cache
-def _kernels(real, parallel: bool):
+def _kernels(real):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     half, third, least = real(0.5), real(1.0 / 3.0), real(PIVOT_LEAST)
@@ -88,6 +88,63 @@ def _kernels(real, parallel: bool):
             upper_out[env, column, k] = upper
 
     @wp.kernel(enable_backward=False, module="unique")
+    def step(
+        # In: step length (B, 2); search direction and the tangent times it
+        active: wp.array(dtype=wp.int32),
+        scalars: wp.array2d(dtype=wp.float64),
+        p: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        # In and out:
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+    ):
+        """What a thread for each node does before `sweep`: neighbours in memory go together."""
+        env, n = wp.tid()
+        if active[env] == 0:
+            return
+        length = real(scalars[env, 2])
+        solution_out[env, n] = solution_out[env, n] + p[env, n] * length
+        r_out[env, n] = r_out[env, n] - product[env, n] * length
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sweep(
+        # In: factors; residual
+        active: wp.array(dtype=wp.int32),
+        pivot: wp.array3d(dtype=mat33),
+        upper: wp.array3d(dtype=mat33),
+        r: wp.array2d(dtype=vec3),
+        # Out: preconditioned residual, and shares of r.z and r.r
+        z_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        env, column = wp.tid()
+        if active[env] == 0:
+            return
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if column < pivot.shape[1]:
+            levels = pivot.shape[2]
+            first = column * levels
+            carried = vec3()
+            for k in range(levels):
+                y = r[env, first + k] - carried
+                z_out[env, first + k] = y
+                carried = wp.transpose(upper[env, column, k]) * y
+            z = vec3()
+            for j in range(levels):
+                k = levels - 1 - j
+                n = first + k
+                z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
+                z_out[env, n] = z
+                rz += wp.float64(wp.dot(r[env, n], z))
+                rr += wp.float64(wp.dot(r[env, n], r[env, n]))
+        block_rz = wp.tile_sum(wp.tile(rz))
+        block_rr = wp.tile_sum(wp.tile(rr))
+        if column % BLOCK == 0:
+            sums_out[env, column // BLOCK, 0] = block_rz[0]
+            sums_out[env, column // BLOCK, 1] = block_rr[0]
+
+    @wp.kernel(enable_backward=False, module="unique")
     def advance(
         # In: factors; step length (B, 2); search direction and the tangent times it
         active: wp.array(dtype=wp.int32),
@@ -108,39 +165,31 @@ def _kernels(real, parallel: bool):
             return
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        if column < pivot.shape[1]:
-            levels = pivot.shape[2]
-            first = column * levels
-            step = real(scalars[env, 2])
-            carried = vec3()
-            for k in range(levels):
-                n = first + k
-                solution_out[env, n] = solution_out[env, n] + p[env, n] * step
-                r = r_out[env, n] - product[env, n] * step
-                r_out[env, n] = r
-                y = r - carried
-                z_out[env, n] = y
-                carried = wp.transpose(upper[env, column, k]) * y
-            z = vec3()
-            for j in range(levels):
-                k = levels - 1 - j
-                n = first + k
-                z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
-                z_out[env, n] = z
-                r = r_out[env, n]
-                rz += wp.float64(wp.dot(r, z))
-                rr += wp.float64(wp.dot(r, r))
-        if wp.static(parallel):
-            block_rz = wp.tile_sum(wp.tile(rz))
-            block_rr = wp.tile_sum(wp.tile(rr))
-            if column % BLOCK == 0:
-                sums_out[env, column // BLOCK, 0] = block_rz[0]
-                sums_out[env, column // BLOCK, 1] = block_rr[0]
-        else:
-            sums_out[env, column, 0] = rz
-            sums_out[env, column, 1] = rr
+        levels = pivot.shape[2]
+        first = column * levels
+        length = real(scalars[env, 2])
+        carried = vec3()
+        for k in range(levels):
+            n = first + k
+            solution_out[env, n] = solution_out[env, n] + p[env, n] * length
+            r = r_out[env, n] - product[env, n] * length
+            r_out[env, n] = r
+            y = r - carried
+            z_out[env, n] = y
+            carried = wp.transpose(upper[env, column, k]) * y
+        z = vec3()
+        for j in range(levels):
+            k = levels - 1 - j
+            n = first + k
+            z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
+            z_out[env, n] = z
+            r = r_out[env, n]
+            rz += wp.float64(wp.dot(r, z))
+            rr += wp.float64(wp.dot(r, r))
+        sums_out[env, column, 0] = rz
+        sums_out[env, column, 1] = rr
 
-    return factor, advance
+    return factor, step, sweep, advance
 
 
 class Columns:
@@ -159,8 +208,8 @@ class Columns:
             parallel: Whether column numbers run fastest in memory. On a GPU, when not said.
         """
         self._device = device
-        on_gpu = wp.get_device(device).is_cuda
-        self._factor, self._advance = _kernels(real, on_gpu)
+        on_gpu = self._on_gpu = wp.get_device(device).is_cuda
+        self._factor, self._step, self._sweep, self._advance = _kernels(real)
         levels = mesh.cells[2] + 1
         columns = len(mesh.nodes) // levels
         self._launched = (environments, columns)
@@ -195,13 +244,28 @@ class Columns:
                 residual goes, three (B, N).
             sums: Where the shares of r.z and r.r go (B, `parts`, 2), float64.
         """
-        environments, columns = self._launched
-        on_gpu = self.parts != columns
+        if not self._on_gpu:
+            wp.launch(
+                self._advance,
+                dim=self._launched,
+                inputs=[active, self._pivot, self._upper, scalars, *along],
+                outputs=[*vectors, sums],
+                device=self._device,
+            )
+            return
+        solution, r, z = vectors
         wp.launch(
-            self._advance,
-            dim=(environments, self.parts * BLOCK) if on_gpu else self._launched,
-            inputs=[active, self._pivot, self._upper, scalars, *along],
-            outputs=[*vectors, sums],
+            self._step,
+            dim=r.shape,
+            inputs=[active, scalars, *along],
+            outputs=[solution, r],
+            device=self._device,
+        )
+        wp.launch(
+            self._sweep,
+            dim=(self._launched[0], self.parts * BLOCK),
+            inputs=[active, self._pivot, self._upper, r],
+            outputs=[z, sums],
             device=self._device,
             block_dim=BLOCK,
         )

@@ -8,7 +8,7 @@ Newton iteration, costs about as much as 3 products without a matrix; each produ
 times cheaper on a CPU.
 
 Nothing is added atomically: `begin` writes what belongs to a node, then elements add theirs, on a
-GPU one colour of eight after the other, so that no two at a time share a node.
+GPU one colour of eight after the other, so that no two at a time share a node, and row by row.
 """
 
 import functools
@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 
 from sim.fem.element_blocks import element_blocks_kernel
+from sim.fem.element_rows import element_rows_kernel
 from sim.fem.grid import CENTRE, SLOTS, colour_order, face_slots, slot_offsets
 from sim.fem.mesh import CORNERS, Mesh
 from sim.fem.nodes import RUN
@@ -165,14 +166,15 @@ class Stencil:
             device: Where.
             viscous: Whether stresses have a history.
             full_integration: The planted mistake of `element_kernels`.
-            parallel: Whether threads run at once: colour by colour, and node numbers fastest in
-                memory. On a GPU, when not said.
+            parallel: Whether threads run at once: colour by colour, a row of an element each, and
+                node numbers fastest in memory. On a GPU, when not said.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)
         self._device = device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
-        self._elements_kernel = element_blocks_kernel(real, viscous, full_integration)
+        kernel = element_rows_kernel if self._parallel else element_blocks_kernel
+        self._elements_kernel = kernel(real, viscous, full_integration)
         self._begin, self._product, self._block_product = _kernels(real)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
@@ -227,10 +229,11 @@ class Stencil:
             outputs=[self.matrix],
             device=self._device,
         )
+        rows = (len(CORNERS),) if self._parallel else ()
         for first, past in pairwise(self._begins):
             wp.launch(
                 self._elements_kernel,
-                dim=(self._environments, past - first),
+                dim=(self._environments, *rows, past - first),
                 inputs=[
                     self._elements,
                     inverse,
