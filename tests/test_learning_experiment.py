@@ -13,7 +13,8 @@ from learning.data.images import shrink_masks
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
-from learning.experiment import forces, running
+from learning.experiment import forces, running, side_by_side
+from learning.experiment.blind import Blind
 from learning.experiment.parts import as_images, look_of, pairs_of, thinned, trained_on
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
@@ -70,6 +71,54 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         run(archive, out, "seed=1")
 
 
+def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    said: dict[int, list[str]] = {1: [], 2: []}
+    for jobs, lines in said.items():
+        running.run_experiment(
+            archive.path,
+            tmp_path / str(jobs),
+            settings(),
+            pairs=["dots:grid"],
+            jobs=jobs,
+            say=lines.append,
+        )
+    assert [line for line in said[2] if "R2" in line] == [line for line in said[1] if "R2" in line]
+    file = Path("results") / "dots-to-grid.compensated.flow.npz"
+    alone, together = (read_predictions(tmp_path / str(jobs) / file) for jobs in said)
+    assert np.array_equal(alone.predicted, together.predicted)
+
+
+def test_models_trained_together_say_what_those_trained_alone_say(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    for together in (1, 4):
+        run(archive, tmp_path / str(together), f"together={together}")
+    file = Path("results") / "dots-to-grid.compensated.flow.npz"
+    alone, side_by_side = (read_predictions(tmp_path / name / file) for name in "14")
+    assert np.abs(alone.predicted - side_by_side.predicted).max() < 1e-3
+    assert not np.array_equal(alone.predicted, side_by_side.predicted)
+
+
+def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun = []
+
+    class Stopped:
+        def do(self, piece: tuple[str, ...]) -> None:
+            begun.append(piece)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(side_by_side, "_worker", Stopped())
+    monkeypatch.setattr(side_by_side, "_stopped", False)
+    for name in ("one", "two"):
+        with pytest.raises(KeyboardInterrupt):
+            side_by_side._do(("own", name))
+    assert begun == [("own", "one")]
+
+
 def test_presses_translated_together_are_those_translated_one_by_one(
     archive: MarkerArchive,
 ) -> None:
@@ -94,6 +143,36 @@ def test_presses_translated_together_are_those_translated_one_by_one(
         assert (together.int() - shrink_masks(alone).int()).abs().float().mean() < 0.5
     assert (warped.wrench == packed.wrench).all()
     assert warped.sensor == "dots-to-grid"
+
+
+def test_without_memory_every_frame_is_untouched_before(archive: MarkerArchive) -> None:
+    packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
+    assert packed is not None
+    alone = packed.each_frame_alone()
+    assert len(alone) == alone.frames == packed.frames > len(packed)
+    assert torch.equal(alone.of_frame, torch.arange(packed.frames))
+    assert torch.equal(alone.location, packed.location[packed.of_frame])
+    assert alone.images is packed.images
+
+
+def test_a_blind_translator_is_told_nothing_of_the_source() -> None:
+    told: list[object] = []
+
+    class Asked(Same):
+        def translate(
+            self,
+            source: torch.Tensor,
+            target_reference: torch.Tensor,
+            source_reference: torch.Tensor | None = None,
+            *,
+            ordered: bool = False,
+        ) -> torch.Tensor:
+            told.append((source_reference, ordered))
+            return source
+
+    masks = torch.zeros(2, 480, 640, dtype=torch.bool)
+    Blind(Asked()).translate(masks, masks[0], masks[1], ordered=True)
+    assert told == [(None, False)]
 
 
 class Same:
@@ -148,6 +227,8 @@ def test_presets_can_be_read(name: str) -> None:
     [
         ("translators=[]", "translators: found"),
         ("translators=[flow, flow]", "each once"),
+        ("source_reference=false", "or direct alone"),
+        ("together=0", "together: found 0"),
         ("train_presses=0", "train_presses: found 0; allowed: 1 and more, or none"),
         ("scored_presses=-1", "scored_presses: found -1"),
     ],

@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# The tables of docs/learning-tables.md: three groups of simulated sensors, from presses to a report.
+# The tables of docs/learning-tables.md: groups of simulated sensors, from presses to a report.
 #
-#   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] \
-#     bash examples/learning-tables/run.sh OUT [GROUP...]
+#   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [ONLY=archive] \
+#     bash examples/learning-tables/run.sh OUT [TABLE...]
 #
+# Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
+# homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets.
 # Presses are simulated on PROCESSES cores, JOBS models are trained side by side on DEVICE. Stopped
 # at any moment, the same command goes on.
 set -euo pipefail
@@ -13,16 +15,22 @@ shift
 python=${PYTHON:-python} processes=${PROCESSES:-$(nproc)}
 export OMP_NUM_THREADS=2
 
-for group in "$@"; do
-  labels='[compensated]'
-  case $group in
-    homogeneous) scale=0.1 labels='[]' ;; # one skin: nothing to compensate
-    material) scale=0.5 ;;
-    heterogeneous) scale=0.15 labels='[compensated, oracle]' ;;
-    *) echo "GROUP: found '$group'; allowed: homogeneous, material, heterogeneous" >&2; exit 2 ;;
+for table in "$@"; do
+  steps=4 pairs=() labels='[compensated]' translators='[direct, field, flow]'
+  case $table in
+    homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
+    material) sensors=(--group material) scale=0.5 ;;
+    heterogeneous) sensors=(--group heterogeneous) scale=0.15 labels='[compensated, oracle]' ;;
+    homogeneous-full) sensors=(--sensors array-i,circle-ii) pairs=(--pairs array-i:circle-ii) labels='[]' ;;
+    material-full) sensors=(--sensors r6,r18) pairs=(--pairs r6:r18) ;;
+    heterogeneous-full) sensors=(--sensors uskin,gelsight) pairs=(--pairs uskin:gelsight) ;;
+    *) echo "TABLE: found '$table'; allowed: a group, or a group and -full" >&2; exit 2 ;;
   esac
-  "$python" -m sim archive sensors --group "$group" --tier layer --scale "$scale" --steps 4 \
-    --no-check --processes "$processes" --out "$out/$group.markers.zarr"
-  "$python" -m learning experiment "$out/$group.markers.zarr" --out "$out/$group" --preset tables \
-    --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" --set "compensation=$labels"
+  case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac
+  "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "$scale" --steps "$steps" \
+    --no-check --processes "$processes" --out "$out/$table.markers.zarr"
+  [ "${ONLY:-}" != archive ] || continue
+  "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset tables \
+    "${pairs[@]}" --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" \
+    --set "compensation=$labels" --set "translators=$translators"
 done

@@ -84,6 +84,14 @@ class Presses:
         """Press of each frame (N,) int64, on the CPU."""
         return torch.repeat_interleave(torch.arange(len(self)), self.starts.diff())
 
+    def each_frame_alone(self) -> Self:
+        """Return the same frames, each as a press of its own: nothing was before it."""
+        press = self.of_frame
+        values: dict[str, Any] = {"starts": torch.arange(self.frames + 1)}
+        for each in ("location", "indenter", "target"):
+            values[each] = getattr(self, each)[press]
+        return replace(self, **values)
+
     def to(self, device: torch.device | str) -> Self:
         """Return the same presses on another device."""
         moved: dict[str, Any] = {name: getattr(self, name).to(device) for name in _ON_DEVICE}

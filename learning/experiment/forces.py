@@ -21,6 +21,7 @@ from learning.experiment.models import Places
 from learning.experiment.parts import Pair, Tested, as_images, look_of, tested_on, trained_on
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
+from learning.experiment.tuning import Tuning, tune_together
 from learning.force.labels import Compensation
 from learning.force.predictor import KIND, ForcePredictor, load_force_model
 from learning.force.settings import PRESETS, ForceSettings
@@ -64,7 +65,7 @@ class Forces:
             SessionError: A damaged archive.
             KeyboardInterrupt: It was stopped between two steps of a training.
         """
-        return self._predicted(Pair(sensor, sensor), TARGET, "")
+        return self._predicted(Pair(sensor, sensor), TARGET)
 
     def untranslated(self, pair: Pair) -> Predictions:
         """Return what the source's own model says of the target.
@@ -74,7 +75,7 @@ class Forces:
             SessionError: A damaged archive.
             KeyboardInterrupt: It was stopped between two steps of a training.
         """
-        return self._predicted(pair, BEFORE, "")
+        return self._predicted(pair, BEFORE)
 
     def carried_over(
         self,
@@ -99,16 +100,26 @@ class Forces:
         """
         # Sensors of one scale share the fields that were found in the source's frames.
         known: dict[tuple[float, float], torch.Tensor] = {}
+        methods = (TRANSFERRED, *self.settings.compensation)
+        at_once = max(1, self.settings.together // len(methods))
         found = []
-        for pair in pairs:
-            shown: Presses | None = None
-            for method in (TRANSFERRED, *self.settings.compensation):
-                if not self._file(pair, method, translator).exists() and shown is None:
-                    shown = self._translated(pair, model, known)
-                labels = None
-                if compensation is not None and method in _CHOICES:
-                    labels = compensation.pair(pair.source, pair.target, _CHOICES[method]).applied
-                found.append(self._predicted(pair, method, translator, shown, labels))
+        for first in range(0, len(pairs), at_once):
+            tunings = [
+                Tuning(pair, method, translator, _labels(pair, method, compensation))
+                for pair in pairs[first : first + at_once]
+                for method in methods
+            ]
+            due = [each for each in tunings if not self._file_of(each).exists()]
+            shown = {
+                pair: self._translated(pair, model, known)
+                for pair in dict.fromkeys(each.pair for each in due)
+            }
+            if due and self.settings.together > 1:
+                seen = {pair: self._as_seen(presses) for pair, presses in shown.items()}
+                _, own = self._own_model(due[0].pair.source)
+                tune_together(due, seen, self._tuning_settings(), own, self._run_of)
+            for each in tunings:
+                found.append(self._predicted(each.pair, each.method, each, shown.get(each.pair)))
         for pair in pairs:
             self._seen.pop(pair.source, None)
         return found
@@ -117,23 +128,23 @@ class Forces:
         self,
         pair: Pair,
         method: str,
-        translator: str,
+        tuning: Tuning | None = None,
         shown: Presses | None = None,
-        labels: Compensation | None = None,
     ) -> Predictions:
+        translator = "" if tuning is None else tuning.translator
         file = self._file(pair, method, translator)
         if not file.exists():
-            if shown is None:
+            if tuning is None or shown is None:
                 folder, model = self._own_model(pair.source)
             else:
-                folder, model = self._tuned_model(pair, method, translator, shown, labels)
+                folder, model = self._tuned_model(tuning, shown)
             tested = self._tested_on(pair.target)
             predictions_of(
                 self.archive[pair.target],
                 self.archive.indenters,
                 tested.presses.rows.numpy(),
                 tested.role,
-                model.predict(tested.presses),
+                model.predict(self._as_seen(tested.presses)),
                 source=pair.source,
                 method=method,
                 translator=translator,
@@ -157,25 +168,16 @@ class Forces:
             self._own[sensor] = self._trained(f"force-{sensor}", settings, sensor, frames)
         return self._own[sensor]
 
-    def _tuned_model(
-        self,
-        pair: Pair,
-        method: str,
-        translator: str,
-        shown: Presses,
-        labels: Compensation | None,
-    ) -> tuple[Path, ForcePredictor]:
+    def _tuned_model(self, tuning: Tuning, shown: Presses) -> tuple[Path, ForcePredictor]:
         """Return the model that goes on from the source's with its frames translated."""
-        settings = self._force_settings((*self.settings.force.set, *self.settings.fine_tuning))
-        name = f"force-{pair.source}-to-{pair.target}.{method}.{translator}"
-        _, own = self._own_model(pair.source)
+        _, own = self._own_model(tuning.pair.source)
         return self._trained(
-            name,
-            settings,
+            tuning.name,
+            self._tuning_settings(),
             shown.sensor,
             lambda: (shown, None),
             start_from=own,
-            compensation=labels,
+            compensation=tuning.labels,
         )
 
     def _trained(
@@ -190,20 +192,18 @@ class Forces:
     ) -> tuple[Path, ForcePredictor]:
         """Return a model and its folder; frames to train and validate on are made if need be."""
         folder = self.places.model(name)
-        if not self._data:
-            self._data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint}"
-        data = f"{self._data} {sensor}"
-        with RunFolder.open(folder, KIND, settings, data, True, keep=1) as run:
+        with self._open(name, settings, sensor) as run:
             if not run.finished:
-                presses, validation = frames()
+                presses, held = frames()
+                validation = () if held is None else self._as_seen(held)
                 steps = Progress(f"steps of {name}", sys.stderr)
                 try:
                     with Stop(partial(print, file=sys.stderr)) as stop:
                         train_force(
-                            presses,
+                            self._as_seen(presses),
                             settings,
                             run,
-                            validation=() if validation is None else validation,
+                            validation=validation,
                             start_from=start_from,
                             compensation=compensation,
                             stopped=lambda: stop.asked,
@@ -214,6 +214,17 @@ class Forces:
                 if stop.asked and not run.finished:
                     raise KeyboardInterrupt
         return folder, load_force_model(folder, self.device)
+
+    def _run_of(self, tuning: Tuning) -> RunFolder:
+        shown = f"{tuning.pair.source}-to-{tuning.pair.target}"
+        return self._open(tuning.name, self._tuning_settings(), shown)
+
+    def _open(self, name: str, settings: ForceSettings, sensor: str) -> RunFolder:
+        """Return the folder of a model that learns from a sensor's frames."""
+        if not self._data:
+            self._data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint}"
+        data = f"{self._data} {sensor}"
+        return RunFolder.open(self.places.model(name), KIND, settings, data, True, keep=1)
 
     def _translated(
         self, pair: Pair, model: Model, known: dict[tuple[float, float], torch.Tensor]
@@ -255,12 +266,20 @@ class Forces:
             self._seen[sensor] = training, read("validation")
         return self._seen[sensor]
 
+    def _as_seen(self, presses: Presses) -> Presses:
+        """Return presses as force models see them."""
+        return presses if self.settings.memory else presses.each_frame_alone()
+
     def _tested_on(self, sensor: str) -> Tested:
         if sensor not in self._tested:
             self._tested[sensor] = tested_on(
                 self.archive[sensor], self.split, self.settings, self.device
             )
         return self._tested[sensor]
+
+    def _tuning_settings(self) -> ForceSettings:
+        """Return how models learn from translated frames."""
+        return self._force_settings((*self.settings.force.set, *self.settings.fine_tuning))
 
     def _force_settings(self, changed: Sequence[str]) -> ForceSettings:
         changed = (*changed, f"launch.device={self.device.type}")
@@ -272,6 +291,18 @@ class Forces:
             )
         return settings
 
+    def _file_of(self, tuning: Tuning) -> Path:
+        return self._file(tuning.pair, tuning.method, tuning.translator)
+
     def _file(self, pair: Pair, method: str, translator: str) -> Path:
         parts = [f"{pair.source}-to-{pair.target}", method, translator, "npz"]
         return self.places.predictions / ".".join(part for part in parts if part)
+
+
+def _labels(
+    pair: Pair, method: str, compensation: StoredCompensation | None
+) -> Compensation | None:
+    """Return what changes the labels of a pair, by a kind of labels."""
+    if compensation is None or method not in _CHOICES:
+        return None
+    return compensation.pair(pair.source, pair.target, _CHOICES[method]).applied

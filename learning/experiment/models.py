@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from learning.errors import LearningError
+from learning.experiment.blind import Blind
 from learning.experiment.settings import ExperimentSettings, ModelChoice
 from learning.training.stopping import EXIT_INTERRUPTED
 from learning.translation.archive import Model, hash_of
@@ -70,14 +71,19 @@ def train_translator(
         run_command(command, say)
 
 
-def open_translator(places: Places, name: str, device: torch.device) -> Model:
-    """Return a translator.
+def open_translator(
+    places: Places, settings: ExperimentSettings, name: str, device: torch.device
+) -> Model:
+    """Return a translator, which is told of the source what the settings say.
 
     Raises:
         LearningError: It is not trained, or its files are damaged.
     """
     folder: str | Path = name if name == FLOW else places.model(name)
-    return Model(load_translator(folder, device), name, hash_of(folder), str(device))
+    translator = load_translator(folder, device)
+    if not settings.source_reference:
+        translator = Blind(translator)
+    return Model(translator, name, hash_of(folder), str(device))
 
 
 def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:

@@ -55,6 +55,15 @@ class ExperimentSettings:
     """Presses of each role that forces are predicted of, of each target; none: all."""
     scored_presses: int = 30
     """Presses of each role that translations are scored on; 0: they are not."""
+    together: int = 1
+    """Models that learn from a source's translated frames side by side: each operation is done for
+    all of them at once, which a GPU wants."""
+    memory: bool = True
+    """False: force models see every frame as if nothing had been before it. Shows what frames
+    before are worth."""
+    source_reference: bool = True
+    """False: translators are not told how the source looks untouched, which `direct` alone can do
+    without. Shows what that is worth."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -63,9 +72,16 @@ class ExperimentSettings:
             raise LearningError(
                 f"translators: found {self.translators}; allowed: flow, field, direct, each once"
             )
+        if not self.source_reference and self.translators != ("direct",):
+            raise LearningError(
+                f"source_reference: found false, with translators {self.translators}; allowed: "
+                "true, or direct alone"
+            )
         for name in ("train_presses", "test_presses"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise LearningError(f"{name}: found {value}; allowed: 1 and more, or none")
+        if self.together < 1:
+            raise LearningError(f"together: found {self.together}; allowed: 1 and more")
         if self.scored_presses < 0:
             raise LearningError(f"scored_presses: found {self.scored_presses}; allowed: 0 and more")

@@ -134,7 +134,7 @@ class Worker:
 
     def carried(self, source: str, name: str) -> Done:
         """Train models on a source's translated frames; predict their targets, score the frames."""
-        model = open_translator(self._places, name, self._device)
+        model = open_translator(self._places, self._work.settings, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
         labels = read_stored(stored) if self._work.settings.compensation else None

@@ -10,7 +10,7 @@ sensor pairs calls it pair after pair.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -112,7 +112,7 @@ def train_force(
         model.start_at(torch.stack(means).mean(dim=0))
     average = _average(model, settings)
     network: nn.Module = accelerator.prepare(model)
-    optimiser = accelerator.prepare(_optimiser(model, settings.optimiser))
+    optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
 
     # Loop
     course, best = Course(), None
@@ -125,7 +125,7 @@ def train_force(
         stage = settings.stages[course.stage]
         passes = _epoch(groups, stage, settings, course.epochs)
         steps = passes.steps(ranks)
-        schedule = _schedule(stage, stage.epochs * steps)
+        schedule = schedule_of(stage, stage.epochs * steps)
         summed = torch.tensor(course.summed, dtype=torch.float64, device=device)
         network.train()
         while course.step < steps and not stopped():
@@ -187,7 +187,7 @@ def train_force(
                 model.load_state_dict(dict(average.weights))
             course = Course(stage=course.stage + 1, epochs=course.epochs, steps=course.steps)
             best, average = None, _average(model, settings)
-            optimiser = accelerator.prepare(_optimiser(model, settings.optimiser))
+            optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
         if run is not None:
             run.log(course.steps, line)
             _save(run, course, model, best, optimiser, average, score)
@@ -212,7 +212,8 @@ def _epoch(
     return epoch(starts, sensors, settings.sequences, settings.seed, number)
 
 
-def _schedule(stage: StageSettings, steps: int) -> Schedule:
+def schedule_of(stage: StageSettings, steps: int) -> Schedule:
+    """Return the learning rate of a stage of so many steps."""
     rate, warm_up = stage.learning_rate, min(stage.warm_up_steps, steps - 1)
     if stage.schedule == "cosine":
         return Cosine(rate, steps=steps, warm_up=warm_up)
@@ -221,14 +222,12 @@ def _schedule(stage: StageSettings, steps: int) -> Schedule:
     return Constant(rate, warm_up=warm_up)
 
 
-def _optimiser(model: nn.Module, settings: OptimiserSettings) -> torch.optim.Optimizer:
+def optimiser_of(weights: Iterable[Tensor], settings: OptimiserSettings) -> torch.optim.Optimizer:
     """Return an optimiser whose rate is set before each step."""
     decay = settings.weight_decay
     if settings.name == "sgd":
-        return torch.optim.SGD(
-            model.parameters(), lr=0.0, momentum=settings.momentum, weight_decay=decay
-        )
-    return torch.optim.AdamW(model.parameters(), lr=0.0, weight_decay=decay)
+        return torch.optim.SGD(weights, lr=0.0, momentum=settings.momentum, weight_decay=decay)
+    return torch.optim.AdamW(weights, lr=0.0, weight_decay=decay)
 
 
 def _average(model: nn.Module, settings: ForceSettings) -> Ema | None:
