@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # The tables of docs/learning-tables.md: groups of simulated sensors, from presses to a report.
 #
-#   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [ONLY=archive] \
-#     bash examples/learning-tables/run.sh OUT [TABLE...]
+#   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [ONLY=archive] [SCALE=0.02] \
+#     [PRESET=tables] bash examples/learning-tables/run.sh OUT [TABLE...]
 #
 # Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
 # homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets.
@@ -27,10 +27,10 @@ for table in "$@"; do
     *) echo "TABLE: found '$table'; allowed: a group, or a group and -full" >&2; exit 2 ;;
   esac
   case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac
-  "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "$scale" --steps "$steps" \
+  "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
     --no-check --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue
-  "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset tables \
+  "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-tables}" \
     "${pairs[@]}" --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" \
     --set "compensation=$labels" --set "translators=$translators"
 done
