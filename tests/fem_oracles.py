@@ -230,6 +230,11 @@ def integers(values: Any) -> Any:
     return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=CPU)
 
 
+def rows(active: Array) -> Any:
+    """Numbers of the environments that are on, -1 of the others: what is launched (B,)."""
+    return integers(np.where(np.asarray(active) > 0, np.arange(len(active)), -1))
+
+
 def zeros(shape: tuple[int, ...], dtype: Any) -> Any:
     """An array of zeros of a Warp type."""
     return wp.zeros(shape, dtype=dtype, device=CPU)

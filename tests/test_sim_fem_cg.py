@@ -27,8 +27,8 @@ class Dense:
     def __init__(self, matrices: Array) -> None:
         self._matrices = matrices
 
-    def product(self, active: Any, v: Any, product: Any, sums: Any) -> None:
-        for env in np.flatnonzero(active.numpy()):
+    def product(self, which: Any, v: Any, product: Any, sums: Any) -> None:
+        for env in which.numpy()[which.numpy() >= 0]:
             along = v.numpy()[env].astype(float).ravel()
             answer = self._matrices[env] @ along
             product.numpy()[env] = answer.reshape(NODES, 3)
@@ -44,10 +44,10 @@ class Blocks:
         blocks = np.einsum("bninj->bnij", matrices.reshape(-1, NODES, 3, NODES, 3))
         self._inverse = np.linalg.inv(blocks)
 
-    def advance(self, active: Any, scalars: Any, along: Any, vectors: Any, sums: Any) -> None:
+    def advance(self, which: Any, scalars: Any, along: Any, vectors: Any, sums: Any) -> None:
         p, product = (each.numpy() for each in along)
         solution, r, z = (each.numpy() for each in vectors)
-        for env in np.flatnonzero(active.numpy()):
+        for env in which.numpy()[which.numpy() >= 0]:
             step = scalars.numpy()[env, 2]
             solution[env] += step * p[env]
             r[env] -= step * product[env]
@@ -66,10 +66,20 @@ class Solved:
     """What the solver makes of dense systems, one an environment."""
 
     def __init__(
-        self, matrices: Array, right: Array, active: Array, accuracy: float, real: Any, most: int
+        self,
+        matrices: Array,
+        right: Array,
+        active: Array,
+        accuracy: float,
+        real: Any,
+        most: int,
+        *,
+        gather: bool = False,
     ) -> None:
         count = len(matrices)
-        solver = ConjugateGradient(real, count, NODES, "cpu", Dense(matrices), Blocks(matrices))
+        solver = ConjugateGradient(
+            real, count, NODES, "cpu", Dense(matrices), Blocks(matrices), gather=gather
+        )
         self.count = solver.solve(
             oracle.integers(active), oracle.vectors(right, real), np.full(count, accuracy), most
         )
@@ -175,3 +185,18 @@ def test_the_most_iterations_are_kept() -> None:
     matrices = _symmetric(np.linspace(1, 1e4, SIZE), 1)[None]
     solved = Solved(matrices, _right(1), np.ones(1), 1e-14, wp.float64, 7)
     assert solved.count[0] == 7
+
+
+def test_rows_that_are_gathered_change_nothing() -> None:
+    """Seven systems that end at seven times, one that is off: 8 rows, then 4, 2 and 1."""
+    matrices = np.stack([_symmetric(np.geomspace(1, 4**k, SIZE), k) for k in range(1, 9)])
+    right, active = _right(8), np.array([1, 1, 1, 0, 1, 1, 1, 1])
+    apart, together = (
+        Solved(matrices, right, active, 1e-8, wp.float64, 2000, gather=gather)
+        for gather in (False, True)
+    )
+    assert len(np.unique(apart.count)) > 5
+    assert not apart.count[3]
+    np.testing.assert_array_equal(apart.count, together.count)
+    np.testing.assert_array_equal(apart.solution, together.solution)
+    np.testing.assert_array_equal(apart.slope, together.slope)

@@ -26,7 +26,9 @@ def _apply(columns: Columns, active: Any, r: Array, real: Any) -> Array:
     scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
     sums = wp.zeros((count, columns.parts, 2), dtype=wp.float64, device="cpu")
     residual = oracle.vectors(r, real)
-    columns.advance(active, scalars, (nothing, nothing), (nothing, residual, z), sums)
+    columns.advance(
+        oracle.rows(active.numpy()), scalars, (nothing, nothing), (nothing, residual, z), sums
+    )
     return np.array(z.numpy())
 
 
@@ -125,7 +127,7 @@ def test_a_step_moves_solution_and_residual_and_adds_up_the_products() -> None:
     sums = wp.zeros((3, columns.parts, 2), dtype=wp.float64, device="cpu")
     along = oracle.vectors(p, wp.float64), oracle.vectors(product, wp.float64)
     vectors = [oracle.vectors(each, wp.float64) for each in (solution, r, np.zeros_like(r))]
-    columns.advance(active, scalars, along, vectors, sums)
+    columns.advance(oracle.rows(tangents.active), scalars, along, vectors, sums)
     on = tangents.active.astype(bool)
     step = np.where(on, length, 0.0)[:, None, None]
     found, left, z = (each.numpy() for each in vectors)

@@ -70,7 +70,7 @@ def test_the_product_is_that_of_the_dense_matrix(real: Any, error: float, parall
     v = np.random.default_rng(2).normal(0, 1, (3, COUNT, 3))
     product = oracle.vectors(np.full((3, COUNT, 3), FILLED), real)
     sums = oracle.zeros((3, RUNS, 3), wp.float64)
-    stencil.product(oracle.integers(tangents.active), oracle.vectors(v, real), product, sums)
+    stencil.product(oracle.rows(tangents.active), oracle.vectors(v, real), product, sums)
     assert product.dtype == vector_of(real)
     for env in np.flatnonzero(tangents.active):
         expected = np.einsum("nimj,mj->ni", tangents.dense(env), v[env])

@@ -2,9 +2,11 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """Preconditioned conjugate gradients on all environments at once, each stopping on its own.
 
-No number leaves the device but whether any environment is still running, looked at every `LOOK`
-iterations; on a GPU the iterations between are one graph, recorded once. Dot products are float64
-whatever the precision of the vectors.
+No number leaves the device but which environments are still running, looked at every `LOOK`
+iterations; on a GPU the iterations between are one graph, recorded once for as many rows as are
+launched. Rows hold the number of an environment, or -1: when half of them are through, the others
+move together and half as many are launched, since threads that have nothing to do take time as
+well. Dot products are float64 whatever the precision of the vectors.
 """
 
 import functools
@@ -43,7 +45,7 @@ def _kernels(real, lanes: int):
     @wp.kernel(enable_backward=False, module="unique")
     def start(
         # In:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         residual: wp.array2d(dtype=vec3),
         # Out:
         solution_out: wp.array2d(dtype=vec3),
@@ -51,8 +53,9 @@ def _kernels(real, lanes: int):
         p_out: wp.array2d(dtype=vec3),
         product_out: wp.array2d(dtype=vec3),
     ):
-        env, n = wp.tid()
-        if active[env] == 0:
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         solution_out[env, n] = vec3()
         p_out[env, n] = vec3()
@@ -65,14 +68,13 @@ def _kernels(real, lanes: int):
         sums: wp.array3d(dtype=wp.float64),
         accuracy: wp.array(dtype=wp.float64),
         # In and out:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
-        env, lane = wp.tid()
-        if lane == 0:
-            count_out[env] = 0
-        if active[env] == 0:
+        row, lane = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         rz = total(sums, env, lane, 0)
         rr = total(sums, env, lane, 1)
@@ -81,20 +83,22 @@ def _kernels(real, lanes: int):
             scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
             scalars_out[env, 3] = wp.float64(0.0)
             scalars_out[env, 4] = wp.float64(0.0)
+            count_out[env] = 0
             if rr == wp.float64(0.0):
-                active[env] = 0
+                which[row] = -1
 
     @wp.kernel(enable_backward=False, module="unique")
     def step_length(
         # In:
         sums: wp.array3d(dtype=wp.float64),
         # In and out:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
-        env, lane = wp.tid()
-        if active[env] == 0:
+        row, lane = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         curvature = total(sums, env, lane, 0)
         if lane == 0:
@@ -115,11 +119,12 @@ def _kernels(real, lanes: int):
         # In:
         sums: wp.array3d(dtype=wp.float64),
         # In and out:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
-        env, lane = wp.tid()
-        if active[env] == 0:
+        row, lane = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         rz = total(sums, env, lane, 0)
         rr = total(sums, env, lane, 1)
@@ -127,19 +132,20 @@ def _kernels(real, lanes: int):
             scalars_out[env, 3] = rz / scalars_out[env, 0]
             scalars_out[env, 0] = rz
             if not (rr > scalars_out[env, 1]):
-                active[env] = 0
+                which[row] = -1
 
     @wp.kernel(enable_backward=False, module="unique")
     def turn(
         # In:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         scalars: wp.array2d(dtype=wp.float64),
         z: wp.array2d(dtype=vec3),
         # In and out:
         p_out: wp.array2d(dtype=vec3),
     ):
-        env, n = wp.tid()
-        if active[env] == 0:
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         p_out[env, n] = z[env, n] + p_out[env, n] * real(scalars[env, 3])
 
@@ -154,13 +160,24 @@ class ConjugateGradient:
         environments: How many, B.
         nodes: How many, N.
         device: Where.
-        stencil: The tangent: `product(active, p, product, sums)` writes tangent p and the shares of
-            p . tangent p, (B, `stencil.parts`, 1).
+        stencil: The tangent: `product(which, p, product, sums)` writes tangent p and the shares of
+            p . tangent p, (B, `stencil.parts`, 1), of the environments `which` (R,) names.
         columns: The preconditioner: `advance` goes a step along p and writes z and the shares of
             r.z and r.r, (B, `columns.parts`, 2).
+        gather: Whether fewer rows are launched as environments end. On a GPU, when not said.
     """
 
-    def __init__(self, real, environments: int, nodes: int, device: str, stencil, columns) -> None:
+    def __init__(
+        self,
+        real,
+        environments: int,
+        nodes: int,
+        device: str,
+        stencil,
+        columns,
+        *,
+        gather: bool | None = None,
+    ) -> None:
         vec3 = vector_of(real)
         shape = (environments, nodes)
         self._real = real
@@ -177,11 +194,12 @@ class ConjugateGradient:
         self._along = wp.zeros(parts, dtype=wp.float64, device=device)
         parts = environments, columns.parts, 2
         self._sums = wp.zeros(parts, dtype=wp.float64, device=device)
-        self._active = wp.zeros(environments, dtype=wp.int32, device=device)
+        self._which = self._all_rows = wp.zeros(environments, dtype=wp.int32, device=device)
         self._count = wp.zeros(environments, dtype=wp.int32, device=device)
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
         self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
-        self._graph = None
+        self._graphs = {}
+        self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
 
     def solve(self, active, residual, accuracy, most: int) -> np.ndarray:
@@ -194,19 +212,20 @@ class ConjugateGradient:
             most: Iterations at most; a GPU finishes the graph it is in.
         """
         start, begin, _step_length, _change, turn = _kernels(self._real, self._lanes)
-        wp.copy(self._active, active)
+        self._gather(np.flatnonzero(active.numpy()), anew=True)
         self._accuracy.assign(accuracy)
+        self._count.zero_()
         self._scalars.zero_()
-        self._launch(
-            start, self._shape, [residual], [self.solution, self._r, self._p, self._product]
-        )
+        self._launch(start, [residual], [self.solution, self._r, self._p, self._product])
         self._advance()
-        self._total(begin, [self._sums, self._accuracy], [self._active, self._count, self._scalars])
-        self._launch(turn, self._shape, [self._scalars, self._z], [self._p])
+        self._total(begin, [self._sums, self._accuracy], [self._which, self._count, self._scalars])
+        self._launch(turn, [self._scalars, self._z], [self._p])
         look = LOOK["cuda" if self._device.is_cuda else "cpu"]
         for _iteration in range(0, most, look):
-            if not self._active.numpy().any():
+            rows = self._which.numpy()
+            if (rows < 0).all():
                 break
+            self._gather(rows[rows >= 0])
             self._iterate(look)
         return self._count.numpy().copy()
 
@@ -218,31 +237,48 @@ class ConjugateGradient:
         scalars = self._scalars.numpy()
         return scalars[:, 4].copy(), scalars[:, 1] >= CONCAVE
 
+    def _gather(self, running: np.ndarray, *, anew: bool = False) -> None:
+        """Launch at most twice as many rows as are running, if rows are gathered at all.
+
+        Args:
+            running: Numbers of environments.
+            anew: They are not those of before.
+        """
+        rows = self._shape[0]
+        while self._gathers and rows > 1 and len(running) <= rows // 2:
+            rows //= 2
+        if anew or rows < len(self._which):
+            found = np.full(rows, -1, np.int32)
+            found[: len(running)] = running
+            self._which = self._all_rows[:rows]
+            self._which.assign(found)
+
     def _iterate(self, times: int) -> None:
         if not self._device.is_cuda:
             for _time in range(times):
                 self._once()
             return
-        if self._graph is None:
+        rows = len(self._which)
+        if rows not in self._graphs:
             self._once()  # compiles what is not compiled, which a recording must not
             with wp.ScopedCapture(self._device) as capture:
                 for _time in range(times):
                     self._once()
-            self._graph = capture.graph
+            self._graphs[rows] = capture.graph
             return
-        wp.capture_launch(self._graph)
+        wp.capture_launch(self._graphs[rows])
 
     def _once(self) -> None:
         _start, _begin, step_length, change, turn = _kernels(self._real, self._lanes)
-        self._stencil.product(self._active, self._p, self._product, self._along)
-        self._total(step_length, [self._along], [self._active, self._count, self._scalars])
+        self._stencil.product(self._which, self._p, self._product, self._along)
+        self._total(step_length, [self._along], [self._which, self._count, self._scalars])
         self._advance()
-        self._total(change, [self._sums], [self._active, self._scalars])
-        self._launch(turn, self._shape, [self._scalars, self._z], [self._p])
+        self._total(change, [self._sums], [self._which, self._scalars])
+        self._launch(turn, [self._scalars, self._z], [self._p])
 
     def _advance(self) -> None:
         self._columns.advance(
-            self._active,
+            self._which,
             self._scalars,
             (self._p, self._product),
             (self.solution, self._r, self._z),
@@ -252,14 +288,18 @@ class ConjugateGradient:
     def _total(self, kernel, inputs, outputs) -> None:
         wp.launch(
             kernel,
-            dim=(self._shape[0], self._lanes),
+            dim=(len(self._which), self._lanes),
             inputs=inputs,
             outputs=outputs,
             device=self._device,
             block_dim=LANES,
         )
 
-    def _launch(self, kernel, dim, inputs, outputs) -> None:
+    def _launch(self, kernel, inputs, outputs) -> None:
         wp.launch(
-            kernel, dim=dim, inputs=[self._active, *inputs], outputs=outputs, device=self._device
+            kernel,
+            dim=(len(self._which), self._shape[1]),
+            inputs=[self._which, *inputs],
+            outputs=outputs,
+            device=self._device,
         )

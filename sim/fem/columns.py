@@ -90,7 +90,7 @@ def _kernels(real):
     @wp.kernel(enable_backward=False, module="unique")
     def step(
         # In: step length (B, 2); search direction and the tangent times it
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         scalars: wp.array2d(dtype=wp.float64),
         p: wp.array2d(dtype=vec3),
         product: wp.array2d(dtype=vec3),
@@ -99,8 +99,9 @@ def _kernels(real):
         r_out: wp.array2d(dtype=vec3),
     ):
         """What a thread for each node does before `sweep`: neighbours in memory go together."""
-        env, n = wp.tid()
-        if active[env] == 0:
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         length = real(scalars[env, 2])
         solution_out[env, n] = solution_out[env, n] + p[env, n] * length
@@ -109,7 +110,7 @@ def _kernels(real):
     @wp.kernel(enable_backward=False, module="unique")
     def sweep(
         # In: factors; residual
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         pivot: wp.array3d(dtype=mat33),
         upper: wp.array3d(dtype=mat33),
         r: wp.array2d(dtype=vec3),
@@ -117,8 +118,9 @@ def _kernels(real):
         z_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        env, column = wp.tid()
-        if active[env] == 0:
+        row, column = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
@@ -147,7 +149,7 @@ def _kernels(real):
     @wp.kernel(enable_backward=False, module="unique")
     def advance(
         # In: factors; step length (B, 2); search direction and the tangent times it
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         pivot: wp.array3d(dtype=mat33),
         upper: wp.array3d(dtype=mat33),
         scalars: wp.array2d(dtype=wp.float64),
@@ -160,8 +162,9 @@ def _kernels(real):
         z_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        env, column = wp.tid()
-        if active[env] == 0:
+        row, column = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
@@ -233,11 +236,11 @@ class Columns:
             device=self._device,
         )
 
-    def advance(self, active, scalars, along, vectors, sums) -> None:
+    def advance(self, which, scalars, along, vectors, sums) -> None:
         """Go a step of conjugate gradients, and precondition the residual that it leaves.
 
         Args:
-            active: Which environments, int32 (B,).
+            which: Numbers of environments, int32 (R,); -1: none.
             scalars: Length of the step in column 2 (B, 3 or more), float64.
             along: Search direction and the tangent times it, two (B, N).
             vectors: Solution and residual, which the step changes, and where the preconditioned
@@ -247,8 +250,8 @@ class Columns:
         if not self._on_gpu:
             wp.launch(
                 self._advance,
-                dim=self._launched,
-                inputs=[active, self._pivot, self._upper, scalars, *along],
+                dim=(len(which), self._launched[1]),
+                inputs=[which, self._pivot, self._upper, scalars, *along],
                 outputs=[*vectors, sums],
                 device=self._device,
             )
@@ -256,15 +259,15 @@ class Columns:
         solution, r, z = vectors
         wp.launch(
             self._step,
-            dim=r.shape,
-            inputs=[active, scalars, *along],
+            dim=(len(which), r.shape[1]),
+            inputs=[which, scalars, *along],
             outputs=[solution, r],
             device=self._device,
         )
         wp.launch(
             self._sweep,
-            dim=(self._launched[0], self.parts * BLOCK),
-            inputs=[active, self._pivot, self._upper, r],
+            dim=(len(which), self.parts * BLOCK),
+            inputs=[which, self._pivot, self._upper, r],
             outputs=[z, sums],
             device=self._device,
             block_dim=BLOCK,

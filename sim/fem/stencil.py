@@ -77,7 +77,7 @@ def _kernels(real):
                             matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
 
     @wp.func
-    def row(
+    def line(
         offsets: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=mat33),
         v: wp.array2d(dtype=vec3),
@@ -99,19 +99,20 @@ def _kernels(real):
         # Mesh:
         offsets: wp.array(dtype=wp.int32),
         # In:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=mat33),
         v: wp.array2d(dtype=vec3),
         # Out: matrix times v, and v . (matrix v) of each run of nodes
         product_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        env, run = wp.tid()
-        if active[env] == 0:
+        row, run = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         curvature = wp.float64(0.0)
         for n in range(run * RUN, wp.min((run + 1) * RUN, v.shape[1])):
-            total = row(offsets, matrix, v, env, n)
+            total = line(offsets, matrix, v, env, n)
             product_out[env, n] = total
             curvature += wp.float64(wp.dot(total, v[env, n]))
         sums_out[env, run, 0] = curvature
@@ -121,19 +122,20 @@ def _kernels(real):
         # Mesh:
         offsets: wp.array(dtype=wp.int32),
         # In:
-        active: wp.array(dtype=wp.int32),
+        which: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=mat33),
         v: wp.array2d(dtype=vec3),
         # Out: matrix times v, and v . (matrix v) of each block of threads, a node each
         product_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        env, n = wp.tid()
-        if active[env] == 0:
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
             return
         curvature = wp.float64(0.0)
         if n < v.shape[1]:
-            total = row(offsets, matrix, v, env, n)
+            total = line(offsets, matrix, v, env, n)
             product_out[env, n] = total
             curvature = wp.float64(wp.dot(total, v[env, n]))
         whole = wp.tile_sum(wp.tile(curvature))
@@ -251,13 +253,16 @@ class Stencil:
                 device=self._device,
             )
 
-    def product(self, active, v, product, sums) -> None:
-        """Write matrix times `v` and its partial sums: what `ConjugateGradient.solve` applies."""
+    def product(self, which, v, product, sums) -> None:
+        """Write matrix times `v` and its partial sums: what `ConjugateGradient.solve` applies.
+
+        Only of the environments whose numbers `which` holds, int32 (R,); -1: none.
+        """
         on_gpu = self._on_gpu
         wp.launch(
             self._block_product if on_gpu else self._product,
-            dim=(self._environments, self.parts * (BLOCK if on_gpu else 1)),
-            inputs=[self._offsets, active, self.matrix, v],
+            dim=(len(which), self.parts * (BLOCK if on_gpu else 1)),
+            inputs=[self._offsets, which, self.matrix, v],
             outputs=[product, sums],
             device=self._device,
             block_dim=BLOCK,
