@@ -50,11 +50,19 @@ def run(archive: MarkerArchive, out: Path, *changed: str) -> list[str]:
     return [*said, running.gained(report.force)]
 
 
+@pytest.fixture(scope="module")
+def done(
+    archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list[str]]:
+    """A whole experiment: its folder, and what it said."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    return out, run(archive, out)
+
+
 def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
-    archive: MarkerArchive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    archive: MarkerArchive, done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "out"
-    said = run(archive, out)
+    out, said = done
     assert said[-1].startswith("source-only R2 ")
     assert "  transferred R2 " in said[-1]
     assert (out / "report" / "report.html").is_file()
@@ -71,34 +79,29 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         run(archive, out, "seed=1")
 
 
+@pytest.mark.slow
 def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
-    archive: MarkerArchive, tmp_path: Path
+    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    said: dict[int, list[str]] = {1: [], 2: []}
-    for jobs, lines in said.items():
-        running.run_experiment(
-            archive.path,
-            tmp_path / str(jobs),
-            settings(),
-            pairs=["dots:grid"],
-            jobs=jobs,
-            say=lines.append,
-        )
-    assert [line for line in said[2] if "R2" in line] == [line for line in said[1] if "R2" in line]
+    out, said = done
+    also: list[str] = []
+    running.run_experiment(
+        archive.path, tmp_path, settings(), pairs=["dots:grid"], jobs=2, say=also.append
+    )
+    assert [line for line in also if " to " in line] == [line for line in said if " to " in line]
     file = Path("results") / "dots-to-grid.compensated.flow.npz"
-    alone, together = (read_predictions(tmp_path / str(jobs) / file) for jobs in said)
+    alone, together = (read_predictions(place / file) for place in (out, tmp_path))
     assert np.array_equal(alone.predicted, together.predicted)
 
 
 def test_models_trained_together_say_what_those_trained_alone_say(
-    archive: MarkerArchive, tmp_path: Path
+    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    for together in (1, 4):
-        run(archive, tmp_path / str(together), f"together={together}")
+    run(archive, tmp_path, "together=4")
     file = Path("results") / "dots-to-grid.compensated.flow.npz"
-    alone, side_by_side = (read_predictions(tmp_path / name / file) for name in "14")
-    assert np.abs(alone.predicted - side_by_side.predicted).max() < 1e-3
-    assert not np.array_equal(alone.predicted, side_by_side.predicted)
+    alone, together = (read_predictions(place / file) for place in (done[0], tmp_path))
+    assert np.abs(alone.predicted - together.predicted).max() < 1e-3
+    assert not np.array_equal(alone.predicted, together.predicted)
 
 
 def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
