@@ -20,15 +20,13 @@ from torch.func import functional_call, stack_module_state
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.batches import error, prepared_rows, require_form
-from learning.force.labels import Compensation, force_range, labels_of
+from learning.force.labels import Compensation, labels_of
 from learning.force.network import ForceModel
 from learning.force.predictor import ForcePredictor
-from learning.force.sequences import epoch
 from learning.force.settings import ForceSettings
-from learning.force.train import optimiser_of, schedule_of
+from learning.force.train import begun_model, epoch_of, optimiser_of, schedule_of
 from learning.training.sampling import seed_torch
 from learning.training.schedules import set_rate
-from learning.training.weights import load_weights
 
 _AT_ONCE = 256
 """Frames prepared at once."""
@@ -62,26 +60,27 @@ def train_together(
     device = presses[0].device
     changes = list(compensation) or [None] * len(presses)
     labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
-    models = [_model(each, settings, start_from, device) for each in labels]
+    models = [begun_model([each], settings, start_from, device) for each in labels]
     wanted = torch.stack([model.shares(each) for model, each in zip(models, labels, strict=True)])
     frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
 
     weights, buffers = stack_module_state(models)
-    optimiser = optimiser_of(weights.values(), settings.optimiser)
-    starts = [presses[0].starts.cpu().numpy()]
     total = sum(
-        stage.epochs * epoch(starts, (0,), settings.sequences, settings.seed, 0).steps(1)
+        stage.epochs * epoch_of(presses[:1], stage, settings, 0).steps(1)
         for stage in settings.stages
     )
     done = passed = 0
     for stage in settings.stages:
-        steps = epoch(starts, (0,), settings.sequences, settings.seed, passed).steps(1)
+        optimiser = optimiser_of(weights.values(), settings.optimiser)
+        steps = epoch_of(presses[:1], stage, settings, passed).steps(1)
         schedule = schedule_of(stage, stage.epochs * steps)
         summed = torch.zeros(len(models), dtype=torch.float64, device=device)
         for number in range(stage.epochs * steps):
             if stopped():
                 return None
-            passes = epoch(starts, (0,), settings.sequences, settings.seed, passed)
+            if number % steps == 0:
+                passes = epoch_of(presses[:1], stage, settings, passed)
+                passed += 1
             sequences = passes.sequences(number % steps)
             seed_torch(settings.seed, "force", "step", done, 0)
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
@@ -100,15 +99,12 @@ def train_together(
             summed += losses.detach()
             done += 1
             progress(done, total)
-            if (number + 1) % steps == 0:
-                passed += 1
         for each, loss in zip(presses, summed.tolist(), strict=True):
             if not math.isfinite(loss):
                 raise LearningError(
                     f"loss of {each.sensor}: found {loss}; allowed: a finite one, as a smaller "
                     "learning_rate may give"
                 )
-        optimiser = optimiser_of(weights.values(), settings.optimiser)
     for number, model in enumerate(models):
         found = {**weights, **buffers}
         model.load_state_dict({name: each[number].detach() for name, each in found.items()})
@@ -143,20 +139,6 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
                 f"{key}: found what models have to be trained for one at a time; allowed together: "
                 "norms none, instance or group, no flips, no ema, precision no or bf16"
             )
-
-
-def _model(
-    labels: Tensor, settings: ForceSettings, start_from: ForcePredictor | None, device: torch.device
-) -> ForceModel:
-    """Return a model as `train_force` begins with it."""
-    seed_torch(settings.seed, "force", "weights")
-    model = ForceModel(settings.network, settings.input).to(device).train()
-    if start_from is not None:
-        load_weights(model, start_from.model.state_dict(), "start_from")
-    model.set_range(force_range([labels], settings))
-    if start_from is None and settings.start_at_mean:
-        model.start_at(model.shares(labels).mean(dim=0))
-    return model
 
 
 def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:

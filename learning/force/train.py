@@ -102,14 +102,7 @@ def train_force(
     # Model
     accelerator = accelerator or launch.accelerator(settings.launch)
     device, ranks, rank = accelerator.device, accelerator.num_processes, accelerator.process_index
-    seed_torch(settings.seed, "force", "weights")
-    model = ForceModel(settings.network, settings.input).to(device)
-    if start_from is not None:
-        load_weights(model, start_from.model.state_dict(), "start_from")
-    model.set_range(force_range(labels, settings))
-    if start_from is None and settings.start_at_mean:
-        means = [model.shares(each.to(device)).mean(dim=0) for each in labels]
-        model.start_at(torch.stack(means).mean(dim=0))
+    model = begun_model(labels, settings, start_from, device)
     average = _average(model, settings)
     network: nn.Module = accelerator.prepare(model)
     optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
@@ -119,11 +112,12 @@ def train_force(
     if run is not None and run.latest() is not None:
         course, best = _resumed(run, model, optimiser, average)
     total = sum(
-        stage.epochs * _epoch(groups, stage, settings, 0).steps(ranks) for stage in settings.stages
+        stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
+        for stage in settings.stages
     )
     while course.stage < len(settings.stages):
         stage = settings.stages[course.stage]
-        passes = _epoch(groups, stage, settings, course.epochs)
+        passes = epoch_of(groups, stage, settings, course.epochs)
         steps = passes.steps(ranks)
         schedule = schedule_of(stage, stage.epochs * steps)
         summed = torch.tensor(course.summed, dtype=torch.float64, device=device)
@@ -200,7 +194,29 @@ def _groups(presses: Presses | Sequence[Presses]) -> list[Presses]:
     return [presses] if isinstance(presses, Presses) else list(presses)
 
 
-def _epoch(
+def begun_model(
+    labels: Sequence[Tensor],
+    settings: ForceSettings,
+    start_from: ForcePredictor | None,
+    device: torch.device,
+) -> ForceModel:
+    """Return the model that a training begins with, for the labels (N, 3) N of each sensor.
+
+    Raises:
+        LearningError: A network that `start_from` does not fit.
+    """
+    seed_torch(settings.seed, "force", "weights")
+    model = ForceModel(settings.network, settings.input).to(device)
+    if start_from is not None:
+        load_weights(model, start_from.model.state_dict(), "start_from")
+    model.set_range(force_range(labels, settings))
+    if start_from is None and settings.start_at_mean:
+        means = [model.shares(each.to(device)).mean(dim=0) for each in labels]
+        model.start_at(torch.stack(means).mean(dim=0))
+    return model
+
+
+def epoch_of(
     groups: Sequence[Presses], stage: StageSettings, settings: ForceSettings, number: int
 ) -> Epoch:
     """Return a pass over the presses of all sensors, or of the one that a stage learns from."""

@@ -69,7 +69,6 @@ def _kernels(real, lanes: int):
         accuracy: wp.array(dtype=wp.float64),
         # In and out:
         which: wp.array(dtype=wp.int32),
-        count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
         row, lane = wp.tid()
@@ -83,7 +82,6 @@ def _kernels(real, lanes: int):
             scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
             scalars_out[env, 3] = wp.float64(0.0)
             scalars_out[env, 4] = wp.float64(0.0)
-            count_out[env] = 0
             if rr == wp.float64(0.0):
                 which[row] = -1
 
@@ -218,7 +216,7 @@ class ConjugateGradient:
         self._scalars.zero_()
         self._launch(start, [residual], [self.solution, self._r, self._p, self._product])
         self._advance()
-        self._total(begin, [self._sums, self._accuracy], [self._which, self._count, self._scalars])
+        self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
         self._launch(turn, [self._scalars, self._z], [self._p])
         look = LOOK["cuda" if self._device.is_cuda else "cpu"]
         for _iteration in range(0, most, look):

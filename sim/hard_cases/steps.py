@@ -107,13 +107,16 @@ def _sunk(solver: Solver, indenter: Indenter, halves: int = 5, **numerics: objec
     """Begins so many half millimetres inside: a slow press's state, or a refusal with evidence."""
     frames = press([0.5 * MM * step for step in range(1, halves + 1)])
     slow = solver.one(Scene(indenter, frames, MAT), **CLOSED)
-    tip = (0.0, 0.0, -0.5 * MM * halves)
-    sunk = Scene(indenter, Motion(tip=(tip,), time=(0.0,)), MAT)
     try:
-        result = solver.one(sunk, **CLOSED, **numerics)
+        result = solver.one(_begun_inside(indenter, halves), **CLOSED, **numerics)
     except SimulationDiverged as diverged:
         return [*sound(slow, det_f=0.05), *evidence(diverged)]
     return [*sound(slow, result, det_f=0.05), same_end("force", slow, result, SAME)]
+
+
+def _begun_inside(indenter: Indenter, halves: int) -> Scene:
+    tip = (0.0, 0.0, -0.5 * MM * halves)
+    return Scene(indenter, Motion(tip=(tip,), time=(0.0,)), MAT)
 
 
 def prism_starts_deep_inside(solver: Solver) -> list[Law]:
@@ -127,9 +130,8 @@ def prism_where_the_skin_buckles(solver: Solver) -> list[Law]:
     Without friction the skin under its edges creases from about 2 mm on, and several states are in
     balance: 12.99, 13.97 and 15.46 N. Which is found depends on the path and on the last digit.
     """
-    sunk = Scene(named("prism"), Motion(tip=((0.0, 0.0, -2.5 * MM),), time=(0.0,)), MAT)
     try:
-        result = solver.one(sunk, **CLOSED)
+        result = solver.one(_begun_inside(named("prism"), 5), **CLOSED)
     except SimulationDiverged as diverged:
         return evidence(diverged)
     return sound(result, det_f=0.05)
