@@ -225,7 +225,7 @@ def tiny() -> Work:
 
 
 def plan_of(folder: Path, parts: tuple[str, ...], *, again: bool = False) -> Plan:
-    return Plan("cpu", tiny(), folder, parts, 1, 4e-3 / 3, 4e-3 / 3, again, False, None)
+    return Plan("cpu", tiny(), folder, parts, 1, 4e-3 / 3, (), 4e-3 / 3, again, False, None)
 
 
 def test_what_is_measured_is_kept_and_not_measured_twice(tmp_path: Path) -> None:

@@ -43,6 +43,8 @@ class Plan:
     processes: int
     spacing: float
     """Of the timed presses [m]."""
+    meshes: tuple[float, ...]
+    """Other heights of elements that the same presses are timed with [m]."""
     reference_spacing: float
     again: bool
     """Measure what is there already."""
@@ -87,6 +89,11 @@ def steps_file(record: Path) -> Path:
     return record.with_name(f"{record.stem}-steps.csv")
 
 
+def meshes_file(record: Path) -> Path:
+    """Where the forces of the same presses with other elements are."""
+    return record.with_name(f"{record.stem}-meshes.csv")
+
+
 def measure(plan: Plan, say: Callable[[str], None]) -> None:
     """Measure what is asked for and not yet in the file, and keep it run by run."""
     record = read(plan.file) if plan.file.exists() else None
@@ -98,6 +105,7 @@ def measure(plan: Plan, say: Callable[[str], None]) -> None:
         "scaling": campaign.scaling,
         "steps": campaign.steps,
         "mpm": campaign.mpm,
+        "meshes": campaign.meshes,
         "reference": campaign.reference,
     }
     for part in plan.parts:
@@ -168,6 +176,21 @@ class _Campaign:
             for name, numerics in list(plan.mpm.items())[:1]:
                 count = len(plan.work.centred)
                 self._mpm(f"{name}, {count} presses", plan.work.centred, numerics, 10e-3)
+
+    def meshes(self) -> None:
+        plan = self._plan
+        for spacing in plan.meshes:
+            run = replace(
+                self._run("meshes", f"{spacing * 1e3:.3g} mm", plan.processes),
+                spacing_mm=spacing * 1e3,
+            )
+            if not self._due(run):
+                continue
+            solve = fem(replace(plan.numerics, spacing=spacing), plan.device, plan.processes)
+            run, forces = self._solved(run, plan.work.presses, solve)
+            path = meshes_file(plan.file)
+            write_runs(path, read_runs(path) | {run.name: forces})
+            self._keep(run)
 
     def reference(self) -> None:
         plan = self._plan

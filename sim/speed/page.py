@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sim.fem.grading import FOR_EDGES
-from sim.speed.campaign import REFERENCE_FILE, presses_file
+from sim.speed.campaign import REFERENCE_FILE, meshes_file, presses_file
 from sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
-from sim.speed.forces import SHALLOW_MM, Errors, errors, read_forces
+from sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
 from sim.speed.record import Record, Run
 from sim.speed.step_tables import floor_section, steps_section
 from sim.speed.tacchi import CITED, SOURCE
@@ -30,6 +30,11 @@ scenes to results; compiling is told apart. Made by `make speed`.
 _ERRORS = """
 Error: |F - Fref| / |Fref| of every press and depth that the reference has: all 18 indenters in the
 middle, at a corner and at a side.
+"""
+_MESHES = """
+## What accuracy costs
+
+The same {whole} presses with coarser and finer elements; errors from {deep:g} mm on.
 """
 _SCALING = """
 ## More presses
@@ -55,7 +60,7 @@ _COMMANDS = """
 
 ```
 make speed                                   # this machine's CPU, then this page
-python -m sim speed --device cuda:0 --only presses,scaling,steps,mpm,reference --out DIR
+python -m sim speed --device cuda:0 --only presses,scaling,steps,mpm,meshes,reference --out DIR
 python -m sim speed --only page              # with DIR's files beside the others in docs/speed
 ```
 
@@ -82,6 +87,7 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
     lines += _machine_lines(records)
     lines += [_ERRORS + _reference_text(records)]
     lines += _error_table(records, found)
+    lines += [_MESHES.format(whole=WHOLE, deep=SHALLOW_MM), *_mesh_table(records, reference)]
     lines += [_SCALING.format(dense=DENSE, x=DENSE_X, y=DENSE_Y)]
     lines += _scaling_table(records)
     lines += steps_section(records, reference)
@@ -169,6 +175,25 @@ def _error_table(records: Sequence[Record], found: Sequence[tuple[Errors, Errors
             cells += [percent(value) for value in (one.mean, one.most, one.worst)]
             cells += [one.worst_at or "-", percent(one.normal)]
             lines.append(row(cells))
+    return lines
+
+
+def _mesh_table(records: Sequence[Record], reference: Forces) -> list[str]:
+    lines = [
+        "| machine | elements | seconds | a press | without a solution | error, mean | "
+        "95 % below | worst | memory |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for record in records:
+        found = read_runs(meshes_file(record.path))
+        found["all"] = read_forces(presses_file(record.path))
+        runs = [*record.of("presses"), *record.of("meshes")]
+        for run in sorted(runs, key=lambda run: -run.spacing_mm):
+            off = errors(found.get(run.name, {}), reference, from_mm=SHALLOW_MM)
+            cells = [_where(record, run), f"{run.spacing_mm:.3g} mm", seconds(run.best)]
+            cells += [_per_press(run), str(run.failed)]
+            cells += [percent(value) for value in (off.mean, off.most, off.worst)]
+            lines.append(row([*cells, memory(run.memory)]))
     return lines
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-PARTS = ("presses", "scaling", "steps", "mpm", "reference")
+PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
 """What is measured, in the order that it is."""
 
 

@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from sim.mpm import MpmNumerics
     from sim.verbs.options import Verbs
 
-PARTS = ("presses", "scaling", "steps", "mpm", "reference")
+PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
 """What is measured; `page` draws."""
-SMOKE_SPACING, SMOKE_REFERENCE = 4 / 3, 1.0
+MESHES = (1e-3, 1e-3 / 1.5, 0.5e-3)
+"""Other heights of elements that the presses are timed with [m]."""
+SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
 """Elements with --smoke [mm]."""
 
 
@@ -50,7 +52,7 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--only",
         metavar="PART,...",
-        help=f"some of {', '.join(PARTS)}, page (all; on a CPU without reference)",
+        help=f"some of {', '.join(PARTS)}, page (all; on a CPU without meshes and reference)",
     )
     parser.add_argument(
         "--out",
@@ -85,8 +87,9 @@ def run(options: argparse.Namespace) -> int:
 def _parts(options: argparse.Namespace) -> set[str]:
     allowed = (*PARTS, "page")
     if options.only is None:
-        # An hour-long reference is nothing that a first run should begin with.
-        return set(allowed) - ({"reference"} if _cpu(options) and not options.smoke else set())
+        # What takes hours is nothing that a first run should begin with.
+        hours = {"meshes", "reference"} if _cpu(options) and not options.smoke else set()
+        return set(allowed) - hours
     parts = set(options.only.split(","))
     if not parts <= set(allowed):
         raise SceneError(f"--only: {options.only!r}; allowed: some of {', '.join(allowed)}")
@@ -119,6 +122,7 @@ def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
         parts=parts,
         processes=processes,
         spacing=metres(SMOKE_SPACING if options.smoke else options.spacing),
+        meshes=SMOKE_MESHES if options.smoke else MESHES,
         reference_spacing=metres(SMOKE_REFERENCE if options.smoke else options.reference),
         again=options.again,
         long=options.long,
