@@ -105,13 +105,13 @@ def _solve(scene: Scene, tier: Tier, numerics: Numerics | MpmNumerics | None) ->
     return simulate_many([scene], tier, numerics=numerics)[0]
 
 
-def make_ready(tier: Tier) -> None:
+def make_ready(tier: Tier, device: str = "cpu") -> None:
     """Make a worker end with its parent, and start Warp without a banner of its own."""
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     if tier != "layer":
         from sim.verbs.device import ready_device
 
-        ready_device("cpu")
+        ready_device(device)
 
 
 def _end_with_parent() -> None:

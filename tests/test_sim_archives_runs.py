@@ -125,7 +125,7 @@ def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None
 def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def stopped(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop) -> Any:
+    def stopped(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
         return iter(())
 
@@ -303,6 +303,40 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert list(check(path)) == []
 
 
-def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop) -> Any:
+@pytest.mark.usefixtures("unflushed")
+@pytest.mark.parametrize(
+    ("options", "processes", "said"),
+    [
+        (("--tier", "layer"), 2, None),
+        (("--tier", "layer", "--processes", "3"), 3, None),
+        (("--processes", "3"), 0, "processes: 3 on device 'cuda:0', which solves scenes side"),
+    ],
+)
+def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    processes: int,
+    said: str | None,
+) -> None:
+    asked: list[tuple[int, str]] = []
+
+    def on_cores(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
+        asked.append((how["processes"], how["device"]))
+        return _here(begun, missing, inside, **how)
+
+    monkeypatch.setattr("sim.archives.local.make_in_processes", on_cores)
+    monkeypatch.setattr("sim.verbs.device.ready_device", lambda name: None)
+    path = tmp_path / "a.markers.zarr"
+    small = ("--indenters", "sphere", "--scale", "0.001", "--steps", "1", "--no-check")
+    where = ("--device", "cuda:0", "--out", str(path))
+    code = main(["archive", "sensors", "--sensors", "uskin", *small, *where, *options])
+    assert code == (2 if said else 0)
+    assert asked == ([] if said else [(processes, "cuda:0")])
+    assert (said or "") in capsys.readouterr().err
+
+
+def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop, device: str) -> Any:
     """Makes units in this process, in place of others."""
     return make_here(begun, missing, inside, device="cpu", stop=stop)

@@ -6,8 +6,8 @@
 #
 # Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
 # homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets.
-# Presses are simulated on PROCESSES cores, JOBS models are trained side by side on DEVICE. Stopped
-# at any moment, the same command goes on.
+# Presses are simulated on PROCESSES cores; images are made, and JOBS models side by side trained, on
+# DEVICE. Stopped at any moment, the same command goes on.
 set -euo pipefail
 out=${1:?where to, for instance runs/tables}
 shift
@@ -28,7 +28,7 @@ for table in "$@"; do
   esac
   case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac
   "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
-    --no-check --processes "$processes" --out "$out/$table.markers.zarr"
+    --no-check --device "${DEVICE:-cpu}" --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue
   "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-tables}" \
     "${pairs[@]}" --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" \

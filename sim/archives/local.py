@@ -45,9 +45,15 @@ def make_here(
 
 
 def make_in_processes(
-    begun: Begun, units: Sequence[Unit], inside: object = None, *, processes: int, stop: Stop
+    begun: Begun,
+    units: Sequence[Unit],
+    inside: object = None,
+    *,
+    processes: int,
+    stop: Stop,
+    device: str = "cpu",
 ) -> Iterator[Made]:
-    """Make units on the CPU, in the order in which they are done; each process has one thread.
+    """Make units in the order in which they are done; each process has one thread.
 
     Args:
         begun: The archive.
@@ -55,6 +61,7 @@ def make_in_processes(
         inside: Not called: several units are in hand.
         processes: How many at most.
         stop: Asked before each unit.
+        device: Where images are made; presses too, but those of `layer`.
 
     Raises:
         SceneError, OSError: As `make_unit`; units in flight are given up.
@@ -67,7 +74,7 @@ def make_in_processes(
         max(1, min(processes, len(units))),
         mp_context=context,
         initializer=make_ready,
-        initargs=("fem",),  # images are made by Warp, whatever the tier
+        initargs=("fem", device),  # images are made by Warp, whatever the tier
     )
     done = 0
     finished = False
@@ -79,7 +86,7 @@ def make_in_processes(
                 if unit is None:
                     break
                 with _one_thread(), interrupts_kept_off():
-                    pending.add(executor.submit(make_unit, begun.path, begun.plan, unit))
+                    pending.add(executor.submit(make_unit, begun.path, begun.plan, unit, device))
             if not pending:
                 finished = True
                 return

@@ -95,7 +95,12 @@ def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("who makes it")
     group.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
-    group.add_argument("--processes", type=int, metavar="N", help="on a CPU (2); a GPU takes one")
+    group.add_argument(
+        "--processes",
+        type=int,
+        metavar="N",
+        help="on a CPU, or of --tier layer for a GPU's images (2); with fem a GPU takes one",
+    )
     group.add_argument(
         "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out"
     )
@@ -161,8 +166,8 @@ def _make(options: argparse.Namespace, out: Path, plan: Plan) -> int:
     from sim.verbs.device import ready_device
 
     ready_device("cpu" if options.scheduler else options.device)
-    if options.device != "cpu":
-        solving = replace(plan.solving, one_topology=plan.solving.tier == "fem")
+    if options.device != "cpu" and plan.solving.tier == "fem":
+        solving = replace(plan.solving, one_topology=True)
         plan = replace(plan, together=TOGETHER_GPU, solving=solving)
     return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
 
@@ -185,7 +190,7 @@ def _filled(options: argparse.Namespace, begun: Begun) -> int:
     from sim.verbs.device import ready_device
 
     kernels = ready_device("cpu" if options.scheduler else options.device)
-    processes = _processes(options)
+    processes = _processes(options, begun)
     missing = begun.missing()
     _tell_cost(begun, missing, processes, options)
     with Stop(lambda line: print(f"\n{line}", file=sys.stderr, flush=True)) as stop:
@@ -242,8 +247,10 @@ def _maker(
         )
     from sim.archives.local import make_here, make_in_processes
 
-    if options.device == "cpu":
-        return partial(make_in_processes, begun, processes=processes, stop=stop)
+    if _on_cores(options, begun):
+        return partial(
+            make_in_processes, begun, processes=processes, stop=stop, device=options.device
+        )
     return partial(make_here, begun, device=options.device, stop=stop)
 
 
@@ -273,15 +280,21 @@ def _tell_cost(
         )
 
 
-def _processes(options: argparse.Namespace) -> int:
+def _on_cores(options: argparse.Namespace, begun: Begun) -> bool:
+    """Whether presses are solved on the CPU, wherever images are made."""
+    return bool(options.device == "cpu" or begun.plan.solving.tier == "layer")
+
+
+def _processes(options: argparse.Namespace, begun: Begun) -> int:
     from sim.pool import check_processes
 
     processes: int | None = options.processes
     if options.scheduler and processes is not None:
         raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
+    on_cores = _on_cores(options, begun)
     if processes is None:
-        processes = 2 if options.device == "cpu" else 1
-    check_processes(processes, options.device)
+        processes = 2 if on_cores else 1
+    check_processes(processes, "cpu" if on_cores else options.device)
     return processes
 
 
