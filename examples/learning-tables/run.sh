@@ -19,7 +19,7 @@ for table in "$@"; do
   steps=4 pairs=() labels='[compensated]' translators='[direct, field, flow]'
   case $table in
     homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
-    material) sensors=(--group material) scale=0.5 ;;
+    material) sensors=(--group material) scale=0.25 ;;
     heterogeneous) sensors=(--group heterogeneous) scale=0.15 labels='[compensated, oracle]' ;;
     homogeneous-full) sensors=(--sensors array-i,circle-ii) pairs=(--pairs array-i:circle-ii) labels='[]' ;;
     material-full) sensors=(--sensors r6,r18) pairs=(--pairs r6:r18) ;;
