@@ -25,6 +25,7 @@ def simulate(
     *,
     tolerance: str | None = None,
     error_bar: bool = False,
+    extrapolate: bool = False,
     numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
@@ -39,14 +40,18 @@ def simulate(
         tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: the cheapest
             way to it, told in `record["plan"]` (docs/cost-table.md).
         error_bar: Solve a coarser mesh as well, and add `record["error_bar"]`.
+        extrapolate: Solve a coarser mesh as well, and give the forces that both lead to
+            (`sim.extrapolation`); of `fem`.
         device: Where `fem` and `mpm` run, `cpu` or `cuda:0` and the like; `layer` runs on the CPU.
         progress: Called with the share done, 0 to 1.
 
     Raises:
         SceneError: A tier that is not there, or that does not know what the scene asks for; a
-            tolerance that nothing reaches.
+            tolerance that nothing reaches; what excludes each other.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
+    if extrapolate:
+        return _extrapolated(scene, tier, tolerance, error_bar, numerics, device, progress)
     if tolerance is not None:
         if tier is not None or numerics is not None:
             raise SceneError(
@@ -70,6 +75,31 @@ def simulate(
         if not (numerics is None or isinstance(numerics, Numerics)):
             raise _unfit(numerics, "fem", "Numerics, for an error bar")
         return with_error_bar(outcome, device=device, numerics=numerics)
+    return outcome
+
+
+def _extrapolated(
+    scene: Scene,
+    tier: Tier | None,
+    tolerance: str | None,
+    error_bar: bool,
+    numerics: Numerics | MpmNumerics | None,
+    device: str,
+    progress: Callable[[float], None] | None,
+) -> Result:
+    from sim.extrapolation import simulate_extrapolated
+    from sim.fem.numerics import Numerics
+
+    if tolerance is not None or error_bar:
+        given = f"tolerance {tolerance!r}" if tolerance is not None else "an error bar"
+        raise SceneError(f"extrapolate: True with {given}; allowed: either the one or the other")
+    if tier not in (None, "fem"):
+        raise SceneError(f"extrapolate: True with tier {tier!r}; allowed: 'fem'")
+    if not (numerics is None or isinstance(numerics, Numerics)):
+        raise _unfit(numerics, "fem", "Numerics")
+    outcome = simulate_extrapolated([scene], numerics, device=device, progress=progress)[0]
+    if isinstance(outcome, SimulationDiverged):
+        raise outcome
     return outcome
 
 

@@ -116,12 +116,14 @@ def numerics_of(options: argparse.Namespace) -> Numerics | None:
                     f"--{name}: {getattr(options, name)!r} with --tier layer; allowed: --tier fem"
                 )
         return None
+    from sim.fem.grading import FOR_EDGES, Grading
     from sim.fem.numerics import Numerics
 
     if options.mesh is not None and not options.mesh > 0:
         raise SceneError(f"--mesh: {options.mesh!r} mm; allowed: above 0")
     spacing = None if options.mesh is None else metres(options.mesh)
-    return Numerics(spacing=spacing, precision=options.precision)
+    grading = FOR_EDGES if options.extrapolate else Grading()
+    return Numerics(spacing=spacing, precision=options.precision, grading=grading)
 
 
 def _add_body_options(parser: argparse.ArgumentParser) -> None:
@@ -215,6 +217,11 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--error-bar", action="store_true", help="solve a coarser mesh too, and tell the error"
+    )
+    group.add_argument(
+        "--extrapolate",
+        action="store_true",
+        help="solve a coarser mesh too, and tell the force that both lead to",
     )
     group.add_argument(
         "--mesh",

@@ -77,6 +77,7 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
             options.tier,
             tolerance=options.tolerance,
             error_bar=options.error_bar,
+            extrapolate=options.extrapolate,
             numerics=numerics,
             device=options.device,
             progress=progress,

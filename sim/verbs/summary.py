@@ -51,6 +51,7 @@ def as_json(result: Result, *, first: int, seconds: float) -> dict[str, Any]:
         "device": result.record["device"],
         "plan": result.record.get("plan"),
         "error_bar": result.record.get("error_bar"),
+        "extrapolated": result.record.get("extrapolated"),
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
@@ -140,6 +141,13 @@ def notes(result: Result) -> list[str]:
         said.append(
             f"error bar: {100 * bar['force_share']:.2g} % of the force, {bar['force']:.2g} N, "
             f"markers {bar['marker_rms']:.2g} px"
+        )
+    if "extrapolated" in result.record:
+        how = result.record["extrapolated"]
+        coarse, fine = how["cells"]
+        said.append(
+            f"forces extrapolated from {coarse} and {fine} elements over the depth, which changed "
+            f"them by {100 * how['force_share']:.2g} %"
         )
     if "precision_reason" in result.record:
         said.append(result.record["precision_reason"])

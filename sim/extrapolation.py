@@ -1,0 +1,135 @@
+"""Forces of elements of no size, from two meshes: Richardson's extrapolation.
+
+What a mesh makes a press too stiff by falls about as the square of the elements' size; two meshes
+tell how much that is, and the force without it. So two coarse meshes come closer than a finer one
+that takes longer: docs/speed.md, on the paper's presses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim.errors import SceneError, SimulationDiverged
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate_many
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+
+Outcome = Result | SimulationDiverged
+
+ORDER = 2.0
+"""Power of the elements' size that the error falls with: linear elements, smooth pressure."""
+COARSER = 5 / 3
+"""Size of the coarser elements over that of the finer ones at most: what is left to chance in both
+forces is multiplied by 1 / (COARSER^2 - 1)."""
+COARSEST_CELLS = 3
+"""Elements over the depth of the coarser mesh at least."""
+FINER = 0.5
+"""Sides of the finest elements over their height at most: under wider ones the contact jumps from
+node to node, and the error does not fall evenly."""
+
+
+def simulate_extrapolated(
+    scenes: Sequence[Scene],
+    numerics: Numerics | None = None,
+    *,
+    device: str = "cpu",
+    processes: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> list[Outcome]:
+    """Simulate by `fem` on the mesh of `numerics` and a coarser one; see `extrapolated`.
+
+    Arguments as for `simulate_many`; `numerics` has elements for edges unless given. A scene that
+    either mesh finds no solution of has none.
+
+    Raises:
+        SceneError: As `simulate_many`; a mesh that has no coarser one, or is not narrower than
+            high where the indenter comes; bodies of several thicknesses.
+        WorkerLost: As `simulate_many`.
+    """
+    from sim.fem.grading import FOR_EDGES
+    from sim.fem.numerics import Numerics
+
+    if not scenes:
+        return []
+    fine = numerics or Numerics(grading=FOR_EDGES)
+    if fine.grading.finer > FINER:
+        raise SceneError(
+            f"numerics.grading.finer: {fine.grading.finer:g}; allowed where forces are "
+            f"extrapolated: {FINER:g} or less, such as sim.fem.grading.FOR_EDGES"
+        )
+    coarse = replace(fine, spacing=_coarser(scenes, fine))
+    found: list[list[Outcome]] = []
+    for number, each in enumerate((coarse, fine)):
+        found.append(
+            simulate_many(
+                scenes,
+                numerics=each,
+                device=device,
+                processes=processes,
+                progress=None if progress is None else _half(progress, number),
+            )
+        )
+    return [_of_both(*both) for both in zip(*found, strict=True)]
+
+
+def extrapolated(coarse: Result, fine: Result) -> Result:
+    """`fine` with the wrench of elements of no size; `record["extrapolated"]` tells how.
+
+    F = F_fine + (F_fine - F_coarse) / (r^2 - 1), r the ratio of the elements' sizes (Richardson
+    1911). Displacement and traction stay those of the finer mesh. Keys: `order`; `cells`, elements
+    over the depth of both meshes; `force_share`, what was added to the force over the force,
+    largest over the frames.
+
+    Raises:
+        SceneError: Meshes of which the first is not the coarser one.
+    """
+    cells = [int(one.record["mesh"]["cells"][2]) for one in (coarse, fine)]
+    if cells[0] >= cells[1]:
+        raise SceneError(
+            f"extrapolated: {cells[0]} and {cells[1]} elements over the depth; allowed: fewer, "
+            "then more"
+        )
+    more = (fine.wrench - coarse.wrench) / ((cells[1] / cells[0]) ** ORDER - 1)
+    largest = float(np.linalg.norm(fine.force, axis=1).max())
+    share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
+    how = {"order": ORDER, "cells": cells, "force_share": share}
+    return replace(fine, wrench=fine.wrench + more, record={**fine.record, "extrapolated": how})
+
+
+def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:
+    if isinstance(fine, SimulationDiverged):
+        return fine
+    return coarse if isinstance(coarse, SimulationDiverged) else extrapolated(coarse, fine)
+
+
+def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
+    """Size of an element of the coarser mesh [m]."""
+    from sim.fem.window import SPACING_SHARE
+
+    thicknesses = {scene.body.thickness for scene in scenes}
+    if len(thicknesses) > 1:
+        raise SceneError(
+            f"scenes: bodies of {len(thicknesses)} thicknesses; allowed where forces are "
+            "extrapolated: one"
+        )
+    (thickness,) = thicknesses
+    fine = numerics.spacing or thickness / SPACING_SHARE
+    cells = round(thickness / fine)
+    if cells <= COARSEST_CELLS:
+        raise SceneError(
+            f"numerics.spacing: {fine * 1e3:.3g} mm; allowed where forces are extrapolated: "
+            f"{thickness / (COARSEST_CELLS + 1) * 1e3:.3g} mm or less in {thickness * 1e3:g} mm"
+        )
+    return thickness / max(COARSEST_CELLS, math.ceil(cells / COARSER))
+
+
+def _half(progress: Callable[[float], None], number: int) -> Callable[[float], None]:
+    return lambda share: progress((number + share) / 2)
