@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim import Body, Effects, Friction, Scene, SceneError, SimulationDiverged, press, simulate
+from sim import (
+    Body,
+    Effects,
+    Friction,
+    Scene,
+    SceneError,
+    SimulationDiverged,
+    indenters,
+    press,
+    simulate,
+)
 from sim.__main__ import main
 from sim.extrapolation import extrapolated, simulate_extrapolated
 from sim.fem.grading import FOR_EDGES
@@ -57,6 +67,20 @@ def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) 
     assert both.force[-1, 2] > single.force[-1, 2] > coarse.force[-1, 2]
     assert said == sorted(said)
     assert said[-1] == 1
+
+
+@pytest.mark.slow
+def test_two_coarse_meshes_meet_the_converged_force_of_a_sphere() -> None:
+    # Figures on which two element families agree to 0.1 % (docs/refinement.md).
+    exact = np.array([0.2652, 0.9197, 1.9560])
+    scene = Scene(indenters.sphere(4e-3), press([0.5e-3, 1e-3, 1.5e-3]), Body())
+    numerics = Numerics(spacing=0.8e-3, grading=FOR_EDGES)
+    single, both = (
+        -simulate(scene, numerics=numerics, extrapolate=extrapolate).force[-3:, 2]
+        for extrapolate in (False, True)
+    )
+    assert (single / exact - 1 > 0.008).all()
+    assert (abs(both / exact - 1) < 0.003).all()
 
 
 @pytest.mark.slow

@@ -70,6 +70,8 @@ class Assembly:
         self._weight = self._array([each.weight for each in variants], real)
         self._faces = self._array(mesh.faces, wp.int32)
         self._face_area = self._array([each.face_area for each in variants], real)
+        self.face_rule = shape, rule
+        """Shape functions of a face's corners at its contact points (P, 4), their weights (P,)."""
         self.shape = self._array(shape, real)
         self.rule = self._array(rule, real)
         self._nodes = self._array([each.nodes for each in variants], vec3)

@@ -11,7 +11,13 @@ import numpy as np
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh
 from sim.fem.newton import FORCE_FLOOR
-from sim.fem.readings import body_force, contact_points, stored_energy, surface_traction
+from sim.fem.readings import (
+    Snapshot,
+    body_force,
+    contact_points,
+    stored_energy,
+    surface_traction,
+)
 from sim.result import Quality, Result
 from sim.scene import Scene
 
@@ -54,12 +60,12 @@ class Collector:
             self._work_most = max(self._work_most, self._work)
         self._force_before, self._tip_before = force.copy(), tip.copy()
 
-    def keep(self, frame: int, env: int, assembly: Assembly, residual: float) -> None:
+    def keep(self, frame: int, env: int, held: Snapshot, residual: float) -> None:
         """Keep the state of environment `env`, last evaluated, as frame `frame`."""
-        state, mesh = assembly.state, self._mesh
-        u = state.u[env].numpy().astype(float)
+        assembly, mesh = held.assembly, self._mesh
+        u = held.of(env, assembly.state.u).astype(float)
         tip = self._tip_before
-        points = contact_points(assembly, env, u)
+        points = contact_points(held, env, u)
         force = points.force.sum(axis=(0, 1))
         lever = points.place - tip
         torque = np.cross(lever, points.force).sum(axis=(0, 1))
@@ -67,10 +73,10 @@ class Collector:
         self._wrench[frame, :3] = force * push
         self._wrench[frame, 3:] = torque * push * unit
         self._surface[frame] = u[mesh.top] * unit
-        self._traction[frame] = surface_traction(assembly, env) * self._stress
+        self._traction[frame] = surface_traction(held, env) * self._stress
         depth = max(-float(tip[2]), 1e-6)
         size = float(np.linalg.norm(force))
-        external = force + body_force(assembly, env, u)
+        external = force + body_force(held, env, u)
         quality = self._quality
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
@@ -78,7 +84,7 @@ class Collector:
         quality["balance"][frame] = (
             float(np.linalg.norm(external + assembly.sums.base[env])) / scale
         )
-        stored = stored_energy(assembly, env, points, u)
+        stored = stored_energy(held, env, points, u)
         if self._start is None:
             self._start, self._work, self._work_most = stored, 0.0, 0.0
         lost = self._work - (stored - self._start)

@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from sim.fem.assembly import Assembly
 
@@ -31,23 +33,60 @@ class ContactPoints:
     """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
 
 
-def contact_points(assembly: Assembly, env: int, u: np.ndarray) -> ContactPoints:
+class Snapshot:
+    """Arrays of the state last evaluated, on the host, of some of the environments.
+
+    A GPU hands over each array that is asked for once, for all of them; a CPU copies nothing.
+
+    Args:
+        assembly: Whose state.
+        environments: Of which environments.
+        gather: Whether arrays are copied; on a GPU, when not said.
+    """
+
+    def __init__(
+        self, assembly: Assembly, environments: Sequence[int], *, gather: bool | None = None
+    ) -> None:
+        self.assembly = assembly
+        self._gathers = wp.get_device(assembly.device).is_cuda if gather is None else gather
+        self._row = {env: row if self._gathers else env for row, env in enumerate(environments)}
+        self._environments = list(environments)
+        self._indices = None
+        self._arrays: dict[int, np.ndarray] = {}
+
+    def of(self, env: int, array) -> np.ndarray:
+        """The part of environment `env` of an array whose first axis is the environment."""
+        found = self._arrays.get(id(array))
+        if found is None:
+            found = self._arrays[id(array)] = self._fetched(array)
+        return found[self._row[env]]
+
+    def _fetched(self, array) -> np.ndarray:
+        if not self._gathers:
+            return array.numpy()
+        if self._indices is None:
+            self._indices = wp.array(self._environments, dtype=wp.int32, device=array.device)
+        return wp.indexedarray(array, [self._indices, *[None] * (array.ndim - 1)]).numpy()
+
+
+def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
     """Pressure, force and place of the contact points of environment `env`, displaced by `u`."""
+    assembly = held.assembly
     state, mesh = assembly.state, assembly.meshes[env]
-    rows = np.flatnonzero(assembly.touched[env].numpy())
-    pressure = state.pressure[env].numpy()[rows].astype(float)
-    deep = (pressure - state.carried[env].numpy()[rows]) / assembly.numerics.penalty
-    push = state.normal[env].numpy()[rows] * pressure[:, :, None]
+    rows = np.flatnonzero(held.of(env, assembly.touched))
+    pressure = held.of(env, state.pressure)[rows].astype(float)
+    deep = (pressure - held.of(env, state.carried)[rows]) / assembly.numerics.penalty
+    push = held.of(env, state.normal)[rows] * pressure[:, :, None]
     excess = np.nan
     traction = np.zeros_like(push)
     if "friction" in assembly.effects:
-        traction = state.traction[env].numpy()[rows].astype(float)
+        traction = held.of(env, state.traction)[rows].astype(float)
         most = assembly.coefficients[env] * pressure
         size = np.linalg.norm(traction, axis=2)
         excess = float((size - most).max(initial=0.0) / pressure.max(initial=1e-30))
     faces = mesh.faces[rows]
-    area = assembly.rule.numpy() * mesh.face_area[rows, None]
-    shape = assembly.shape.numpy().astype(float)
+    shape, rule = assembly.face_rule
+    area = rule * mesh.face_area[rows, None]
     return ContactPoints(
         pressure=pressure,
         penetration=np.where(pressure > 0, deep, 0.0),
@@ -59,13 +98,14 @@ def contact_points(assembly: Assembly, env: int, u: np.ndarray) -> ContactPoints
     )
 
 
-def surface_traction(assembly: Assembly, env: int) -> np.ndarray:
+def surface_traction(held: Snapshot, env: int) -> np.ndarray:
     """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
+    assembly = held.assembly
     mesh = assembly.meshes[env]
     nx, ny, _nz = mesh.cells
     top = slice(0, nx * ny)
-    touched = assembly.touched[env].numpy()[top] > 0
-    share = assembly.face_force[env].numpy()[top].astype(float) * touched[:, None, None]
+    touched = held.of(env, assembly.touched)[top] > 0
+    share = held.of(env, assembly.face_force)[top].astype(float) * touched[:, None, None]
     corner_area = np.repeat(mesh.face_area[top], 4).reshape(nx, ny, 4, 1)
     both = np.concatenate([share.reshape(nx, ny, 4, 3), corner_area], axis=3)
     nodal = np.zeros((nx + 1, ny + 1, 4))
@@ -74,19 +114,21 @@ def surface_traction(assembly: Assembly, env: int) -> np.ndarray:
     return nodal[:, :, :3] / nodal[:, :, 3:]
 
 
-def stored_energy(assembly: Assembly, env: int, points: ContactPoints, u: np.ndarray) -> float:
+def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
     """Energy in the material at rest modulus, contact springs and height [E T^3]."""
+    assembly = held.assembly
     penalty = assembly.numerics.penalty
     square = (points.traction**2).sum(axis=2) / (assembly.numerics.stick * penalty)
     springs = ((points.penetration**2 * penalty + square) * points.area / 2).sum()
     if "gravity" in assembly.effects:
         weight = assembly.state.weight.numpy()[env].astype(float)
         springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
-    return float(assembly.element_energy[env].numpy().sum(dtype=float) + springs)
+    return float(held.of(env, assembly.element_energy).sum(dtype=float) + springs)
 
 
-def body_force(assembly: Assembly, env: int, u: np.ndarray) -> np.ndarray:
+def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
     """Weight less inertia of one environment (3,) [E T^2]."""
+    assembly = held.assembly
     total = np.zeros(3)
     if "gravity" in assembly.effects:
         total += (
@@ -95,7 +137,7 @@ def body_force(assembly: Assembly, env: int, u: np.ndarray) -> np.ndarray:
         )
     if "inertia" in assembly.effects:
         rate = assembly.state.rates[env]
-        ahead = u - assembly.state.predicted[env].numpy()
+        ahead = u - held.of(env, assembly.state.predicted)
         free = assembly.meshes[env].node_volume[:, None] * ahead
         total -= rate * free.sum(axis=0)
     return total

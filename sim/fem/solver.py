@@ -21,6 +21,7 @@ from sim.fem.mesh import Mesh
 from sim.fem.newton import Newton
 from sim.fem.numerics import Numerics
 from sim.fem.path import Path, path_of, sharpest
+from sim.fem.readings import Snapshot
 from sim.fem.window import meshes_of
 from sim.indenters.device import traits_of
 from sim.result import Result
@@ -264,6 +265,7 @@ class _Batch:
         if not good.any():
             return
         assembly = self._assembly
+        kept: dict[int, int] = {}
         for i in np.flatnonzero(good).tolist():
             path, collector = self._paths[i], self._collectors[i]
             collector.spent.steps += 1
@@ -271,7 +273,10 @@ class _Batch:
             self._last[i] = path.segment, self._share[i] - path.share
             frame = path.segment
             if path.accept(self._share[i]):
-                collector.keep(frame, i, assembly, self._newton.residual[i])
+                kept[i] = frame
+        held = Snapshot(assembly, list(kept))
+        for i, frame in kept.items():
+            self._collectors[i].keep(frame, i, held, self._newton.residual[i])
         assembly.accept(good, self._duration)
         if self._progress is not None:
             done = sum(path.segment + path.share - 1 for path in self._paths)

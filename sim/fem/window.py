@@ -59,20 +59,26 @@ def contact_window(scene: Scene, margin: float) -> Window:
     half = np.array([scene.body.size_x, scene.body.size_y]) / 2
     depth = max(-float(tip[:, 2].min()), 0.0)
     reach = float(2 * half.max() + np.abs(tip[:, :2]).max())
-    low, high = _footprint(scene.indenter, depth, reach)
+    low, high = _footprint(scene.indenter, depth, _sides(scene.indenter, depth, reach))
     low = np.clip(tip[:, :2].min(0) + low - margin, -half, half)
     high = np.clip(tip[:, :2].max(0) + high + margin, -half, half)
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 @functools.lru_cache(maxsize=1024)
-def _footprint(indenter: Indenter, depth: float, reach: float) -> tuple[Array, Array]:
-    """Least and greatest x and y [m] of an indenter's lowest `depth`, up to `reach` from the tip.
+def _sides(indenter: Indenter, depth: float, reach: float) -> Window:
+    """A box in plan around an indenter's lowest `depth`, up to `reach` from the tip [m]."""
+    x, y = np.clip(indenter.bounds_below(depth)[:2], -reach, reach).tolist()
+    return tuple(x), tuple(y)
+
+
+@functools.lru_cache(maxsize=1024)
+def _footprint(indenter: Indenter, depth: float, sides: Window) -> tuple[Array, Array]:
+    """Least and greatest x and y [m] of an indenter's lowest `depth`, inside of a box around it.
 
     Found on a grid of points, and widened by what may lie between them.
     """
-    sides = np.transpose(indenter.bounds_below(depth)[:2])
-    low, high = (np.clip(side, -reach, reach) for side in sides)
+    low, high = np.transpose(sides)
     heights = np.linspace(0.0, depth, LEVELS)
     for _pass in range(PASSES):
         x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
