@@ -34,6 +34,15 @@ from sim.indenters.device import PartTable
 from sim.scene import Scene
 
 
+def _inverses(meshes: Sequence[Mesh]) -> list[np.ndarray]:
+    """Inverse Jacobians of each mesh (E, 8, 3, 3); (E, 1, 3, 3) where all elements are boxes.
+
+    Those are alike at all Gauss points, which a mesh tells by repeating them without a copy.
+    """
+    boxes = all(mesh.inverse.strides[1] == 0 for mesh in meshes)
+    return [mesh.inverse[:, :1] if boxes else mesh.inverse for mesh in meshes]
+
+
 class Assembly:
     """The equations of B presses on meshes of one topology: residual, tangent, preconditioner."""
 
@@ -66,7 +75,7 @@ class Assembly:
 
         self._elements = self._array(mesh.elements, wp.int32)
         self._variant = self._array([places[id(each)] for each in meshes], wp.int32)
-        self._inverse = self._array([each.inverse for each in variants], mat33)
+        self._inverse = self._array(_inverses(variants), mat33)
         self._weight = self._array([each.weight for each in variants], real)
         self._faces = self._array(mesh.faces, wp.int32)
         self._face_area = self._array([each.face_area for each in variants], real)

@@ -179,6 +179,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         det_out: wp.array2d(dtype=real),
     ):
         env, e = wp.tid()
+        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
         if active[env] == 0:
             return
         m = variant[env]
@@ -187,7 +188,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         change = real(0.0)
         lowest = real(1.0e30)
         for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, q])
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
             j = det_less_one(h)
             volume += weight[m, e, q]
             change += weight[m, e, q] * j
@@ -211,7 +212,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         f6 = vec3()
         f7 = vec3()
         for q in range(points):
-            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, q])
+            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
             f = h + wp.identity(n=3, dtype=real)
             c = cofactor(f)
             less = det_less_one(h)
@@ -230,7 +231,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
             if wp.static(viscous):
                 stress = stress * factor[env] + f * history[env, e, q]
             stress = (stress + c * pressure) * w
-            t = stress * wp.transpose(inverse[m, e, q])
+            t = stress * wp.transpose(inverse[m, e, wp.min(q, last)])
             tx = wp.vector(t[0, 0], t[1, 0], t[2, 0])
             ty = wp.vector(t[0, 1], t[1, 1], t[2, 1])
             tz = wp.vector(t[0, 2], t[1, 2], t[2, 2])

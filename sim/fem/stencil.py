@@ -205,8 +205,9 @@ class Stencil:
         Args:
             active: Which environments, int32 (B,).
             u: Displacement (B, N).
-            geometry: Of M meshes: inverse Jacobians (M, E, 8), weights (M, E, 8) and node volumes
-                (M, N); and which of them each environment has, int32 (B,).
+            geometry: Of M meshes: inverse Jacobians (M, E, 8), or (M, E, 1) of boxes, weights
+                (M, E, 8) and node volumes (M, N); and which of them each environment has, int32
+                (B,).
             material: Shear and bulk modulus (B,), factor, bulk factor, history and bulk history,
                 as the element kernels take them.
             contact: Shape functions (P, 4), how many points of a face touch (B, S) and the
