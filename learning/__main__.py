@@ -18,6 +18,7 @@ from learning.verbs import (
     markers,
     predict,
     split,
+    tables,
     train_autoencoder,
     train_diffusion,
     train_direct,
@@ -54,6 +55,7 @@ _VERBS = (
     predict,
     evaluate,
     experiment,
+    tables,
 )
 
 

@@ -13,10 +13,11 @@ out=${1:?where to, for instance runs/tables}
 shift
 [ $# -gt 0 ] || set -- homogeneous material heterogeneous
 python=${PYTHON:-python} processes=${PROCESSES:-$(nproc)}
+made=()
 export OMP_NUM_THREADS=2
 
 for table in "$@"; do
-  steps=4 pairs=() labels='[compensated]' translators='[direct, field, flow]'
+  steps=4 pairs=() more=() labels='[compensated]' translators='[direct, field, flow]'
   case $table in
     homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
     material) sensors=(--group material) scale=0.25 ;;
@@ -27,10 +28,19 @@ for table in "$@"; do
     *) echo "TABLE: found '$table'; allowed: a group, or a group and -full" >&2; exit 2 ;;
   esac
   case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac
+  # Sensors that deform differently: what carries one's field to the other's has more to learn.
+  case ${PRESET:-}$table in
+    heterogeneous*) more=(--set "field={preset: ours, set: ['field_stage.steps=700',
+      'field_stage.batch=96', 'field_stage.warm_up_steps=50', 'map_stage.steps=2400',
+      'map_stage.batch=96', 'map_stage.warm_up_steps=100', 'validate_every_steps=350']}") ;;
+  esac
   "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
     --no-check --device "${DEVICE:-cpu}" --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue
   "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-tables}" \
     "${pairs[@]}" --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" \
-    --set "compensation=$labels" --set "translators=$translators"
+    --set "compensation=$labels" --set "translators=$translators" "${more[@]}"
+  made+=("$out/$table")
 done
+[ ${#made[@]} -eq 0 ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-tables.md" \
+  --intro examples/learning-tables/intro.md

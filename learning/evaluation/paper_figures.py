@@ -137,7 +137,7 @@ def beside_the_paper(rows: Sequence[ForceRow]) -> tuple[Beside, ...]:
                     _paired(figure),
                     _statistic(held_out, figure),
                     _statistic(unseen, figure),
-                    _paper_share(figure),
+                    paper_share(figure),
                     _statistic(held_out, figure, share=True),
                 )
             )
@@ -183,12 +183,24 @@ def _value(row: ForceRow, measure: str, share: bool) -> float:
             return math.nan
         return row.errors.r2_mean if measure == "r2" else row.value(measure)
     axes = ("fx", "fy") if measure == "shear" else (measure,)
-    errors = [row.errors.mae[_AXES.index(axis)] for axis in axes]
-    ranges = [row.label_range[_AXES.index(axis)] for axis in axes]
-    return sum(e / r if share else e for e, r in zip(errors, ranges, strict=True)) / len(axes)
+    if share:
+        return label_share(row, axes)
+    return sum(row.errors.mae[_AXES.index(axis)] for axis in axes) / len(axes)
 
 
-def _paper_share(figure: PaperFigure) -> float:
+def label_share(row: ForceRow, axes: Sequence[str]) -> float:
+    """Return our mean absolute error over the range of the labels, mean over axes.
+
+    Args:
+        row: The errors.
+        axes: Some of `fx`, `fy`, `fz`.
+    """
+    places = [_AXES.index(axis) for axis in axes]
+    return sum(row.errors.mae[place] / row.label_range[place] for place in places) / len(axes)
+
+
+def paper_share(figure: PaperFigure) -> float:
+    """Return the paper's error over the range of its labels; NaN of R2."""
     if figure.measure.startswith("r2"):
         return math.nan
     return figure.value / (NORMAL_RANGE if figure.measure == "fz" else SHEAR_RANGE)
