@@ -11,6 +11,7 @@ from sim.effects import Effects, Friction
 from sim.errors import SceneError
 from sim.fem.frames import Collector
 from sim.fem.numerics import Numerics
+from sim.fem.readings import Snapshot
 from sim.indenters import named
 from sim.motion import press_shear_return
 from sim.scene import Scene
@@ -106,10 +107,10 @@ def test_it_agrees_with_the_inside_that_fem_solves(
     inside: list[tuple[Array, Array]] = []
     keep = Collector.keep
 
-    def keep_all(self: Collector, frame: int, env: int, assembly: object, residual: float) -> None:
-        keep(self, frame, env, assembly, residual)
+    def keep_all(self: Collector, frame: int, env: int, held: Snapshot, residual: float) -> None:
+        keep(self, frame, env, held, residual)
         mesh, unit = self._mesh, BODY.thickness
-        inside.append((mesh.nodes * unit, assembly.state.u[env].numpy() * unit))  # type: ignore[attr-defined]
+        inside.append((mesh.nodes * unit, held.of(env, held.assembly.state.u) * unit))
 
     monkeypatch.setattr(Collector, "keep", keep_all)
     scene = Scene(
