@@ -57,7 +57,7 @@ class Tangents:
             bulk_history=random.normal(0, 0.1, len(GRID.elements)),
         )
 
-    def stencil(self, real: Any, *, parallel: bool = False) -> Stencil:
+    def stencil(self, real: Any, *, parallel: bool = False, half: bool = False) -> Stencil:
         """Assembled by the kernels over a matrix full of `FILLED`."""
         stencil = Stencil(
             GRID,
@@ -67,6 +67,7 @@ class Tangents:
             viscous=self.variant == "viscous",
             full_integration=self.variant == "full_integration",
             parallel=parallel,
+            half=half,
         )
         stencil.matrix.fill_(FILLED)
         geometry = (

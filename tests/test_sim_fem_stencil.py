@@ -10,9 +10,13 @@ import warp as wp
 from fem_oracles import Array
 from fem_tangents import COUNT, FILLED, GRID, Tangents, spread_out
 
+from sim import Body, Effects, Friction, Scene, press, simulate
 from sim.fem.grid import SLOTS, colour_order, face_slots, neighbours
 from sim.fem.nodes import RUN
+from sim.fem.numerics import Numerics
 from sim.fem.scalars import vector_of
+from sim.fem.stencil import Stencil
+from sim.indenters import named
 
 RUNS = -(-COUNT // RUN)
 REALS = [
@@ -82,6 +86,44 @@ def test_the_product_is_that_of_the_dense_matrix(real: Any, error: float, parall
     assert (product.numpy()[2] == FILLED).all()
     assert not sums.numpy()[2].any()
     assert not sums.numpy()[..., 1:].any(), "the other sums are somebody else's"
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_product_of_half_the_bytes_keeps_three_digits(parallel: bool) -> None:
+    tangents = Tangents()
+    stencil = tangents.stencil(wp.float32, parallel=parallel, half=True)
+    v = np.random.default_rng(2).normal(0, 1, (3, COUNT, 3))
+    product = oracle.vectors(np.full((3, COUNT, 3), FILLED), wp.float32)
+    sums = oracle.zeros((3, RUNS, 3), wp.float64)
+    which = oracle.rows(tangents.active)
+    stencil.product(which, oracle.vectors(v, wp.float32), product, sums)
+    for env in np.flatnonzero(tangents.active):
+        rounded = np.abs(tangents.dense(env)).max() * 2.0**-11
+        expected = np.einsum("nimj,mj->ni", tangents.dense(env), v[env])
+        off = np.abs(product.numpy()[env] - expected).max()
+        assert 0 < off < 4 * rounded * np.sqrt(81)
+    assert (product.numpy()[2] == FILLED).all()
+
+
+@pytest.mark.parametrize(("name", "poisson"), [("sphere", 0.45), ("dots", 0.49)])
+def test_a_press_takes_no_more_iterations_with_it(
+    name: str, poisson: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = Body(8e-3, 8e-3, 4e-3, poisson=poisson)
+    scene = Scene(named(name), press([0.6e-3]), body, Effects(friction=Friction(0.8)))
+    numerics = Numerics(spacing=4e-3 / 3, precision="float32", tolerance=1e-3)
+    plain = simulate(scene, numerics=numerics)
+    asked = Stencil.__init__
+
+    def halved(self: Stencil, *args: Any, **options: Any) -> None:
+        asked(self, *args, **{**options, "half": True})
+
+    monkeypatch.setattr(Stencil, "__init__", halved)
+    half = simulate(scene, numerics=numerics)
+    assert not np.array_equal(half.wrench, plain.wrench), "nothing was rounded"
+    np.testing.assert_allclose(half.force[-1, 2], plain.force[-1, 2], rtol=2e-3)
+    assert half.quality.newton.sum() <= 1.1 * plain.quality.newton.sum()
+    assert half.quality.cg.sum() <= 1.1 * plain.quality.cg.sum()
 
 
 def test_neighbours_are_one_step_of_the_grid_away() -> None:
