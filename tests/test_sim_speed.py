@@ -202,6 +202,7 @@ def test_without_a_step_the_answer_is_the_same_and_the_next_run_has_it_again(
         "one mesh topology for all",
         "graph capture",
         "no rows launched for what has ended",
+        "products read the tangent in float16",  # they do on a GPU alone
     }
     for one, other in zip(outcomes, exact, strict=True):
         assert isinstance(one, Result)
