@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
 """What is measured; `page` draws."""
-MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6, 0.5e-3)
+MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6)
 """Other heights of elements that the presses are timed with [m]."""
 SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
 """Elements with --smoke [mm]."""
