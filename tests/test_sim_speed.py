@@ -318,6 +318,8 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert "| 2.5 s | 0.0154 s | 1 | 0.50 % | 8,192 MiB |" in headline[1]
     failed = "no: 0.50 % at best (0.66 mm, 1 without a solution)"
     assert headline[1].endswith(f"| 10 s, 1 % | {failed} | 3 s, 1 % | {failed} |")
+    assert (tmp_path / "images/speed.png").read_bytes().startswith(b"\x89PNG")
+    assert "![Error against seconds, of a mesh and of two](images/speed.png)" in lines
     assert "| Two Cores | 0.99 mm | 100 s | 0.617 s | 0 | 3.37 % |" in text
     assert "| Two Cores | 0.99 and 0.66 mm, extrapolated | 8.7 min | 3.21 s | 0 | 0.00 % |" in text
     # 0.5 % at 0.66 mm, by the square of the size: what is left at 0.33 mm.

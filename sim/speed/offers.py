@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
+from sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
 from sim.extrapolation import COARSER, ORDER
 from sim.speed.campaign import meshes_file, presses_file
 from sim.speed.cells import memory, percent, row, seconds
@@ -14,6 +17,13 @@ from sim.speed.record import Record, Run
 
 APART = 1.3
 """Ratio of the elements of two meshes at least: closer ones multiply what is left to chance."""
+COLOURS: tuple[Colour, ...] = ((59, 111, 182), (217, 130, 43), (63, 155, 107), (176, 64, 62))
+"""Of devices."""
+KINDS: tuple[tuple[bool, Mark, str], ...] = (
+    (False, "disc", "a mesh"),
+    (True, "diamond", "two meshes"),
+)
+"""Whether there are two meshes, how they are drawn and called."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,3 +108,38 @@ def offer_table(records: Sequence[Record], reference: Forces) -> list[str]:
             cells += [percent(value) for value in (off.mean, off.most, off.worst)]
             lines.append(row([*cells, off.worst_at or "-", memory(one.memory)]))
     return lines
+
+
+def save_offer_chart(
+    path: Path, records: Sequence[Record], reference: Forces, floor: float
+) -> None:
+    """Draw error against seconds of all offers, a panel for each way to sum up the errors.
+
+    Args:
+        path: Of the picture.
+        records: Of all devices.
+        reference: Forces that errors are from.
+        floor: Error of the reference itself, a share; NaN where it is not known.
+    """
+    panels = []
+    for title, measure in (("mean", "mean"), ("95 % below", "most"), ("worst", "worst")):
+        series = []
+        for record, colour in zip(records, COLOURS, strict=False):
+            offers = offers_of(record, reference)
+            for two, mark, kind in KINDS:
+                points = [
+                    (one.seconds, 100 * getattr(one.errors, measure))
+                    for one in offers
+                    if (one.coarser_mm is not None) == two and math.isfinite(one.errors.mean)
+                ]
+                if points:
+                    name = f"{record.machine.name}: {kind}"
+                    series.append(Series(name, colour, mark, tuple(sorted(points))))
+        panels.append(Panel(title, tuple(series), 100 * floor if measure == "mean" else math.nan))
+    save_chart(
+        path,
+        "What accuracy costs on the paper's 162 presses",
+        panels,
+        "error of the force, %",
+        note="Two meshes: their forces extrapolated to elements of no size.",
+    )

@@ -11,7 +11,7 @@ from sim.fem.grading import FOR_EDGES
 from sim.speed.campaign import REFERENCE_FILE, presses_file
 from sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
 from sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces
-from sim.speed.offers import Offer, cheapest, offer_table, offers_of
+from sim.speed.offers import Offer, cheapest, offer_table, offers_of, save_offer_chart
 from sim.speed.record import Record, Run
 from sim.speed.step_tables import floor_section, steps_section
 from sim.speed.tacchi import CITED, SOURCE
@@ -20,6 +20,8 @@ from sim.speed.work import DENSE_X, DENSE_Y, DEPTHS_MM, FRICTION, PLACES_MM
 GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01))}
 """Seconds for the whole work and error of the force, by kind of device: wanted, and hoped for."""
 WHOLE, DENSE = 162, 810
+CHART = "speed.png"
+"""The picture, in the folder `images` beside the page."""
 
 _INTRO = """# Speed
 
@@ -41,6 +43,8 @@ extrapolated to elements of no size (`simulate(..., extrapolate=True)`, `--extra
 from {deep:g} mm on. Errors of a mesh fall about as the square of its elements' size, and all forces
 are too large; by that law the reference is still about {left} too large
 itself, which is in every row: a mesh is worse by so much, and two meshes are better than they look.
+
+![Error against seconds, of a mesh and of two](images/{chart})
 """
 _SCALING = """
 ## More presses
@@ -94,8 +98,9 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
     lines += [_ERRORS + _reference_text(records)]
     lines += _error_table(records, found)
     left = _left_in_reference(records, reference)
+    save_offer_chart(path.parent / "images" / CHART, records, reference, left)
     lines += [
-        _MESHES.format(whole=WHOLE, deep=SHALLOW_MM, left=left),
+        _MESHES.format(whole=WHOLE, deep=SHALLOW_MM, left=percent(left), chart=CHART),
         *offer_table(records, reference),
     ]
     lines += [_SCALING.format(dense=DENSE, x=DENSE_X, y=DENSE_Y)]
@@ -176,7 +181,7 @@ def _reference_text(records: Sequence[Record]) -> str:
     return f"Reference: {MISSING}."
 
 
-def _left_in_reference(records: Sequence[Record], reference: Forces) -> str:
+def _left_in_reference(records: Sequence[Record], reference: Forces) -> float:
     """Mean error of the reference, by the law of `sim.extrapolation` and the finest mesh."""
     run = next((found for each in records if (found := each.get("reference", "reference"))), None)
     finest = min(
@@ -191,8 +196,8 @@ def _left_in_reference(records: Sequence[Record], reference: Forces) -> str:
         default=None,
     )
     if run is None or finest is None:
-        return MISSING
-    return percent(finest.errors.mean / ((finest.spacing_mm / run.spacing_mm) ** ORDER - 1))
+        return math.nan
+    return float(finest.errors.mean / ((finest.spacing_mm / run.spacing_mm) ** ORDER - 1))
 
 
 def _error_table(records: Sequence[Record], found: Sequence[tuple[Errors, Errors]]) -> list[str]:
