@@ -16,7 +16,7 @@ DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables live endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations live endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z -]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -127,6 +127,9 @@ demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, 
 
 learning-tables: $(VENV)/.demo  ## The paper's tables on simulated groups of sensors, for a GPU: [OUT=runs/tables] [TABLES="material homogeneous-full"] [DEVICE=cuda:0] [JOBS=8]
 	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash examples/learning-tables/run.sh $(or $(OUT),runs/tables) $(TABLES)
+
+learning-ablations: $(VENV)/.demo  ## What limits them, one thing changed at a time, behind learning-tables: [OUT=runs/tables] [NAMES="half single-frame"] [DEVICE=cuda:0] [JOBS=8]
+	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash examples/learning-tables/ablations.sh $(or $(OUT),runs/tables) $(NAMES)
 
 live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)

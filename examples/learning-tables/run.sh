@@ -2,7 +2,7 @@
 # The tables of docs/learning-tables.md: groups of simulated sensors, from presses to a report.
 #
 #   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [ONLY=archive] [SCALE=0.02] \
-#     [PRESET=tables] bash examples/learning-tables/run.sh OUT [TABLE...]
+#     [PRESET=NAME] bash examples/learning-tables/run.sh OUT [TABLE...]
 #
 # Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
 # homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets.
@@ -17,7 +17,7 @@ made=()
 export OMP_NUM_THREADS=2
 
 for table in "$@"; do
-  steps=4 pairs=() more=() labels='[compensated]' translators='[direct, field, flow]'
+  steps=4 pairs=() preset=tables labels='[compensated]' translators='[direct, field, flow]'
   case $table in
     homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
     material) sensors=(--group material) scale=0.25 ;;
@@ -27,20 +27,15 @@ for table in "$@"; do
     heterogeneous-full) sensors=(--sensors uskin,gelsight) pairs=(--pairs uskin:gelsight) ;;
     *) echo "TABLE: found '$table'; allowed: a group, or a group and -full" >&2; exit 2 ;;
   esac
+  case $table in heterogeneous*) preset=tables-heterogeneous ;; esac
   case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac
-  # Sensors that deform differently: what carries one's field to the other's has more to learn.
-  case ${PRESET:-}$table in
-    heterogeneous*) more=(--set "field={preset: ours, set: ['field_stage.steps=700',
-      'field_stage.batch=96', 'field_stage.warm_up_steps=50', 'map_stage.steps=2400',
-      'map_stage.batch=96', 'map_stage.warm_up_steps=100', 'validate_every_steps=350']}") ;;
-  esac
   "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
     --no-check --device "${DEVICE:-cpu}" --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue
-  "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-tables}" \
+  "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-$preset}" \
     "${pairs[@]}" --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" \
-    --set "compensation=$labels" --set "translators=$translators" "${more[@]}"
+    --set "compensation=$labels" --set "translators=$translators"
   made+=("$out/$table")
 done
 [ ${#made[@]} -eq 0 ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-tables.md" \
-  --intro examples/learning-tables/intro.md
+  --intro "$(dirname "$0")/intro.md"
