@@ -49,4 +49,4 @@ for name in "$@"; do
     --jobs "${JOBS:-1}" --set "compensation=[compensated]" --set "translators=$translators" "${changed[@]}"
   made+=("$out/ablations/$name")
 done
-"$python" -m learning tables "${made[@]}" --out "$out/ablations.md"
+"$python" -m learning tables "${made[@]}" --out "$out/learning-ablations.md"
