@@ -17,7 +17,7 @@ import numpy as np
 from sim.errors import SceneError, SimulationDiverged
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import simulate_many
+from sim.simulate import part_of, simulate_many
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
@@ -74,7 +74,7 @@ def simulate_extrapolated(
                 numerics=each,
                 device=device,
                 processes=processes,
-                progress=None if progress is None else _half(progress, number),
+                progress=None if progress is None else part_of(progress, number, 2),
             )
         )
     return [_of_both(*both) for both in zip(*found, strict=True)]
@@ -97,11 +97,16 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
             f"extrapolated: {cells[0]} and {cells[1]} elements over the depth; allowed: fewer, "
             "then more"
         )
-    more = (fine.wrench - coarse.wrench) / ((cells[1] / cells[0]) ** ORDER - 1)
+    more = (fine.wrench - coarse.wrench) * left_of_difference(cells[1] / cells[0])
     largest = float(np.linalg.norm(fine.force, axis=1).max())
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
     how = {"order": ORDER, "cells": cells, "force_share": share}
     return replace(fine, wrench=fine.wrench + more, record={**fine.record, "extrapolated": how})
+
+
+def left_of_difference(ratio: float) -> float:
+    """Error of the finer of two meshes over the difference of both, `ratio` of their elements."""
+    return 1.0 / (float(ratio**ORDER) - 1.0)
 
 
 def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:
@@ -129,7 +134,3 @@ def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
             f"{thickness / (COARSEST_CELLS + 1) * 1e3:.3g} mm or less in {thickness * 1e3:g} mm"
         )
     return thickness / max(COARSEST_CELLS, math.ceil(cells / COARSER))
-
-
-def _half(progress: Callable[[float], None], number: int) -> Callable[[float], None]:
-    return lambda share: progress((number + share) / 2)

@@ -142,7 +142,7 @@ def simulate_many(
         for index, scene in enumerate(scenes):
             share = None
             if progress is not None:
-                share = _part(progress, index, len(scenes))
+                share = part_of(progress, index, len(scenes))
             try:
                 outcomes.append(simulate_layer(scene, progress=share))
             except SimulationDiverged as diverged:
@@ -166,6 +166,6 @@ def _unfit(numerics: Numerics | MpmNumerics, tier: Tier, allowed: str) -> SceneE
     return SceneError(f"numerics: {type(numerics).__name__}; allowed with tier {tier!r}: {allowed}")
 
 
-def _part(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
+def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
     """What tells of the share of part `index` of `count` as a share of the whole."""
     return lambda share: progress((index + share) / count)

@@ -13,7 +13,6 @@ out=${1:?where the heterogeneous table is, for instance runs/tables}
 shift
 [ $# -gt 0 ] || set -- whole half quarter single-frame direct direct-blind clean
 python=${PYTHON:-python} processes=${PROCESSES:-$(nproc)} device=${DEVICE:-cpu} base=$out/heterogeneous
-here=$(dirname "$0")
 [ -f "$base/split.json" ] || { echo "OUT: no table in $base; run.sh makes it" >&2; exit 2; }
 presses=$("$python" -c "
 import json, sys
@@ -31,13 +30,12 @@ for name in "$@"; do
     single-frame) changed=(--set memory=false) ;;
     direct) translators='[direct]' ;;
     direct-blind) translators='[direct]' changed=(--set source_reference=false) ;;
-    clean) archive=$out/clean.markers.zarr ;;
+    clean) archive=$base-clean.markers.zarr ;;
     *) echo "NAME: found '$name'; allowed: whole, half, quarter, single-frame, direct, direct-blind, clean" >&2; exit 2 ;;
   esac
   mkdir -p "$out/ablations/$name/models"
   if [ "$name" = clean ]; then
-    "$python" -m sim archive sensors --sensors "$here/clean/uskin.yaml,$here/clean/gelsight.yaml,$here/clean/tacpalm.yaml" \
-      --tier layer --scale "${SCALE:-0.15}" --steps 4 --no-check --device "$device" --processes "$processes" --out "$archive"
+    ONLY=archive bash "$(dirname "$0")/run.sh" "$out" heterogeneous-clean
   else
     for model in field autoencoder direct; do
       [ "$name-$model" = direct-blind-direct ] || [ -d "$out/ablations/$name/models/$model" ] ||

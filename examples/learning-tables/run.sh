@@ -5,7 +5,8 @@
 #     [PRESET=NAME] bash examples/learning-tables/run.sh OUT [TABLE...]
 #
 # Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
-# homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets.
+# homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets;
+# heterogeneous-clean: sensors without errors of segmentation, for ablations.sh.
 # Presses are simulated on PROCESSES cores; images are made, and JOBS models side by side trained, on
 # DEVICE. Stopped at any moment, the same command goes on.
 set -euo pipefail
@@ -13,7 +14,7 @@ out=${1:?where to, for instance runs/tables}
 shift
 [ $# -gt 0 ] || set -- homogeneous material heterogeneous
 python=${PYTHON:-python} processes=${PROCESSES:-$(nproc)}
-made=()
+made=() clean=$(dirname "$0")/clean
 export OMP_NUM_THREADS=2
 
 for table in "$@"; do
@@ -24,8 +25,9 @@ for table in "$@"; do
     heterogeneous) sensors=(--group heterogeneous) scale=0.15 labels='[compensated, oracle]' ;;
     homogeneous-full) sensors=(--sensors array-i,circle-ii) pairs=(--pairs array-i:circle-ii) labels='[]' ;;
     material-full) sensors=(--sensors r6,r18) pairs=(--pairs r6:r18) ;;
+    heterogeneous-clean) sensors=(--sensors "$clean/uskin.yaml,$clean/gelsight.yaml,$clean/tacpalm.yaml") scale=0.15 ;;
     heterogeneous-full) sensors=(--sensors uskin,gelsight) pairs=(--pairs uskin:gelsight) ;;
-    *) echo "TABLE: found '$table'; allowed: a group, or a group and -full" >&2; exit 2 ;;
+    *) echo "TABLE: found '$table'; allowed: a group, a group and -full, or heterogeneous-clean" >&2; exit 2 ;;
   esac
   case $table in heterogeneous*) preset=tables-heterogeneous ;; esac
   case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac

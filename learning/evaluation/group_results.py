@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from learning.errors import LearningError
-from learning.evaluation import predictions as predicted
 from learning.evaluation.force_table import UNSEEN, ForceRow, force_rows, of_role
 from learning.evaluation.paper_figures import Beside, beside_the_paper
-from learning.evaluation.results_file import read_results
-from learning.evaluation.translation_scores import PairedScore, paired_rows, scores_in
+from learning.evaluation.predictions import merged
+from learning.evaluation.results_folder import read_folder
+from learning.evaluation.translation_scores import (
+    TRANSLATED,
+    PairedScore,
+    TranslationScores,
+    paired_rows,
+)
 
 NO_TRANSLATOR = ""
 
-Scored = tuple[str, str, str, PairedScore]
-"""Source, target, translator, and their score."""
+Scored = tuple[TranslationScores, PairedScore]
+"""A row of scores, and whose they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +62,14 @@ class Group:
             names, key=lambda name: mean(row.errors.r2_mean for row in self.rows(self.after, name))
         )
 
+    def dice(self, translator: str) -> dict[tuple[str, str], float]:
+        """Dice of the frames that a translator made, by source and target."""
+        return {
+            (one.source, one.target): row.dice
+            for one, row in self.scores
+            if one.translator == translator and row.method == TRANSLATED
+        }
+
 
 def read_group(name: str, folder: Path) -> Group:
     """Return what an experiment's folder holds, whether it has come to its end or not.
@@ -64,23 +77,15 @@ def read_group(name: str, folder: Path) -> Group:
     Raises:
         LearningError: No results, or a damaged file of them.
     """
-    paths = sorted((folder / "results").glob("*.npz"))
-    if not paths:
+    forces, scores = read_folder(folder / "results")
+    if not forces and not scores:
         raise LearningError(f"{folder}: found no results; allowed: the folder of an experiment")
-    forces, scores = [], []
-    for path in paths:
-        results = read_results(path)
-        if results.kind == predicted.KIND:
-            forces.append(predicted.predictions_in(results, path))
-        else:
-            scores.append(scores_in(results, path))
-    rows = force_rows(predicted.merged(forces))
-    scored = [(one.source, one.target, one.translator, row) for one, row in paired_rows(scores)]
+    rows = force_rows(merged(forces))
     return Group(
         name,
         of_role(rows, UNSEEN),
         beside_the_paper(rows),
-        tuple(one for one in scored if one[3].role == UNSEEN),
+        tuple((one, row) for one, row in paired_rows(scores) if row.role == UNSEEN),
     )
 
 

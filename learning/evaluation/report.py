@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,12 @@ from learning.evaluation.force_table import (
 from learning.evaluation.html_page import page, paragraph
 from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import Predictions, merged
-from learning.evaluation.translation_scores import TranslationScores, paired_rows, require_alone
+from learning.evaluation.translation_scores import (
+    TranslationScores,
+    paired_rows,
+    require_alone,
+    score_line,
+)
 from recorder.durable import replace_file
 
 PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
@@ -90,8 +95,8 @@ def write_report(
     progress(2, 3)
     tables: dict[str, list[dict[str, Any]]] = {
         FORCE: [force_line(row) for row in rows],
-        PAIRED: [_line(one, row) for one, row in paired_rows(scores)],
-        DISTANCES: [_line(one, row) for one in scores for row in one.distances],
+        PAIRED: [score_line(one, row) for one, row in paired_rows(scores)],
+        DISTANCES: [score_line(one, row) for one in scores for row in one.distances],
         PAPER: [force_section.beside_line(one) for one in beside],
     }
     out.mkdir(parents=True, exist_ok=True)
@@ -117,8 +122,3 @@ def _summary(predictions: Sequence[Predictions], scores: Sequence[TranslationSco
     if scores:
         said.append(f"{len({(one.source, one.target) for one in scores})} pairs translated")
     return f"{', '.join(said)}."
-
-
-def _line(one: TranslationScores, row: Any) -> dict[str, Any]:
-    named = {"source": one.source, "target": one.target, "translator": one.translator}
-    return {**named, **asdict(row)}

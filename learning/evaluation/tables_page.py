@@ -20,7 +20,7 @@ from learning.evaluation.force_table import (
 )
 from learning.evaluation.group_results import NO_TRANSLATOR, Group, mean
 from learning.evaluation.paper_figures import PAPER, label_share, paper_share
-from learning.evaluation.translation_scores import PairedScore
+from learning.evaluation.translation_scores import TRANSLATED, score_line
 from recorder.durable import replace_file
 
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}
@@ -56,10 +56,7 @@ def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Pa
         lines += _section(group, f"{folder.name}/{picture.name}")
         named = {"group": group.name}
         tables["force"] += [named | force_line(row) for row in group.force]
-        tables["translation"] += [
-            named | {"source": a, "target": b, "translator": c} | _plain(row)
-            for a, b, c, row in group.scores
-        ]
+        tables["translation"] += [named | score_line(one, row) for one, row in group.scores]
         tables["paper"] += [{"experiment": group.name} | beside_line(one) for one in group.beside]
     for name, rows in tables.items():
         if rows:
@@ -108,11 +105,12 @@ def _goals(group: Group, best: str) -> list[str]:
             asked = f"below {100 * GOAL_SHARE * paper:.1f} % (the paper's worst: {100 * paper:.1f})"
             found = _mean_and_worst(values, max, ".1f")
             lines.append(_line(f"MAE of {name} over the labels' range [%]", asked, *found))
+    dice = group.dice(best)
     for taxels, asked_dice in ((False, GOAL_DICE), (True, GOAL_DICE_TAXELS)):
         values = {
-            f"{a} to {b}": row.dice
-            for a, b, name, row in group.scores
-            if name == best and row.method == "translated" and (a == "uskin") == taxels
+            f"{source} to {target}": value
+            for (source, target), value in dice.items()
+            if (source == "uskin") == taxels
         }
         if values:
             name = "Dice from a uSkin" if taxels else "Dice"
@@ -143,12 +141,12 @@ def _translations(group: Group) -> list[str]:
         return []
     lines = ["", "Translated images beside the true ones, means over pairs:", ""]
     lines += _head("images", "Dice", "centroids [px]", "[mm]", "field error [px]", "count off [%]")
-    kinds = sorted({(row.method != "translated", row.method) for *_names, row in group.scores})
+    kinds = sorted({(row.method != TRANSLATED, row.method) for _one, row in group.scores})
     for other, method in kinds:
-        of_method = [one for one in group.scores if one[3].method == method]
+        of_method = [(one.translator, row) for one, row in group.scores if row.method == method]
         # What a translator is held against is the same beside all of them.
-        for translator in sorted({one[2] for one in of_method}):
-            rows = [row for _a, _b, name, row in of_method if name == translator]
+        for translator in sorted({name for name, _row in of_method}):
+            rows = [row for name, row in of_method if name == translator]
             cells = [f"{mean(row.dice for row in rows):.3f}"]
             cells += [f"{mean(row.centroid_px for row in rows):.2f}"]
             cells += [f"{mean(row.centroid_mm for row in rows):.3f}"]
@@ -164,11 +162,7 @@ def _translations(group: Group) -> list[str]:
 def _pairs(group: Group, best: str) -> list[str]:
     own = {row.target: row for row in group.rows(TARGET)}
     before = {_pair(row): row for row in group.rows(BEFORE)}
-    dice = {
-        (a, b): row.dice
-        for a, b, name, row in group.scores
-        if name == best and row.method == "translated"
-    }
+    dice = group.dice(best)
     lines = ["", f"All pairs, {variant_name((group.after, best))}:", ""]
     lines += _head(
         "pair",
@@ -241,10 +235,6 @@ def _r2(row: ForceRow) -> float:
 
 def _pair(row: ForceRow) -> str:
     return f"{row.source} to {row.target}"
-
-
-def _plain(row: PairedScore) -> dict[str, Any]:
-    return {name: getattr(row, name) for name in PairedScore.__slots__}
 
 
 def _head(*cells: str) -> list[str]:

@@ -165,6 +165,12 @@ def paired_rows(
     return tuple(found.values())
 
 
+def score_line(one: TranslationScores, row: PairedScore | DistanceScore) -> dict[str, Any]:
+    """Return a row of scores as a line of a CSV."""
+    named = {"source": one.source, "target": one.target, "translator": one.translator}
+    return {**named, **asdict(row)}
+
+
 def require_alone(scores: Sequence[TranslationScores]) -> None:
     """Refuse two scores of the same thing.
 

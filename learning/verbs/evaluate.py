@@ -11,12 +11,9 @@ from learning.errors import LearningError
 from learning.progress import Progress
 
 if TYPE_CHECKING:
-    from learning.evaluation.predictions import Predictions
-    from learning.evaluation.translation_scores import TranslationScores
     from learning.verbs.options import Verbs
 
 ROLES = "new_indenter"
-RESULTS = "*.npz"
 
 
 def add_to(verbs: Verbs) -> None:
@@ -60,10 +57,13 @@ def add_to(verbs: Verbs) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from learning.evaluation.report import write_report
+    from learning.evaluation.results_folder import read_folder
 
     if options.translated or options.archive:
         _score(options)
-    predictions, scores = _results(options.folder)
+    if not options.folder.is_dir():
+        raise LearningError(f"{options.folder}: is no folder; allowed: one of what `predict` wrote")
+    predictions, scores = read_folder(options.folder)
     progress = Progress("parts", sys.stderr)
     try:
         report = write_report(
@@ -80,22 +80,6 @@ def _run(options: argparse.Namespace) -> int:
         print(line)
     print(f"{report.files[0]}: written, beside {len(report.files) - 1} tables")
     return 0
-
-
-def _results(folder: Path) -> tuple[list[Predictions], list[TranslationScores]]:
-    from learning.evaluation import predictions, translation_scores
-    from learning.evaluation.results_file import read_results
-
-    if not folder.is_dir():
-        raise LearningError(f"{folder}: is no folder; allowed: one of what `predict` wrote")
-    found: tuple[list[Predictions], list[TranslationScores]] = [], []
-    for path in sorted(folder.rglob(RESULTS)):
-        results = read_results(path)
-        if results.kind == predictions.KIND:
-            found[0].append(predictions.predictions_in(results, path))
-        else:
-            found[1].append(translation_scores.scores_in(results, path))
-    return found
 
 
 def _score(options: argparse.Namespace) -> None:

@@ -50,7 +50,6 @@ class Snapshot:
         self.assembly = assembly
         self._gathers = wp.get_device(assembly.device).is_cuda if gather is None else gather
         self._row = {env: row if self._gathers else env for row, env in enumerate(environments)}
-        self._environments = list(environments)
         self._indices = None
         self._arrays: dict[int, np.ndarray] = {}
 
@@ -65,7 +64,7 @@ class Snapshot:
         if not self._gathers:
             return array.numpy()
         if self._indices is None:
-            self._indices = wp.array(self._environments, dtype=wp.int32, device=array.device)
+            self._indices = wp.array(list(self._row), dtype=wp.int32, device=array.device)
         return wp.indexedarray(array, [self._indices, *[None] * (array.ndim - 1)]).numpy()
 
 

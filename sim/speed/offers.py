@@ -9,7 +9,7 @@ from itertools import combinations
 from pathlib import Path
 
 from sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
-from sim.extrapolation import COARSER, ORDER
+from sim.extrapolation import COARSER, left_of_difference
 from sim.speed.campaign import meshes_file, presses_file
 from sim.speed.cells import memory, percent, row, seconds
 from sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
@@ -72,7 +72,7 @@ def _single(run: Run, forces: Forces, reference: Forces) -> Offer:
 
 
 def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forces) -> Offer:
-    more = 1 / ((coarse.spacing_mm / fine.spacing_mm) ** ORDER - 1)
+    more = left_of_difference(coarse.spacing_mm / fine.spacing_mm)
     both = {
         key: force + more * (force - first[key]) for key, force in second.items() if key in first
     }
@@ -93,15 +93,15 @@ def cheapest(offers: Sequence[Offer], error: float) -> Offer | None:
     return min(good, key=lambda one: one.seconds, default=None)
 
 
-def offer_table(records: Sequence[Record], reference: Forces) -> list[str]:
+def offer_table(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> list[str]:
     """The table of all offers of all devices."""
     lines = [
         "| machine | elements | seconds | a press | without a solution | error, mean | "
         "95 % below | worst | where | memory |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for record in records:
-        for one in offers_of(record, reference):
+    for record, some in zip(records, offers, strict=True):
+        for one in some:
             off = one.errors
             cells = [record.machine.name, one.elements, seconds(one.seconds)]
             cells += [seconds(one.seconds / one.presses), str(one.failed)]
@@ -111,25 +111,24 @@ def offer_table(records: Sequence[Record], reference: Forces) -> list[str]:
 
 
 def save_offer_chart(
-    path: Path, records: Sequence[Record], reference: Forces, floor: float
+    path: Path, records: Sequence[Record], offers: Sequence[Sequence[Offer]], floor: float
 ) -> None:
     """Draw error against seconds of all offers, a panel for each way to sum up the errors.
 
     Args:
         path: Of the picture.
         records: Of all devices.
-        reference: Forces that errors are from.
+        offers: Of each of them.
         floor: Error of the reference itself, a share; NaN where it is not known.
     """
     panels = []
     for title, measure in (("mean", "mean"), ("95 % below", "most"), ("worst", "worst")):
         series = []
-        for record, colour in zip(records, COLOURS, strict=False):
-            offers = offers_of(record, reference)
+        for record, some, colour in zip(records, offers, COLOURS, strict=False):
             for two, mark, kind in KINDS:
                 points = [
                     (one.seconds, 100 * getattr(one.errors, measure))
-                    for one in offers
+                    for one in some
                     if (one.coarser_mm is not None) == two and math.isfinite(one.errors.mean)
                 ]
                 if points:

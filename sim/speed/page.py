@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from sim.extrapolation import ORDER
+from sim.extrapolation import left_of_difference
 from sim.fem.grading import FOR_EDGES
 from sim.speed.campaign import REFERENCE_FILE, presses_file
 from sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
-from sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces
+from sim.speed.forces import SHALLOW_MM, Errors, errors, read_forces
 from sim.speed.offers import Offer, cheapest, offer_table, offers_of, save_offer_chart
 from sim.speed.record import Record, Run
 from sim.speed.step_tables import floor_section, steps_section
@@ -93,15 +93,16 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
         (errors(forces, reference, from_mm=SHALLOW_MM), errors(forces, reference))
         for forces in (read_forces(presses_file(record.path)) for record in records)
     ]
-    lines += _headline(records, found, reference)
+    offers = [offers_of(record, reference) for record in records]
+    lines += _headline(records, found, offers)
     lines += _machine_lines(records)
     lines += [_ERRORS + _reference_text(records)]
     lines += _error_table(records, found)
-    left = _left_in_reference(records, reference)
-    save_offer_chart(path.parent / "images" / CHART, records, reference, left)
+    left = _left_in_reference(records, offers)
+    save_offer_chart(path.parent / "images" / CHART, records, offers, left)
     lines += [
         _MESHES.format(whole=WHOLE, deep=SHALLOW_MM, left=percent(left), chart=CHART),
-        *offer_table(records, reference),
+        *offer_table(records, offers),
     ]
     lines += [_SCALING.format(dense=DENSE, x=DENSE_X, y=DENSE_Y)]
     lines += _scaling_table(records)
@@ -116,16 +117,17 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
 
 
 def _headline(
-    records: Sequence[Record], found: Sequence[tuple[Errors, Errors]], reference: Forces
+    records: Sequence[Record],
+    found: Sequence[tuple[Errors, Errors]],
+    offers: Sequence[Sequence[Offer]],
 ) -> list[str]:
     lines = [
         f"| machine | elements | {WHOLE} presses | a press | without a solution | error, mean | "
         "memory | goal | reached | hoped for | reached |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for record, (deep, _all) in zip(records, found, strict=True):
+    for record, (deep, _all), some in zip(records, found, offers, strict=True):
         run = record.get("presses", "all") or Run("presses", "all")
-        offers = offers_of(record, reference)
         goals = GOALS["cpu" if record.machine.device == "cpu" else "gpu"]
         cells = [
             _where(record, run),
@@ -138,7 +140,7 @@ def _headline(
         ]
         for limit, error in goals:
             cells.append(f"{seconds(limit)}, {100 * error:g} %")
-            cells.append(_reached(offers, limit, error))
+            cells.append(_reached(some, limit, error))
         lines.append(row(cells))
     return lines
 
@@ -181,15 +183,15 @@ def _reference_text(records: Sequence[Record]) -> str:
     return f"Reference: {MISSING}."
 
 
-def _left_in_reference(records: Sequence[Record], reference: Forces) -> float:
+def _left_in_reference(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> float:
     """Mean error of the reference, by the law of `sim.extrapolation` and the finest mesh."""
     run = next((found for each in records if (found := each.get("reference", "reference"))), None)
     finest = min(
         (
             one
-            for each in records
+            for each, some in zip(records, offers, strict=True)
             if each.machine.device != "cpu"
-            for one in offers_of(each, reference)
+            for one in some
             if one.coarser_mm is None and math.isfinite(one.errors.mean)
         ),
         key=lambda one: one.spacing_mm,
@@ -197,7 +199,7 @@ def _left_in_reference(records: Sequence[Record], reference: Forces) -> float:
     )
     if run is None or finest is None:
         return math.nan
-    return float(finest.errors.mean / ((finest.spacing_mm / run.spacing_mm) ** ORDER - 1))
+    return finest.errors.mean * left_of_difference(finest.spacing_mm / run.spacing_mm)
 
 
 def _error_table(records: Sequence[Record], found: Sequence[tuple[Errors, Errors]]) -> list[str]:
