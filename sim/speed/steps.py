@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from sim.scene import Scene
+from sim.speed.left_out import (
+    without_gathering,
+    without_graphs,
+    without_prediction,
+    without_rounding,
+)
 from sim.speed.timing import Outcome, Solve, fem
 
 if TYPE_CHECKING:
@@ -66,20 +70,13 @@ def _even(numerics: Numerics, device: str, _processes: int) -> Solve:
     return fem(replace(numerics, graded=False, spacing=spacing), device)
 
 
-def _unpredicted(numerics: Numerics, device: str, _processes: int) -> Solve:
-    return _inside(_without_prediction, fem(numerics, device))
+def _without(
+    step: Callable[[], contextlib.AbstractContextManager[None]],
+) -> Callable[[Numerics, str, int], Solve]:
+    def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
+        return _inside(step, fem(numerics, device))
 
-
-def _unrecorded(numerics: Numerics, device: str, _processes: int) -> Solve:
-    return _inside(_without_graphs, fem(numerics, device))
-
-
-def _ungathered(numerics: Numerics, device: str, _processes: int) -> Solve:
-    return _inside(_without_gathering, fem(numerics, device))
-
-
-def _unrounded(numerics: Numerics, device: str, _processes: int) -> Solve:
-    return _inside(_without_rounding, fem(numerics, device))
+    return solver
 
 
 def _shared(numerics: Numerics, device: str, processes: int) -> Solve:
@@ -133,7 +130,7 @@ STEPS = (
         "both",
         "2-3 with soft contact",
         "fewer Newton iterations: a step begins where the last one's motion, or the tangent, leads",
-        _unpredicted,
+        _without(without_prediction),
     ),
     Step(
         "two processes on two cores",
@@ -163,21 +160,21 @@ STEPS = (
         "gpu",
         "up to 5 where launches are what takes the time",
         "about 10 us a launch without, 2 us recorded",
-        _unrecorded,
+        _without(without_graphs),
     ),
     Step(
         "no rows launched for what has ended",
         "gpu",
         "1.1-1.2",
         "an iteration in which few presses run is some 100 us of empty threads for all others",
-        _ungathered,
+        _without(without_gathering),
     ),
     Step(
         "products read the tangent in float16",
         "gpu",
         "1.1-1.3",
         "702 bytes a node and iteration in place of 1188; as many iterations",
-        _unrounded,
+        _without(without_rounding),
     ),
 )
 REPLACED = (
@@ -226,76 +223,3 @@ def _inside(without: Callable[[], contextlib.AbstractContextManager[None]], solv
             return solve(scenes, progress)
 
     return solve_without
-
-
-@contextlib.contextmanager
-def _without_prediction() -> Iterator[None]:
-    """Every step begins at the last state: no share of the last change, no way along the tangent.
-
-    Both are arguments of methods that the solver calls, but of none that a caller can reach.
-    """
-    from sim.fem.newton import Newton
-    from sim.fem.state import State
-
-    begin, begin_step = Newton.begin, State.begin_step
-
-    def here(self: Any, chosen: Any, tolerance: Any, *, predict: Any) -> None:
-        begin(self, chosen, tolerance, predict=np.zeros_like(predict))
-
-    def from_last(self: Any, chosen: Any, tip: Any, duration: Any, guess: Any) -> None:
-        begin_step(self, chosen, tip, duration, np.zeros_like(guess))
-
-    with _in_place_of(Newton, "begin", here), _in_place_of(State, "begin_step", from_last):
-        yield
-
-
-@contextlib.contextmanager
-def _without_graphs() -> Iterator[None]:
-    """Every kernel of conjugate gradients is launched by itself."""
-    from sim.fem.cg import ConjugateGradient
-
-    def iterate(self: Any, times: int) -> None:
-        for _time in range(times):
-            self._once()
-
-    with _in_place_of(ConjugateGradient, "_iterate", iterate):
-        yield
-
-
-@contextlib.contextmanager
-def _without_gathering() -> Iterator[None]:
-    """Every iteration of conjugate gradients launches threads for all environments."""
-    from sim.fem.cg import ConjugateGradient
-
-    gather = ConjugateGradient._gather
-
-    def all_rows(self: Any, running: Any, *, anew: bool = False) -> None:
-        self._gathers = False
-        gather(self, running, anew=anew)
-
-    with _in_place_of(ConjugateGradient, "_gather", all_rows):
-        yield
-
-
-@contextlib.contextmanager
-def _without_rounding() -> Iterator[None]:
-    """Products read the tangent as it was assembled."""
-    from sim.fem.stencil import Stencil
-
-    init = Stencil.__init__
-
-    def whole(self: Any, *args: Any, **options: Any) -> None:
-        init(self, *args, **{**options, "half": False})
-
-    with _in_place_of(Stencil, "__init__", whole):
-        yield
-
-
-@contextlib.contextmanager
-def _in_place_of(owner: type, name: str, method: Callable[..., None]) -> Iterator[None]:
-    own = getattr(owner, name)
-    setattr(owner, name, method)
-    try:
-        yield
-    finally:
-        setattr(owner, name, own)
