@@ -47,11 +47,24 @@ _StrictLoader.yaml_implicit_resolvers = {
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _StrictLoader.add_implicit_resolver(_BOOL, re.compile(r"(true|false)$"), list("tf"))
-_StrictLoader.add_implicit_resolver(
+_EXPONENT = (
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
     list("-+0123456789"),
 )
+_StrictLoader.add_implicit_resolver(*_EXPONENT)
+
+
+class _StrictDumper(yaml.SafeDumper):
+    """YAML that `_StrictLoader` reads as it was: a commit such as 2902e78 is quoted."""
+
+
+_StrictDumper.add_implicit_resolver(*_EXPONENT)
+
+
+def yaml_text(content: Mapping[str, Any]) -> str:
+    """Return a mapping of plain values as YAML that `read_mapping` reads back."""
+    return yaml.dump(content, Dumper=_StrictDumper, sort_keys=False)
 
 
 def preset_names(preset_dir: Path) -> tuple[str, ...]:

@@ -9,7 +9,13 @@ from typing import ClassVar, Literal
 import pytest
 
 from learning.errors import LearningError
-from learning.settings import differing_keys, read_settings, settings_to_dict
+from learning.settings import (
+    differing_keys,
+    read_mapping,
+    read_settings,
+    settings_to_dict,
+    yaml_text,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,3 +166,12 @@ def test_wrong_overrides_are_refused(presets: Path, override: str, said: str) ->
 def test_an_unknown_preset_lists_those_that_there_are(presets: Path) -> None:
     with pytest.raises(LearningError, match=r"found 'huge'; known: full, small, or a \.yaml file"):
         read_settings(Outer, presets, "huge")
+
+
+@pytest.mark.parametrize(
+    "value", ["2902e78", "1e5", "-3E+2", "no", "true", "1e-4x", "0x10", 1e-5, 2.5e20, 3, None]
+)
+def test_what_is_written_is_read_back_as_it_was(tmp_path: Path, value: object) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml_text({"code_version": value, "rates": [value]}))
+    assert read_mapping(path) == {"code_version": value, "rates": [value]}

@@ -21,7 +21,7 @@ import yaml
 from torch import Tensor, nn
 
 from learning.errors import LearningError
-from learning.settings import build, read_mapping
+from learning.settings import build, read_mapping, yaml_text
 from learning.training.weights import load_weights, read_weights, weights_hash
 from recorder.durable import replace_file
 
@@ -60,7 +60,7 @@ class Config:
             LearningError: Settings or facts that are no plain values.
         """
         try:
-            text = yaml.safe_dump(asdict(self), sort_keys=False)
+            text = yaml_text(asdict(self))
         except yaml.YAMLError as error:
             raise LearningError(f"{folder / CONFIG}: not plain values: {error}") from None
         replace_file(folder / CONFIG, text.encode())
