@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from learning.experiment.blind import Blind
 from learning.experiment.parts import as_images, look_of, pairs_of, thinned, trained_on
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
+from learning.experiment.worker import Done
 from learning.settings import preset_names, read_settings
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
@@ -88,7 +91,9 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     running.run_experiment(
         archive.path, tmp_path, settings(), pairs=["dots:grid"], jobs=2, say=also.append
     )
-    assert [line for line in also if " to " in line] == [line for line in said if " to " in line]
+    assert sorted(line for line in also if " to " in line) == sorted(
+        line for line in said if " to " in line
+    )
     file = Path("results") / "dots-to-grid.compensated.flow.npz"
     alone, together = (read_predictions(place / file) for place in (out, tmp_path))
     assert np.array_equal(alone.predicted, together.predicted)
@@ -102,6 +107,33 @@ def test_models_trained_together_say_what_those_trained_alone_say(
     alone, together = (read_predictions(place / file) for place in (done[0], tmp_path))
     assert np.abs(alone.predicted - together.predicted).max() < 1e-3
     assert not np.array_equal(alone.predicted, together.predicted)
+
+
+def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, quick = ("train", "slow"), ("train", "quick")
+    after_slow, after_quick = ("carried", "slow"), ("carried", "quick")
+    begun, went_on = [], threading.Event()
+
+    def do(piece: tuple[str, ...]) -> tuple[Done, list[str]]:
+        begun.append(piece)
+        if piece == slow:
+            assert went_on.wait(10)
+        if piece == after_quick:
+            went_on.set()
+        return Done(), [" ".join(piece)]
+
+    monkeypatch.setattr(side_by_side, "_do", do)
+    pieces: dict[tuple[str, ...], set[tuple[str, ...]]] = {
+        slow: set(),
+        after_slow: {slow},
+        quick: set(),
+        after_quick: {quick},
+    }
+    said: list[str] = []
+    with ThreadPoolExecutor(2) as pool:
+        assert len(side_by_side._done(pool, pieces, said.append)) == 4
+    assert begun == [slow, quick, after_quick, after_slow]
+    assert said == ["train quick", "carried quick", "train slow", "carried slow"]
 
 
 def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(

@@ -7,17 +7,16 @@ do. Several processes fill it.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Set
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 
-from learning.experiment.worker import Done, Work, Worker
+from learning.experiment.worker import Done, Piece, Work, Worker
 
 Say = Callable[[str], None]
-Piece = tuple[str, ...]
 
 
 def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
-    """Return what all pieces give, the first and then those that need them.
+    """Return what all pieces give, each done after those that it needs.
 
     Args:
         work: What is to be done.
@@ -31,11 +30,11 @@ def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
     """
     if jobs == 1:
         worker = Worker(work, say)
-        return [worker.do(piece) for piece in (*work.first, *work.second)]
+        return [worker.do(piece) for piece in work.pieces]
     context = multiprocessing.get_context("spawn")  # a GPU does not survive a fork
     pool = ProcessPoolExecutor(jobs, context, _begin, (work,))
     try:
-        return [*_done(pool, work.first, say), *_done(pool, work.second, say)]
+        return _done(pool, work.pieces, say)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -68,13 +67,17 @@ def _do(piece: Piece) -> tuple[Done, list[str]]:
     return done, [*_said]
 
 
-def _done(pool: ProcessPoolExecutor, pieces: Sequence[Piece], say: Say) -> list[Done]:
-    """Return what pieces give, in their order."""
-    waiting: list[Future[tuple[Done, list[str]]]] = [pool.submit(_do, piece) for piece in pieces]
-    found = []
-    for future in waiting:
-        done, said = future.result()
-        for line in said:
-            say(line)
-        found.append(done)
-    return found
+def _done(pool: Executor, pieces: Mapping[Piece, Set[Piece]], say: Say) -> list[Done]:
+    """Return what pieces give, in their order; each begins when all it needs is done."""
+    due, found = dict(pieces), dict[Piece, Done]()
+    running: dict[Future[tuple[Done, list[str]]], Piece] = {}
+    while due or running:
+        for piece in [piece for piece, needed in due.items() if needed <= found.keys()]:
+            del due[piece]
+            running[pool.submit(_do, piece)] = piece
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            done, said = future.result()
+            for line in said:
+                say(line)
+            found[running.pop(future)] = done
+    return [found[piece] for piece in pieces]

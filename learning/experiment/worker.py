@@ -1,9 +1,9 @@
 """The work of an experiment, in pieces that need nothing of each other: many can run at once.
 
-First a piece for each translator, one for compensation, and one for each sensor: its own force
-model, and what that says of its own frames and of others'. Then a piece for each source and
-translator: models that learn from translated frames, and scores of translations. Whatever is there
-already is not made again.
+A piece for each translator, one for compensation, and one for each sensor: its own force model, and
+what that says of its own frames and of others'. When what it needs of these is done, a piece for
+each source and translator: models that learn from translated frames, and scores of translations.
+Whatever is there already is not made again.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ from learning.progress import Progress
 from learning.translation import archive as translated
 from learning.translation.archive import Model
 from recorder import MarkerArchive
+
+Piece = tuple[str, ...]
+"""A method of a worker and its arguments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,21 +60,18 @@ class Work:
     """How many follow markers, of each piece."""
 
     @property
-    def first(self) -> list[tuple[str, ...]]:
-        """Pieces to begin with, the longest first: names of a worker's methods, and arguments."""
-        sources = [pair.source for pair in self.pairs]
+    def pieces(self) -> dict[Piece, frozenset[Piece]]:
+        """All pieces, the longest to begin with, and which others each needs to be done before."""
+        sources = tuple(dict.fromkeys(pair.source for pair in self.pairs))
         sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
-        pieces: list[tuple[str, ...]] = [("train", name) for name in self.settings.translators]
-        if self.settings.compensation:
-            pieces.append(("compensate",))
-        return pieces + [("own", sensor) for sensor in sensors]
-
-    @property
-    def second(self) -> list[tuple[str, ...]]:
-        """Pieces that need what the first made."""
-        sources = dict.fromkeys(pair.source for pair in self.pairs)
-        names = self.settings.translators
-        return [("carried", source, name) for source in sources for name in names]
+        trained: list[Piece] = [("train", name) for name in self.settings.translators]
+        fitted: list[Piece] = [("compensate",)] if self.settings.compensation else []
+        alone = [*trained, *fitted, *(("own", sensor) for sensor in sensors)]
+        return {piece: frozenset() for piece in alone} | {
+            ("carried", source, name): frozenset([("train", name), *fitted, ("own", source)])
+            for source in sources
+            for name in self.settings.translators
+        }
 
 
 class Worker:
@@ -98,7 +98,7 @@ class Worker:
             say,
         )
 
-    def do(self, piece: tuple[str, ...]) -> Done:
+    def do(self, piece: Piece) -> Done:
         """Return what a piece of work gives.
 
         Raises:
