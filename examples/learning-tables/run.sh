@@ -30,7 +30,7 @@ for table in "$@"; do
     *) echo "TABLE: found '$table'; allowed: a group, a group and -full, or heterogeneous-clean" >&2; exit 2 ;;
   esac
   case $table in heterogeneous*) preset=tables-heterogeneous ;; esac
-  case $table in *-full) scale=full steps=2 translators='[field, flow]' ;; esac
+  case $table in *-full) preset=tables-full scale=full steps=2 translators='[field, flow]' ;; esac
   "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
     --no-check --device "${DEVICE:-cpu}" --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue

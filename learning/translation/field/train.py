@@ -148,15 +148,10 @@ def _train_map(task: _Task, done: int) -> int:
         chance = generator(settings.seed, "pairs", step, task.runs_on.process_index)
         chosen = chance.integers(len(frames.pairs), size=settings.map_stage.batch)
         pairs = torch.from_numpy(chosen).to(frames.device)
-        total = map_loss(mapping, frames, found, pairs, settings.loss)
-        few = pairs[: len(pairs) // _OF_UNKNOWN]
-        if not settings.loss.unknown or not len(bank.distances) or not len(few):
-            return total
-        drawn = chance.integers(len(bank.distances), size=(2, len(few)))
+        few = len(pairs) // _OF_UNKNOWN if settings.loss.unknown and len(bank.distances) else 0
+        drawn = chance.integers(max(1, len(bank.distances)), size=(2, few))
         patterns = bank.distances[torch.from_numpy(drawn).to(frames.device)].float()
-        scale = frames.scale(frames.pairs[few, 0])
-        error = unknown_error(mapping, found.of(few), patterns, scale)
-        return total + settings.loss.unknown * error
+        return map_loss(mapping, frames, found, pairs, patterns, settings.loss)
 
     def scores() -> dict[str, float]:
         if measured is None or found_there is None:
@@ -188,34 +183,41 @@ def map_loss(
     frames: Frames,
     found: Found,
     pairs: Tensor,
+    patterns: Tensor,
     weights: LossWeights,
 ) -> Tensor:
-    """Return the loss of the map on some pairs (n,)."""
+    """Return the loss of the map on some pairs.
+
+    Args:
+        mapping: The map.
+        frames: Of all sensors.
+        found: What the field net found in the sources.
+        pairs: Which of the frames' pairs (n,).
+        patterns: Signed distances (2, m, 1, 256, 256) [px] of two patterns on one gel, for the
+            first m pairs: from one to the other the deformation of their sources must not change.
+        weights: What each part counts.
+    """
     source, target = frames.pairs[pairs].unbind(dim=1)
-    distance = frames.distance(target)
+    seen, distance = found.of(pairs), frames.distance(target)
     scales = frames.scale(source), frames.scale(target)
-    deformation = mapping(found.of(pairs), frames.distance(source), distance, *scales)
+    few = slice(patterns.shape[1])
+    # All at once: a GPU works on a pass for less time than it takes to order one.
+    mapped: Tensor = mapping(
+        torch.cat([seen, seen[few]]),
+        torch.cat([frames.distance(source), patterns[0]]),
+        torch.cat([distance, patterns[1]]),
+        torch.cat([scales[0], scales[0][few]]),
+        torch.cat([scales[1], scales[0][few]]),
+    )
+    deformation, unchanged = mapped[: len(pairs)], mapped[len(pairs) :]
     level = render(distance, deformation)
     loss = image_loss(level, frames.seen(target), weights) + regularity_loss(deformation, weights)
     if frames.shift is not None:
         error = truth_error(deformation, frames.shift[target].float()).mean()
         loss = loss + weights.truth * error
+    if len(unchanged):
+        loss = loss + weights.unknown * (unchanged - seen[few]).abs().mean()
     return loss
-
-
-def unknown_error(
-    mapping: nn.Module, deformation: Tensor, patterns: Tensor, scale: Tensor
-) -> Tensor:
-    """Return how much the map changes deformations between patterns of one gel [px].
-
-    Args:
-        mapping: The map.
-        deformation: Of the sources (n, 3, 64, 64).
-        patterns: Signed distances of sources and targets (2, n, 1, 256, 256) [px].
-        scale: Millimetres of a pixel, of both (n, 2).
-    """
-    mapped: Tensor = mapping(deformation, patterns[0], patterns[1], scale, scale)
-    return (mapped - deformation).abs().mean()
 
 
 def _descend(
