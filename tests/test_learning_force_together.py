@@ -43,16 +43,17 @@ def _softer(
     return forces / 2, 0
 
 
-@pytest.mark.parametrize("begun", [False, True])
-def test_each_learns_what_it_would_have_learned_alone(begun: bool) -> None:
+@pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, False), (True, True)])
+def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
     """Predictions, since a bias before a norm does nothing: Adam moves it by round-off alone."""
     presses = _shown()
-    start = train_force(noise_presses(4, 3, seed=7), SETTINGS) if begun else None
+    settings = replace(SETTINGS, sequences=replace(SETTINGS.sequences, flips=flips))
+    start = train_force(noise_presses(4, 3, seed=7), settings) if begun else None
     changes = [None, _softer, None]
-    together = train_together(presses, SETTINGS, start_from=start, compensation=changes)
+    together = train_together(presses, settings, start_from=start, compensation=changes)
     assert together is not None
     for each, change, found in zip(presses, changes, together, strict=True):
-        alone = train_force(each, SETTINGS, start_from=start, compensation=change)
+        alone = train_force(each, settings, start_from=start, compensation=change)
         np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
     assert not np.allclose(together[0].predict(presses[0]), together[2].predict(presses[0]))
 
@@ -89,7 +90,6 @@ def test_it_stops_when_it_is_asked_to() -> None:
     ("settings", "key"),
     [
         (toy(network=replace(TOY.network, tail_norm="batch")), "network.tail_norm"),
-        (toy(sequences=SequenceSettings(flips=True)), "sequences.flips"),
         (toy(ema=0.9), "ema"),
     ],
 )

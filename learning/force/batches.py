@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from learning.data.presses import Presses
@@ -51,19 +53,45 @@ def frames_of(
         device: Where they are to lie.
     """
     shown = []
-    for sensor, rows, (columns, down) in zip(
-        sequences.sensor, sequences.rows, sequences.flips, strict=True
-    ):
+    for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True):
         presses = groups[sensor]
         wanted = torch.from_numpy(rows).to(presses.device)
-        frames = prepared_rows(presses, wanted, inputs).to(device)
-        axes = [axis for axis, mirrored in ((-1, columns), (-2, down)) if mirrored]
-        frames = frames.flip(axes) if axes else frames
-        if inputs.form == "field" and axes:
-            sign = frames.new_tensor([-1.0 if columns else 1.0, -1.0 if down else 1.0, 1.0])
-            frames = frames * sign[:, None, None]
-        shown.append(frames)
-    return torch.stack(shown)
+        shown.append(prepared_rows(presses, wanted, inputs).to(device))
+    return mirrored(torch.stack(shown), sequences.flips, inputs)
+
+
+def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) -> Tensor:
+    """Return prepared frames (..., b, s, planes, h, w), columns and rows mirrored where asked.
+
+    Args:
+        frames: Of sequences.
+        flips: Whether columns and rows of each sequence are mirrored (b, 2).
+        inputs: What the frames show.
+    """
+    for plane, axis in enumerate((-1, -2)):
+        if not flips[:, plane].any():
+            continue
+        chosen = torch.from_numpy(flips[:, plane]).to(frames.device)[:, None, None, None, None]
+        other = frames.flip(axis)
+        if inputs.form == "field":
+            sign = torch.ones(frames.shape[-3], device=frames.device)
+            sign[plane] = -1.0
+            other = other * sign[:, None, None]
+        frames = torch.where(chosen, other, frames)
+    return frames
+
+
+def signs(flips: NDArray[np.bool_], device: torch.device) -> Tensor:
+    """Return what forces (..., b, s, 3) of mirrored sequences are multiplied with (b, 1, 3).
+
+    Args:
+        flips: Whether columns and rows of each sequence are mirrored (b, 2), and the shear with
+            them.
+        device: Where it is to lie.
+    """
+    sign = torch.ones(len(flips), 1, 3)
+    sign[:, 0, :2] = torch.where(torch.from_numpy(flips), -1.0, 1.0)
+    return sign.to(device)
 
 
 def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.device) -> Tensor:
@@ -78,10 +106,7 @@ def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.devi
         labels[sensor][torch.from_numpy(rows).to(labels[sensor].device)].to(device)
         for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True)
     ]
-    forces = torch.stack(wanted)
-    sign = torch.ones(len(wanted), 1, 3)
-    sign[:, 0, :2] = torch.where(torch.from_numpy(sequences.flips), -1.0, 1.0)
-    return forces * sign.to(device)
+    return torch.stack(wanted) * signs(sequences.flips, device)
 
 
 def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> Tensor:

@@ -19,7 +19,7 @@ from torch.func import functional_call, stack_module_state
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.batches import error, prepared_rows, require_form
+from learning.force.batches import error, mirrored, prepared_rows, require_form, signs
 from learning.force.labels import Compensation, labels_of
 from learning.force.network import ForceModel
 from learning.force.predictor import ForcePredictor
@@ -61,7 +61,11 @@ def train_together(
     changes = list(compensation) or [None] * len(presses)
     labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
     models = [begun_model([each], settings, start_from, device) for each in labels]
-    wanted = torch.stack([model.shares(each) for model, each in zip(models, labels, strict=True)])
+    forces = torch.stack(labels)  # (k, n, 3)
+    low, high = (
+        torch.stack([getattr(model, name) for model in models])[:, None, None]
+        for name in ("low", "high")
+    )
     frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
 
     weights, buffers = stack_module_state(models)
@@ -85,10 +89,12 @@ def train_together(
             seed_torch(settings.seed, "force", "step", done, 0)
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
             rows = torch.from_numpy(sequences.rows).to(device)
+            seen = mirrored(frames[:, rows], sequences.flips, settings.input)
+            wanted = (forces[:, rows] * signs(sequences.flips, device) - low) / (high - low)
             with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
-                shares = _forward(models[0], weights, buffers, frames[:, rows], lengths, settings)
+                shares = _forward(models[0], weights, buffers, seen, lengths, settings)
             losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023
-                shares, wanted[:, rows]
+                shares, wanted
             )
             set_rate(optimiser, schedule.at(number))
             optimiser.zero_grad()
@@ -129,7 +135,6 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
     alone = {
         "network.encoder_norm": settings.network.encoder_norm == "batch",
         "network.tail_norm": settings.network.tail_norm == "batch",
-        "sequences.flips": settings.sequences.flips,
         "ema": settings.ema is not None,
         "launch.mixed_precision": settings.launch.mixed_precision == "fp16",
     }
@@ -137,7 +142,7 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
         if found:
             raise LearningError(
                 f"{key}: found what models have to be trained for one at a time; allowed together: "
-                "norms none, instance or group, no flips, no ema, precision no or bf16"
+                "norms none, instance or group, no ema, precision no or bf16"
             )
 
 
