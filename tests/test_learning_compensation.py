@@ -25,6 +25,7 @@ from learning.compensation import (
     prior_of_coefficients,
     read_stored,
 )
+from learning.compensation.labels import paired_labels
 from learning.errors import LearningError
 from learning.genforce.coefficients import Compensation
 from recorder import PHASES, MarkerArchive
@@ -226,6 +227,13 @@ def test_an_archive_of_skins_that_differ_by_a_factor_is_compensated_exactly(
     assert pair.pairs == 8
     assert (oracle.d0, oracle.weight) == (0.0, 1.0)
     assert oracle.error == pytest.approx(0.0, abs=1e-9)
+    assert oracle.r2 == pytest.approx(1.0)
+    # Labels 1.6 times too small are wrong by 0.375 of what they should be.
+    both = paired_labels(archive, "dots", "grid")
+    assert both is not None
+    square = np.square(both.target)
+    spread = square.sum(axis=0) - len(both) * both.target.mean(axis=0) ** 2
+    assert pair.before.r2 == pytest.approx(np.mean(1 - 0.375**2 * square.sum(axis=0) / spread))
     assert pair.before.error is not None
     assert pair.choices["default"].error == pytest.approx(0.25 * pair.before.error, rel=1e-6)
     table = archive["dots"].table

@@ -11,6 +11,10 @@ import pytest
 from test_learning_evaluation_forces import predictions
 
 from learning.__main__ import main
+from learning.compensation import Branch, Choice, Prior, StoredCompensation
+from learning.compensation.store import StoredPair
+from learning.evaluation.group_results import read_group
+from learning.evaluation.tables_page import write_tables
 from learning.evaluation.translation_scores import PairedScore, TranslationScores
 
 PAIRS = (("array-i", "circle-i"), ("circle-i", "array-i"))
@@ -130,3 +134,29 @@ def test_forces_that_were_not_transferred_are_no_table(experiment: Path, tmp_pat
     one = predictions("source-only", PAIRS[0], off=1.5)
     one.write(experiment / "results" / "0.npz")
     assert main(["tables", str(experiment), "--out", str(tmp_path / "page.md")]) == 2
+
+
+def test_what_needs_no_label_of_the_target_is_told_of_and_how_far_its_labels_were(
+    experiment: Path, tmp_path: Path
+) -> None:
+    for number, pair in enumerate(PAIRS):
+        for method, off in (("compensated", 0.5), ("priors", 0.25), ("oracle", 0.125)):
+            one = predictions(method, pair, off=off, translator="flow")
+            one.write(experiment / "results" / f"{method}{number}.npz")
+    branch = Branch((1.0, 0.0), 0.1, 3)
+    priors = {name: Prior(name, branch, branch, 1e-3, 1e-3) for name in PAIRS[0]}
+    before, half = Choice(0.0, 0.0, 2.0, r2=0.25), Choice(0.0, 0.5, 1.0, r2=0.5)
+    stored = [
+        StoredPair(*PAIRS[0], before, {"default": half, "oracle": Choice(0.0, 1.0, 0.0, r2=1.0)}),
+        StoredPair(*PAIRS[1], before, {"default": Choice(0.0, 0.5, 1.5)}),
+    ]
+    StoredCompensation(priors, tuple(stored)).write(experiment / "compensation.json")
+    page = tmp_path / "tables.md"
+    write_tables([read_group("homogeneous", experiment)], page)
+    lines = page.read_text().splitlines()
+    assert any(line.startswith("| hoped for (priors, flow) |") for line in lines)
+    assert any(line.startswith("| oracle, flow | 2 | 0.125,") for line in lines)
+    before_line = "| as they are | 0.250 | 0.250 (array-i to circle-i) | 2.000 |"
+    assert any(line.startswith(before_line) for line in lines)
+    worst = "0.500 (array-i to circle-i) | 1.250 | 1.500 (circle-i to array-i)"
+    assert f"| compensated | 0.500 | {worst} |" in lines

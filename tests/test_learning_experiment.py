@@ -14,6 +14,7 @@ from made_up_archives import made_up_archive
 from learning.data.images import shrink_masks
 from learning.data.splits import make_split
 from learning.errors import LearningError
+from learning.evaluation.force_errors import force_errors
 from learning.evaluation.predictions import read_predictions
 from learning.experiment import forces, running, side_by_side
 from learning.experiment.blind import Blind
@@ -32,6 +33,7 @@ SMALL = (
     '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
     "fine_tuning=[]",
     "scored_presses=0",
+    "compensation=[compensated, priors]",
 )
 
 
@@ -67,7 +69,10 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
 ) -> None:
     out, said = done
     assert said[-1].startswith("source-only R2 ")
-    assert "  transferred R2 " in said[-1]
+    best = read_predictions(out / "results" / "dots-to-grid.priors.flow.npz")
+    unseen = best.only(best.role == "new_indenter")
+    errors = force_errors(unseen.true, unseen.predicted, unseen.label_std)
+    assert said[-1].endswith(f"transferred R2 {errors.r2_mean:.3f}")
     assert (out / "report" / "report.html").is_file()
     found = read_predictions(out / "results" / "dots-to-grid.compensated.flow.npz")
     assert set(found.role) == {"new_press", "new_indenter"}

@@ -44,7 +44,7 @@ for name in "$@"; do
   fi
   "$python" -m learning experiment "$archive" --out "$out/ablations/$name" --preset "${PRESET:-tables-heterogeneous}" \
     --pairs "${PAIRS:-uskin:gelsight,gelsight:tacpalm}" --device "$device" --processes "$processes" \
-    --jobs "${JOBS:-1}" --set "compensation=[compensated]" --set "translators=$translators" "${changed[@]}"
+    --jobs "${JOBS:-1}" --set "compensation=[priors]" --set "translators=$translators" "${changed[@]}"
   made+=("$out/ablations/$name")
 done
 "$python" -m learning tables "${made[@]}" --out "$out/learning-ablations.md"

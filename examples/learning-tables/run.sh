@@ -18,11 +18,11 @@ made=() clean=$(dirname "$0")/clean
 export OMP_NUM_THREADS=2
 
 for table in "$@"; do
-  steps=4 pairs=() preset=tables labels='[compensated]' translators='[direct, field, flow]'
+  steps=4 pairs=() preset=tables labels='[compensated, priors]' translators='[direct, field, flow]'
   case $table in
     homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
     material) sensors=(--group material) scale=0.25 ;;
-    heterogeneous) sensors=(--group heterogeneous) scale=0.15 labels='[compensated, oracle]' ;;
+    heterogeneous) sensors=(--group heterogeneous) scale=0.15 labels='[compensated, priors, oracle]' ;;
     homogeneous-full) sensors=(--sensors array-i,circle-ii) pairs=(--pairs array-i:circle-ii) labels='[]' ;;
     material-full) sensors=(--sensors r6,r18) pairs=(--pairs r6:r18) ;;
     heterogeneous-clean) sensors=(--sensors "$clean/uskin.yaml,$clean/gelsight.yaml,$clean/tacpalm.yaml") scale=0.15 ;;

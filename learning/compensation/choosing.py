@@ -62,6 +62,9 @@ class Choice:
     """Mean absolute error of Fx, Fy, Fz [N]."""
     clamped: int = 0
     """Labels whose ratio was clamped."""
+    r2: float | None = None
+    """R2 of compensated labels, were they predictions of the target's: mean over the axes. No model
+    that learns from them does better but by chance. None where the target's never change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +102,15 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
             f"{target.sensor}.wrench: found NaN in labels of paired locations; allowed: numbers"
         )
     axes = tuple(float(value) for value in np.abs(apart).mean(axis=0))
-    return Choice(d0, weight, float(np.linalg.norm(apart, axis=1).mean()), axes, clamped)
+    error = float(np.linalg.norm(apart, axis=1).mean())
+    return Choice(d0, weight, error, axes, clamped, _r2(apart, paired.target))
+
+
+def _r2(apart: Floats, target: Floats) -> float | None:
+    spread = np.square(target - target.mean(axis=0)).sum(axis=0)
+    if not (spread > 0).all():
+        return None
+    return float(np.mean(1 - np.square(apart).sum(axis=0) / spread))
 
 
 def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) -> Choice:

@@ -204,4 +204,6 @@ def _choice(content: Mapping[str, Any]) -> Choice:
         None if error is None else float(error),
         tuple(float(value) for value in content["axes"]),
         int(content["clamped"]),
+        # Files of old do not say.
+        None if (r2 := content.get("r2")) is None else float(r2),
     )

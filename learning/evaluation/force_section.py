@@ -53,9 +53,10 @@ SEQUENCES, PRESSES = 3, 10
 
 _METHODS = """source-only: trained on the source's images, shown the target's. transferred:
 trained on the source's images as translated to the target, with the source's labels.
-compensated: the same with labels corrected for the softness of the skins, without labels of the
-target. oracle: with the correction that suits the target's labels best. target: trained on the
-target's own labels."""
+compensated: the same with labels corrected for the softness of the skins as the paper does most
+often (d0 0, lambda 0.75). priors: with the correction that suits their force-depth curves best;
+neither needs labels of the target. oracle: with the one that suits the target's labels best.
+target: trained on the target's own labels."""
 _DEFINITIONS = """MAE: mean over frames of |predicted - true|. Ft: magnitude of the force, as
 the paper has it. R2: 1 - sum of squared errors / sum of squared deviations of the labels from
 their mean, over all frames of the test. /std: MAE over the standard deviation of all labels of

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from learning.compensation import StoredCompensation, read_stored
 from learning.errors import LearningError
 from learning.evaluation.force_table import UNSEEN, ForceRow, force_rows, of_role
 from learning.evaluation.paper_figures import Beside, beside_the_paper
-from learning.evaluation.predictions import merged
+from learning.evaluation.predictions import after, merged
 from learning.evaluation.results_folder import read_folder
 from learning.evaluation.translation_scores import (
     TRANSLATED,
@@ -36,6 +37,8 @@ class Group:
     """The paper's figures, and ours."""
     scores: tuple[Scored, ...]
     """Translated frames, and what they are held against, on unseen indenters."""
+    labels: StoredCompensation | None = None
+    """How labels were brought from skin to skin; None: they were not."""
 
     @property
     def pairs(self) -> int:
@@ -45,8 +48,7 @@ class Group:
     @property
     def after(self) -> str:
         """The last method that needs no label of the target."""
-        methods = {row.method for row in self.force}
-        return "compensated" if "compensated" in methods else "transferred"
+        return after({row.method for row in self.force})
 
     def rows(self, method: str, translator: str = NO_TRANSLATOR) -> list[ForceRow]:
         """The rows of one variant."""
@@ -86,6 +88,7 @@ def read_group(name: str, folder: Path) -> Group:
         of_role(rows, UNSEEN),
         beside_the_paper(rows),
         tuple((one, row) for one, row in paired_rows(scores) if row.role == UNSEEN),
+        read_stored(stored) if (stored := folder / "compensation.json").is_file() else None,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,14 @@ from learning.evaluation.results_file import Results, read_results, write_result
 from recorder.archive import ArchivedSensor
 
 KIND = "predictions"
-METHODS = ("source-only", "transferred", "compensated", "oracle", "target")
+METHODS = ("source-only", "transferred", "compensated", "priors", "oracle", "target")
 """What the model was trained on: the source's images as they are; the translated ones; those with
-labels compensated without labels of the target; compensated as is best on the target's labels; the
-target's own labels."""
+labels compensated as the paper does most often; compensated as the skins' force-depth curves say is
+best; as is best on the target's labels; the target's own labels."""
+TRANSLATED = METHODS[1:5]
+"""Those that a translator made images for."""
+LABEL_FREE = TRANSLATED[:3]
+"""Those of them that need no label of the target, what knows more of the skins behind."""
 
 _TEXTS = ("source", "target", "method", "translator", "model")
 _WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4}
@@ -111,6 +115,11 @@ class Predictions:
         said = {name: getattr(self, name) for name in _TEXTS}
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
         write_results(path, Results(KIND, said, arrays))
+
+
+def after(methods: Collection[str]) -> str:
+    """Return the last of some methods that translates and needs no label of the target."""
+    return next((each for each in reversed(LABEL_FREE) if each in methods), LABEL_FREE[0])
 
 
 _PER_FRAME = tuple(f.name for f in fields(Predictions) if f.name not in (*_TEXTS, *_SCALES))

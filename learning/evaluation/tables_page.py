@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from learning.compensation import Choice
 from learning.evaluation.charts import heatmaps
 from learning.evaluation.force_section import beside_line
 from learning.evaluation.force_table import (
@@ -30,6 +31,8 @@ GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
 GOAL_SHARE = 0.5
 """Errors that are hoped for, over the paper's: both as shares of the range of the labels."""
 NORMAL, SHEAR = ("fz",), ("fx", "fy")
+LABELS = {"default": "compensated"}
+"""What models call the labels that a compensation file calls otherwise."""
 
 
 def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Path]:
@@ -85,6 +88,7 @@ def _section(group: Group, picture: str) -> list[str]:
         "",
         *_goals(group, best),
         *_models(group),
+        *_labels(group),
         *_translations(group),
         *_pairs(group, best),
         *_paper(group),
@@ -133,6 +137,29 @@ def _models(group: Group) -> list[str]:
         cells = (", ".join(newtons), ", ".join(relative), ", ".join(fit))
         whole = f"{mean(each.r2_mean for each in errors):.3f}"
         lines.append(_line(variant_name(variant), str(len(rows)), *cells, whole))
+    return lines
+
+
+def _labels(group: Group) -> list[str]:
+    """Return how far labels are from the target's own before an image has been looked at."""
+    if group.labels is None:
+        return []
+    found: dict[str, dict[str, Choice]] = {}
+    for pair in group.labels.pairs:
+        for name, choice in {"as they are": pair.before, **pair.choices}.items():
+            found.setdefault(name, {})[f"{pair.source} to {pair.target}"] = choice
+    lines = [
+        "",
+        "The source's labels beside the target's own (training presses, paired locations):",
+    ]
+    lines += ["", *_head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
+    for name, choices in found.items():
+        fits = {pair: one.r2 for pair, one in choices.items() if one.r2 is not None}
+        apart = {pair: one.error for pair, one in choices.items() if one.error is not None}
+        if apart:
+            fit = _mean_and_worst(fits, min, ".3f") if fits else ("-", "-")
+            cells = (*fit, *_mean_and_worst(apart, max, ".3f"))
+            lines.append(_line(LABELS.get(name, name), *cells))
     return lines
 
 

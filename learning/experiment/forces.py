@@ -35,8 +35,8 @@ from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, aimed
 from recorder import MarkerArchive
 
-BEFORE, TRANSFERRED, COMPENSATED, TARGET = "source-only", "transferred", "compensated", "target"
-_CHOICES = {COMPENSATED: "default", "oracle": "oracle"}
+BEFORE, TRANSFERRED, TARGET = "source-only", "transferred", "target"
+_CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
 """How the compensation file calls what evaluations call so."""
 
 

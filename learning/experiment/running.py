@@ -16,8 +16,9 @@ from learning.data.fingerprint import archive_fingerprint
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.force_table import UNSEEN, ForceRow
+from learning.evaluation.predictions import after
 from learning.evaluation.report import Report, write_report
-from learning.experiment.forces import BEFORE, COMPENSATED, TRANSFERRED
+from learning.experiment.forces import BEFORE, TRANSFERRED
 from learning.experiment.models import Places
 from learning.experiment.parts import Pair, pairs_of
 from learning.experiment.settings import ExperimentSettings
@@ -77,15 +78,14 @@ def run_experiment(
 def gained(rows: Sequence[ForceRow]) -> str:
     """Return R2 on unseen indenters before and after, means over pairs, axes and translators.
 
-    After is what needs no label of the target: with the default compensation, where there is one.
+    After is the last method that needs no label of the target.
 
     Args:
         rows: Errors of an experiment's pairs.
     """
     unseen = [row for row in rows if row.role == UNSEEN]
-    after = COMPENSATED if any(row.method == COMPENSATED for row in unseen) else TRANSFERRED
     said = []
-    for name, method in ((BEFORE, BEFORE), (TRANSFERRED, after)):
+    for name, method in ((BEFORE, BEFORE), (TRANSFERRED, after({row.method for row in unseen}))):
         values = [row.errors.r2_mean for row in unseen if row.method == method]
         said.append(f"{name} R2 {np.mean(values):.3f}" if values else f"{name} R2 unknown")
     return "  ".join(said)

@@ -12,7 +12,7 @@ PRESETS = Path(__file__).parent / "presets"
 """The presets that are shipped."""
 
 TranslatorName = Literal["flow", "field", "direct"]
-Compensated = Literal["compensated", "oracle"]
+Compensated = Literal["compensated", "priors", "oracle"]
 """Choices of compensation, as evaluations call them: label-free, and by the target's labels."""
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learning.errors import LearningError
-from learning.evaluation.predictions import METHODS
+from learning.evaluation.predictions import METHODS, TRANSLATED
 from learning.progress import Progress
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[st
 
 
 def _require_fitting(method: str, source: str, sensor: str, translator: str) -> None:
-    translated = method in ("transferred", "compensated", "oracle")
+    translated = method in TRANSLATED
     if translated and not translator:
         raise LearningError(f"--translator: missing; allowed: a name, as --method is {method}")
     if translator and not translated:
