@@ -150,14 +150,19 @@ def test_a_runs_iterations_are_weighed_with_the_meshes_they_ran_on(
 
 def test_a_floor_is_the_larger_of_moving_and_computing() -> None:
     run = Run("presses", "all", newton_elements=10, newton_nodes=20, cg_nodes=1000)
-    machine = Machine("m", "cuda:0", copy_rate=1e6, near_rate=1e9, flop_rate=1e9)
-    floor = floor_of(run, machine)
+    machine = Machine("m", "cpu", copy_rate=1e6, near_rate=1e9, flop_rate=1e9)
     # 27 blocks, 2 of the preconditioner, 12 vectors; 4 bytes a number
-    assert floor.cg_bytes == 1000 * 4 * (27 * 9 + 2 * 9 + 12 * 3)
-    assert floor.newton_bytes == 10 * 896 + 20 * 4 * (31 * 9 + 4 * 3)
+    cg_bytes, newton_bytes = 4 * (27 * 9 + 2 * 9 + 12 * 3), 4 * (31 * 9 + 4 * 3)
+    near = floor_of(run, machine)
+    assert near.cg_bytes == 1000 * cg_bytes
+    assert near.newton_bytes == 10 * 896 + 20 * newton_bytes
+    assert near.byte_seconds == pytest.approx((near.cg_bytes + near.newton_bytes) / 1e9)
+    machine = replace(machine, device="cuda:0")
+    floor = floor_of(run, machine)
+    # Of the 27 blocks, products read 2 bytes a number, which were written beside the others.
+    assert floor.cg_bytes == 1000 * (cg_bytes - 2 * 27 * 9)
+    assert floor.newton_bytes == 10 * 896 + 20 * (newton_bytes + 2 * 27 * 9)
     assert floor.seconds == (floor.cg_bytes + floor.newton_bytes) / 1e6
-    near = floor_of(run, replace(machine, device="cpu"))
-    assert near.byte_seconds == pytest.approx(floor.byte_seconds / 1e3)
     assert floor_of(run, replace(machine, flop_rate=1.0)).seconds == floor.flops
     assert math.isnan(floor_of(run, Machine("m", "cpu")).seconds)
 

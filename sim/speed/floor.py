@@ -7,24 +7,29 @@ from dataclasses import dataclass
 
 from sim.speed.record import Machine, Run
 
-NUMBER = 4
-"""Bytes of a float32."""
+NUMBER, HALF = 4, 2
+"""Bytes of a float32, and of a float16."""
 VECTOR, BLOCK = 3 * NUMBER, 9 * NUMBER
 """Bytes of a vector and of a 3x3 matrix."""
 SLOTS = 27
 
-PRODUCT_BYTES = SLOTS * BLOCK + 2 * VECTOR
-"""A node's row of the tangent, all of it stored; the vector, which stays near, and the product."""
+ROW_BYTES = SLOTS * BLOCK
+"""A node's row of the tangent, all of it stored."""
+HALF_ROW_BYTES = SLOTS * 9 * HALF
+"""The same as a GPU's products read it."""
 PRECONDITIONER_BYTES = 2 * BLOCK
 """Pivot and coupling of a node, each read once."""
 VECTORS_BYTES = 10 * VECTOR
 """Direction, product, solution and residual read, the two last and the preconditioned residual
 written; then that one and the direction read, and the direction written."""
-CG_BYTES = PRODUCT_BYTES + PRECONDITIONER_BYTES + VECTORS_BYTES
-"""Of a node and iteration of conjugate gradients."""
+CG_BYTES = ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
+"""Of a node and iteration of conjugate gradients; in the product a vector, which stays near, is
+read and one written."""
+GPU_CG_BYTES = CG_BYTES - ROW_BYTES + HALF_ROW_BYTES
+"""The same on a GPU."""
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
 """The product, three small products of the preconditioner, four vector updates and dot products."""
-NEWTON_NODE_BYTES = SLOTS * BLOCK + 4 * BLOCK + 4 * VECTOR
+NEWTON_NODE_BYTES = ROW_BYTES + 4 * BLOCK + 4 * VECTOR
 """The tangent written once, its columns factored, displacement and residual."""
 NEWTON_ELEMENT_BYTES = 2 * (8 * BLOCK + 8 * NUMBER + 8 * NUMBER) + 2 * 8 * VECTOR
 """Inverse Jacobians, weights and node numbers, read for the tangent and for the forces; forces of
@@ -53,12 +58,14 @@ class Floor:
 
 
 def floor_of(run: Run, machine: Machine) -> Floor:
-    """The floor of a run in float32."""
-    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * NEWTON_NODE_BYTES
-    cg_bytes = run.cg_nodes * CG_BYTES
+    """The floor of a run in float32; on a GPU products read the tangent in float16."""
+    cpu = machine.device == "cpu"
+    of_node = NEWTON_NODE_BYTES if cpu else NEWTON_NODE_BYTES + HALF_ROW_BYTES
+    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * of_node
+    cg_bytes = run.cg_nodes * (CG_BYTES if cpu else GPU_CG_BYTES)
     flops = run.newton_elements * NEWTON_ELEMENT_FLOPS + run.cg_nodes * CG_FLOPS
     rate = machine.copy_rate
-    if machine.device == "cpu" and machine.near_rate > rate:
+    if cpu and machine.near_rate > rate:
         rate = machine.near_rate
     return Floor(
         newton_bytes=float(newton_bytes),

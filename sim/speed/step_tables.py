@@ -7,7 +7,14 @@ from collections.abc import Sequence
 
 from sim.speed.campaign import steps_file
 from sim.speed.cells import MISSING, or_missing, percent, row, seconds
-from sim.speed.floor import CG_BYTES, NEWTON_ELEMENT_BYTES, NEWTON_ELEMENT_FLOPS, floor_of
+from sim.speed.floor import (
+    CG_BYTES,
+    GPU_CG_BYTES,
+    NEWTON_ELEMENT_BYTES,
+    NEWTON_ELEMENT_FLOPS,
+    ROW_BYTES,
+    floor_of,
+)
 from sim.speed.forces import SHALLOW_MM, Forces, errors, read_runs
 from sim.speed.record import Record, Run
 from sim.speed.steps import AS_IT_IS, REPLACED, Step, assembled_gain, steps_on
@@ -23,11 +30,12 @@ _FLOOR = """
 ## The floor
 
 Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
-iteration moves at least {cg} bytes a node in float32 (972 of the tangent's row, the rest vectors
-and preconditioner), a Newton iteration {element} bytes an element besides writing the tangent, and
-computes {flops} operations an element, counted in the kernels' source. Bytes are moved at the rate
-of a copy measured beside the run: of an array that no cache holds or, on a CPU where that is
-faster, of one as large as the tangent of one press.
+iteration moves at least {cg} bytes a node in float32 ({row} of the tangent's row, the rest vectors
+and preconditioner), on a GPU {gpu}, as products read that row in float16; a Newton iteration moves
+{element} bytes an element besides writing the tangent, on a GPU in both, and computes {flops}
+operations an element, counted in the kernels' source. Bytes are moved at the rate of a copy
+measured beside the run: of an array that no cache holds or, on a CPU where that is faster, of one
+as large as the tangent of one press.
 """
 
 
@@ -109,7 +117,13 @@ def floor_section(records: Sequence[Record]) -> list[str]:
     """What the iterations of the timed presses ask for, a column for each device."""
     flops = f"{NEWTON_ELEMENT_FLOPS:,}"
     lines = [
-        _FLOOR.format(cg=CG_BYTES, element=NEWTON_ELEMENT_BYTES, flops=flops),
+        _FLOOR.format(
+            cg=CG_BYTES,
+            row=ROW_BYTES,
+            gpu=GPU_CG_BYTES,
+            element=NEWTON_ELEMENT_BYTES,
+            flops=flops,
+        ),
         "| | " + " | ".join(record.machine.name for record in records) + " |",
         "|---|" + "---|" * len(records),
     ]
