@@ -18,7 +18,15 @@ from learning.evaluation.force_errors import force_errors
 from learning.evaluation.predictions import read_predictions
 from learning.experiment import forces, running, side_by_side
 from learning.experiment.blind import Blind
-from learning.experiment.parts import as_images, look_of, pairs_of, thinned, trained_on
+from learning.experiment.force_settings import force_settings
+from learning.experiment.parts import (
+    as_images,
+    frames_of_a_press,
+    look_of,
+    pairs_of,
+    thinned,
+    trained_on,
+)
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
 from learning.experiment.worker import Done
@@ -193,6 +201,12 @@ def test_without_memory_every_frame_is_untouched_before(archive: MarkerArchive) 
     assert torch.equal(alone.of_frame, torch.arange(packed.frames))
     assert torch.equal(alone.location, packed.location[packed.of_frame])
     assert alone.images is packed.images
+    assert frames_of_a_press(archive) == 9
+    batch = {
+        memory: force_settings(settings(f"memory={memory}"), archive, CPU).sequences.batch
+        for memory in ("true", "false")
+    }
+    assert batch["false"] == 9 * batch["true"]
 
 
 def test_a_blind_translator_is_told_nothing_of_the_source() -> None:

@@ -17,17 +17,24 @@ from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.evaluation.force_errors import force_errors
 from learning.evaluation.predictions import Predictions, predictions_of, read_predictions
+from learning.experiment.force_settings import force_settings
 from learning.experiment.models import Places
-from learning.experiment.parts import Pair, Tested, as_images, look_of, tested_on, trained_on
+from learning.experiment.parts import (
+    Pair,
+    Tested,
+    as_images,
+    look_of,
+    tested_on,
+    trained_on,
+)
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
 from learning.experiment.tuning import Tuning, tune_together
 from learning.force.labels import Compensation
 from learning.force.predictor import KIND, ForcePredictor, load_force_model
-from learning.force.settings import PRESETS, ForceSettings
+from learning.force.settings import ForceSettings
 from learning.force.train import train_force
 from learning.progress import Progress
-from learning.settings import read_settings
 from learning.training.model_folder import read_model_folder
 from learning.training.run_folder import RunFolder
 from learning.training.stopping import Stop
@@ -117,7 +124,7 @@ class Forces:
             if due and self.settings.together > 1:
                 seen = {pair: self._as_seen(presses) for pair, presses in shown.items()}
                 _, own = self._own_model(due[0].pair.source)
-                tune_together(due, seen, self._tuning_settings(), own, self._run_of)
+                tune_together(due, seen, self._settings(tuning=True), own, self._run_of)
             for each in tunings:
                 found.append(self._predicted(each.pair, each.method, each, shown.get(each.pair)))
         for pair in pairs:
@@ -159,7 +166,7 @@ class Forces:
     def _own_model(self, sensor: str) -> tuple[Path, ForcePredictor]:
         """Return the model that a sensor's own frames and labels give."""
         if sensor not in self._own:
-            settings = self._force_settings(self.settings.force.set)
+            settings = self._settings()
 
             def frames() -> tuple[Presses, Presses | None]:
                 packed, held = self._frames(sensor)
@@ -173,7 +180,7 @@ class Forces:
         _, own = self._own_model(tuning.pair.source)
         return self._trained(
             tuning.name,
-            self._tuning_settings(),
+            self._settings(tuning=True),
             shown.sensor,
             lambda: (shown, None),
             start_from=own,
@@ -217,7 +224,7 @@ class Forces:
 
     def _run_of(self, tuning: Tuning) -> RunFolder:
         shown = f"{tuning.pair.source}-to-{tuning.pair.target}"
-        return self._open(tuning.name, self._tuning_settings(), shown)
+        return self._open(tuning.name, self._settings(tuning=True), shown)
 
     def _open(self, name: str, settings: ForceSettings, sensor: str) -> RunFolder:
         """Return the folder of a model that learns from a sensor's frames."""
@@ -277,19 +284,8 @@ class Forces:
             )
         return self._tested[sensor]
 
-    def _tuning_settings(self) -> ForceSettings:
-        """Return how models learn from translated frames."""
-        return self._force_settings((*self.settings.force.set, *self.settings.fine_tuning))
-
-    def _force_settings(self, changed: Sequence[str]) -> ForceSettings:
-        changed = (*changed, f"launch.device={self.device.type}")
-        settings = read_settings(ForceSettings, PRESETS, self.settings.force.preset, changed)
-        if settings.input.stored_form != "images":
-            raise LearningError(
-                f"force: found {self.settings.force.preset}, which sees marker fields; allowed: a "
-                "model that sees images, which is what is translated"
-            )
-        return settings
+    def _settings(self, *, tuning: bool = False) -> ForceSettings:
+        return force_settings(self.settings, self.archive, self.device, tuning=tuning)
 
     def _file_of(self, tuning: Tuning) -> Path:
         return self._file(tuning.pair, tuning.method, tuning.translator)

@@ -107,6 +107,16 @@ def as_images(presses: Presses) -> Presses:
     return replace(presses, form="images", images=images, references=references)
 
 
+def frames_of_a_press(archive: MarkerArchive) -> int:
+    """Return how many frames a located press has, on average over all sensors; at least 1."""
+    frames = presses = 0
+    for sensor in archive.values():
+        location = sensor.table["location"][sensor.table["valid"]]
+        frames += int(np.count_nonzero(location >= 0))
+        presses += len(np.unique(location[location >= 0]))
+    return max(1, round(frames / max(1, presses)))
+
+
 def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> Look:
     """Return how a target looks untouched at the places of a source's presses.
 
