@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sim.checks import check_range
 from sim.errors import SceneError
+
+Array = NDArray[np.float64]
+Places = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,3 +74,10 @@ class Body:
         if self.dome_radius is None:
             return 0.0
         return math.sqrt(self.dome_radius**2 - x * x - y * y) - self.dome_radius
+
+    def heights(self, x: Places, y: Places) -> Array:
+        """Heights of the untouched top at all places of a raster, x (X,) and y (Y,): (X, Y) [m]."""
+        if self.dome_radius is None:
+            return np.zeros((len(x), len(y)))
+        square = self.dome_radius**2 - np.square(x)[:, None] - np.square(y)
+        return np.asarray(np.sqrt(square) - self.dome_radius)

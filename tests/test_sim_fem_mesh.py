@@ -39,6 +39,19 @@ def test_inverse_jacobians_and_volumes_are_numpys(make: Callable[[], Mesh]) -> N
     np.testing.assert_allclose(mesh.inverse, expected.inverse, atol=1e-12 * size)
 
 
+@pytest.mark.parametrize("make", [_flat, _graded, _domed])
+def test_volumes_of_nodes_and_areas_of_faces_are_the_elements(make: Callable[[], Mesh]) -> None:
+    mesh = make()
+    eighth = np.repeat(mesh.weight.sum(axis=1) / 8, 8)
+    expected = np.bincount(mesh.elements.ravel(), eighth, len(mesh.nodes))
+    np.testing.assert_allclose(mesh.node_volume, expected, rtol=1e-11)
+    corners = mesh.nodes[mesh.faces]
+    one, other = corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1]
+    area = np.linalg.norm(np.cross(one, other), axis=1) / 2
+    # A dome's faces are two triangles that do not lie quite in one plane.
+    np.testing.assert_allclose(4 * mesh.face_area, area, rtol=1e-3 if make is _domed else 1e-11)
+
+
 def test_elements_of_one_size_fill_the_body_as_asked() -> None:
     mesh = _flat()
     assert mesh.cells == (6, 5, 3)

@@ -90,7 +90,7 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
     """Pixels (F, 14, 14, 2) at which the camera sees the markers of each frame."""
     x, y = marker_places(body)
     rest = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-    height = np.array([[body.height(float(a), float(b)) for b in y] for a in x])
+    height = body.heights(x, y)
     untouched = np.concatenate([rest, height[..., None]], axis=-1)
     inner_x = np.clip(x, outcome.surface_x[0], outcome.surface_x[-1])
     inner_y = np.clip(y, outcome.surface_y[0], outcome.surface_y[-1])

@@ -22,8 +22,38 @@ GAUSS_POINTS = 8
 
 
 @functools.cache
+def nodal_function(real, kind):
+    """`nodal(m1, ..., m7)` -> 8 values by corner, of vectors or matrices: `modes_of` transposed."""
+    eighth = real(0.125)
+    g = real(0.5773502691896258)
+    gg = real(1.0 / 3.0)
+
+    @wp.func
+    def nodal(m1: kind, m2: kind, m3: kind, m4: kind, m5: kind, m6: kind, m7: kind):
+        a1 = m1 * eighth
+        a2 = m2 * eighth
+        a3 = m3 * eighth
+        a4 = m4 * (eighth * g)
+        a5 = m5 * (eighth * g)
+        a6 = m6 * (eighth * g)
+        a7 = m7 * (eighth * gg)
+        # Corner (i, j, k) takes every mode with the product of its signs.
+        l0 = -a1 - a2 + a4
+        h0 = -a3 + a5 + a6 - a7
+        l1 = -a1 + a2 - a4
+        h1 = -a3 - a5 + a6 + a7
+        l2 = a1 - a2 - a4
+        h2 = -a3 + a5 - a6 + a7
+        l3 = a1 + a2 + a4
+        h3 = -a3 - a5 - a6 - a7
+        return l0 + h0, l0 - h0, l1 + h1, l1 - h1, l2 + h2, l2 - h2, l3 + h3, l3 - h3
+
+    return nodal
+
+
+@functools.cache
 def mode_functions(real):
-    """`modes_of(elements, u, env, e)` -> 7 vectors, and `nodal(...)`, its transpose, by corner."""
+    """`modes_of(elements, u, env, e)` -> 7 vectors; `scatter(...)` writes its transpose."""
     vec3 = vector_of(real)
     eighth = real(0.125)
     g = real(0.5773502691896258)
@@ -56,6 +86,8 @@ def mode_functions(real):
         m7 = ((d67 - d45) - (d23 - d01)) * (eighth * gg)
         return m1, m2, m3, m4, m5, m6, m7
 
+    nodal = nodal_function(real, vec3)
+
     @wp.func
     def scatter(
         force: wp.array3d(dtype=vec3),
@@ -69,30 +101,15 @@ def mode_functions(real):
         m6: vec3,
         m7: vec3,
     ):
-        a1 = m1 * eighth
-        a2 = m2 * eighth
-        a3 = m3 * eighth
-        a4 = m4 * (eighth * g)
-        a5 = m5 * (eighth * g)
-        a6 = m6 * (eighth * g)
-        a7 = m7 * (eighth * gg)
-        # corner (i, j, k) takes every mode with the product of its signs
-        lo = -a1 - a2 + a4
-        hi = -a3 + a5 + a6 - a7
-        force[env, e, 0] = lo + hi
-        force[env, e, 1] = lo - hi
-        lo = -a1 + a2 - a4
-        hi = -a3 - a5 + a6 + a7
-        force[env, e, 2] = lo + hi
-        force[env, e, 3] = lo - hi
-        lo = a1 - a2 - a4
-        hi = -a3 + a5 - a6 + a7
-        force[env, e, 4] = lo + hi
-        force[env, e, 5] = lo - hi
-        lo = a1 + a2 + a4
-        hi = -a3 - a5 - a6 - a7
-        force[env, e, 6] = lo + hi
-        force[env, e, 7] = lo - hi
+        v0, v1, v2, v3, v4, v5, v6, v7 = nodal(m1, m2, m3, m4, m5, m6, m7)
+        force[env, e, 0] = v0
+        force[env, e, 1] = v1
+        force[env, e, 2] = v2
+        force[env, e, 3] = v3
+        force[env, e, 4] = v4
+        force[env, e, 5] = v5
+        force[env, e, 6] = v6
+        force[env, e, 7] = v7
 
     return modes_of, scatter
 

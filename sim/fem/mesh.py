@@ -187,7 +187,7 @@ def build_mesh(
     unit = body.thickness
     nx, ny, nz = cells = len(x) - 1, len(y) - 1, cell_counts(body, spacing)[2]
     share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
-    height = np.array([[body.height(a * unit, b * unit) / unit for b in y] for a in x])
+    height = body.heights(x * unit, y * unit) / unit
     place = np.empty((nx + 1, ny + 1, nz + 1, 3))
     place[..., 0] = x[:, None, None]
     place[..., 1] = y[None, :, None]
@@ -196,11 +196,13 @@ def build_mesh(
     grid = _topology(cells)
     if height.any():
         inverse, weight = _geometry(nodes[grid.elements])
+        volume = _node_volumes(grid.elements, weight, len(nodes))
+        area = _face_areas(nodes[grid.faces])
     else:
-        inverse, weight = _box_geometry(np.diff(x), np.diff(y), np.diff(share))
-    eighth = np.repeat(weight.sum(1, keepdims=True) / 8, 8, axis=1)
-    volume = np.zeros(len(nodes))
-    volume += np.bincount(grid.elements.ravel(), eighth.ravel(), len(nodes))
+        sides = np.diff(x), np.diff(y), np.diff(share)
+        inverse, weight = _box_geometry(*sides)
+        volume = _box_node_volumes(*sides)
+        area = _box_face_areas(*sides)
     return Mesh(
         cells=cells,
         x=x,
@@ -210,7 +212,7 @@ def build_mesh(
         inverse=inverse,
         weight=weight,
         faces=grid.faces,
-        face_area=_face_areas(nodes[grid.faces]),
+        face_area=area,
         node_elements=grid.node_elements,
         node_faces=grid.node_faces,
         free=grid.free,
@@ -272,6 +274,24 @@ def _box_geometry(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
     weight = (sides[0] * sides[1] * sides[2] / 8).reshape(-1, 1)
     inverse = np.broadcast_to(inverse.reshape(-1, 1, 3, 3), (len(weight), 8, 3, 3))
     return inverse, np.broadcast_to(weight, (len(weight), 8))
+
+
+def _box_node_volumes(x: Array, y: Array, z: Array) -> Array:
+    """As `_node_volumes`, of boxes with these sides (X,), (Y,) and (Z,)."""
+    u, v, w = (np.concatenate([[0.0], side / 2]) + np.append(side / 2, 0.0) for side in (x, y, z))
+    return np.asarray((u[:, None, None] * v[:, None] * w).ravel())
+
+
+def _box_face_areas(x: Array, y: Array, z: Array) -> Array:
+    """As `_face_areas` of the faces of `_faces`, of boxes with these sides (X,), (Y,) and (Z,)."""
+    sheets = ((x, y), (y, z), (y, z), (x, z), (x, z))
+    return np.concatenate([np.outer(one, other).ravel() / 4 for one, other in sheets])
+
+
+def _node_volumes(elements: NDArray[np.int32], weight: Array, count: int) -> Array:
+    """An eighth (N,) of each of the elements (E, 8) around a node, by their volumes (E, 8)."""
+    eighth = np.repeat(weight.sum(1, keepdims=True) / 8, 8, axis=1)
+    return np.asarray(np.bincount(elements.ravel(), eighth.ravel(), count), np.float64)
 
 
 def _cross(a: Array, b: Array) -> Array:

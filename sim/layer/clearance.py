@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.body import Body
 from sim.indenters import Indenter
 from sim.layer.grid import Grid
 from sim.motion import Motion
@@ -32,7 +31,7 @@ class Clearance:
         body, tip = grid.body, np.asarray(motion.tip)
         self._grid, self._anchor = grid, tip[0]
         self._step = tuple(pixel / FINENESS for pixel in grid.pixel)
-        self.surface = _surface(body, grid)
+        self.surface = body.heights(grid.x, grid.y)
         """Height of the untouched top (nx, ny) [m]."""
         self._cap = 2 * (motion.depth_max - float(self.surface.min())) + body.thickness / 2
         far = tip[:, :2] - self._anchor[:2]
@@ -90,9 +89,3 @@ def _weights(rest: float) -> tuple[float, float, float, float]:
         -before * here * beyond / 2,
         before * here * after / 6,
     )
-
-
-def _surface(body: Body, grid: Grid) -> Array:
-    if body.dome_radius is None:
-        return np.zeros(grid.shape)
-    return np.array([[body.height(x, y) for y in grid.y] for x in grid.x])

@@ -111,9 +111,7 @@ class Frames:
         lattice, body = self._lattice, self._scene.body
         place = np.zeros((*lattice.counts[:2], 3))
         place[..., 0], place[..., 1] = lattice.surface_x[:, None], lattice.surface_y
-        place[..., 2] = [
-            [body.height(float(x), float(y)) for y in lattice.surface_y] for x in lattice.surface_x
-        ]
+        place[..., 2] = body.heights(lattice.surface_x, lattice.surface_y)
         tip = np.asarray(self._scene.motion.tip[frame])
         gap, _ = self._scene.indenter.distance(place + self._surface[frame] - tip)
         return max(0.0, -float(gap.min())) / max(-float(tip[2]), DEPTH_LEAST)

@@ -85,7 +85,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: MpmNumerics) -> Lattice:
         )
     along = [_places(count, on_faces) for count in counts]
     x, y = (along[0] - 0.5) * body.size_x, (along[1] - 0.5) * body.size_y
-    top = np.array([[body.height(float(u), float(v)) for v in y] for u in x])
+    top = body.heights(x, y)
     column = body.thickness + top
     points = np.empty((nz, nx, ny, 3))
     points[..., 0] = x[:, None]

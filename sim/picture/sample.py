@@ -81,7 +81,7 @@ def surface_of(result: Result, frame: int) -> Surface:
     moved = _values_between(x, y, result.surface[frame], fine_x, fine_y)
     traction = np.nan_to_num(result.traction[frame, :, :, 2].astype(np.float64))
     pressure = np.maximum(-traction, 0.0)
-    rest = np.array([[body.height(float(a), float(b)) for b in fine_y] for a in fine_x])
+    rest = body.heights(fine_x, fine_y)
     shift = moved[..., :2] * (result.tier != "layer")
     drawn = _values_between(x, y, pressure, fine_x, fine_y)
     place = np.stack(np.meshgrid(fine_x, fine_y, indexing="ij"), axis=-1) + shift
