@@ -8,7 +8,13 @@ from pathlib import Path
 
 from sim.extrapolation import left_of_difference
 from sim.fem.grading import FOR_EDGES
-from sim.speed.campaign import REFERENCE_FILE, presses_file
+from sim.speed.campaign import (
+    AUGMENTATIONS,
+    PATH_TOLERANCE,
+    REFERENCE_FILE,
+    TOLERANCE,
+    presses_file,
+)
 from sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
 from sim.speed.forces import SHALLOW_MM, Errors, errors, read_forces
 from sim.speed.offers import Offer, cheapest, offer_table, offers_of, save_offer_chart
@@ -28,8 +34,9 @@ _INTRO = """# Speed
 The paper's work: 18 indenters at 9 places ({places} mm along x and y), pressed to {depths} mm, with
 friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames each, by the `fem`
 tier with elements as high as the table says, {finer:g} times as wide where the indenter comes and
-growing outwards from there, tolerance 1e-3. Seconds are wall time with kernels compiled, from
-scenes to results; compiling is told apart. Made by `make speed`.
+growing outwards from there, states as exact as these meshes are (`Numerics(tolerance={tolerance:g},
+path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time with kernels
+compiled, from scenes to results; compiling is told apart. Made by `make speed`.
 """
 _ERRORS = """
 Error: |F - Fref| / |Fref| of every press and depth that the reference has: all 18 indenters in the
@@ -87,7 +94,16 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
     depths = ", ".join(f"{depth:g}" for depth in DEPTHS_MM)
     finer = FOR_EDGES.finer
     lines = [
-        _INTRO.format(places=places, depths=depths, friction=FRICTION, whole=WHOLE, finer=finer)
+        _INTRO.format(
+            places=places,
+            depths=depths,
+            friction=FRICTION,
+            whole=WHOLE,
+            finer=finer,
+            tolerance=TOLERANCE,
+            path=PATH_TOLERANCE,
+            augmentations=AUGMENTATIONS,
+        )
     ]
     found = [
         (errors(forces, reference, from_mm=SHALLOW_MM), errors(forces, reference))
@@ -168,6 +184,10 @@ def _machine_lines(records: Sequence[Record]) -> list[str]:
             text = f"{machine.name}: first presses {seconds(machine.warm_seconds)} ({compiled})"
             if run is not None and math.isfinite(run.again):
                 text += f"; all presses {seconds(run.seconds)}, then {seconds(run.again)} again"
+            if run is not None and math.isfinite(run.tolerance) and run.tolerance != TOLERANCE:
+                text += (
+                    f"; measured at a tolerance of {run.tolerance:g}, before it was {TOLERANCE:g}"
+                )
             lines.append(f"- {text}.")
     return lines
 

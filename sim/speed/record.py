@@ -51,6 +51,8 @@ class Run:
     arrays on a GPU."""
     processes: int = 1
     spacing_mm: float = math.nan
+    tolerance: float = math.nan
+    """Out-of-balance force over force at which states are kept."""
     failed: int = 0
     """Presses without a solution."""
     groups: int = 0
