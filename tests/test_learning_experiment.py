@@ -167,6 +167,18 @@ def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
     assert begun == [("own", "one")]
 
 
+def test_a_process_without_memory_says_that_jobs_are_too_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Full:
+        def do(self, piece: tuple[str, ...]) -> None:
+            raise torch.OutOfMemoryError("tried to allocate 150 MiB")
+
+    monkeypatch.setattr(side_by_side, "_worker", Full())
+    with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
+        side_by_side._do(("own", "one"))
+
+
 def test_presses_translated_together_are_those_translated_one_by_one(
     archive: MarkerArchive,
 ) -> None:

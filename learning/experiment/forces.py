@@ -19,14 +19,7 @@ from learning.evaluation.force_errors import force_errors
 from learning.evaluation.predictions import Predictions, predictions_of, read_predictions
 from learning.experiment.force_settings import force_settings
 from learning.experiment.models import Places
-from learning.experiment.parts import (
-    Pair,
-    Tested,
-    as_images,
-    look_of,
-    tested_on,
-    trained_on,
-)
+from learning.experiment.parts import Pair, Tested, as_images, look_of, tested_on, trained_on
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
 from learning.experiment.tuning import Tuning, tune_together

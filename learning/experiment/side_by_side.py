@@ -10,6 +10,9 @@ import multiprocessing
 from collections.abc import Callable, Mapping, Set
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 
+import torch
+
+from learning.errors import LearningError
 from learning.experiment.worker import Done, Piece, Work, Worker
 
 Say = Callable[[str], None]
@@ -24,7 +27,8 @@ def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
         say: Called with a line for each thing that was done.
 
     Raises:
-        LearningError: A piece that cannot be done; pieces that run meanwhile end first.
+        LearningError: A piece that cannot be done, or for which there is no memory beside the
+            others; pieces that run meanwhile end first.
         SessionError: A damaged archive.
         KeyboardInterrupt: It was stopped; what trains saves where it is.
     """
@@ -64,6 +68,11 @@ def _do(piece: Piece) -> tuple[Done, list[str]]:
     except KeyboardInterrupt:
         _stopped = True
         raise
+    except torch.OutOfMemoryError as error:
+        raise LearningError(
+            f"jobs: found no memory left on the device for {' '.join(piece)} beside the others; "
+            "allowed: fewer jobs (the same command goes on)"
+        ) from error
     return done, [*_said]
 
 

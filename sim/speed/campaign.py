@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.mpm import MpmNumerics
 
-TOLERANCE, PATH_TOLERANCE, AUGMENTATIONS = 1e-2, 5e-2, 1
+TOLERANCE, PATH_TOLERANCE, AUGMENTATIONS = 1.5e-2, 0.1, 1
 """Of the timed presses: out-of-balance force over force at the depths that are kept and between
 them, and how often the pressure is brought up. Tighter ones move no mesh's error by 0.1 %; see the
 step that is left out."""
