@@ -71,9 +71,7 @@ class Body:
 
     def height(self, x: float, y: float) -> float:
         """Height of the untouched top at (x, y) [m]: 0 when flat, below 0 off a dome's apex."""
-        if self.dome_radius is None:
-            return 0.0
-        return math.sqrt(self.dome_radius**2 - x * x - y * y) - self.dome_radius
+        return float(self.heights(np.array([x]), np.array([y]))[0, 0])
 
     def heights(self, x: Places, y: Places) -> Array:
         """Heights of the untouched top at all places of a raster, x (X,) and y (Y,): (X, Y) [m]."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from learning.compensation.correction import compensate, ratios
 from learning.compensation.prior import Prior
 from learning.errors import LearningError
+from learning.evaluation.force_errors import r_squared
 from recorder import PHASES
 
 Floats = NDArray[np.float64]
@@ -103,14 +104,8 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
         )
     axes = tuple(float(value) for value in np.abs(apart).mean(axis=0))
     error = float(np.linalg.norm(apart, axis=1).mean())
-    return Choice(d0, weight, error, axes, clamped, _r2(apart, paired.target))
-
-
-def _r2(apart: Floats, target: Floats) -> float | None:
-    spread = np.square(target - target.mean(axis=0)).sum(axis=0)
-    if not (spread > 0).all():
-        return None
-    return float(np.mean(1 - np.square(apart).sum(axis=0) / spread))
+    fit = float(r_squared(paired.target, labels).mean())
+    return Choice(d0, weight, error, axes, clamped, fit if np.isfinite(fit) else None)
 
 
 def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) -> Choice:

@@ -24,6 +24,8 @@ TRANSLATED = METHODS[1:5]
 """Those that a translator made images for."""
 LABEL_FREE = TRANSLATED[:3]
 """Those of them that need no label of the target, what knows more of the skins behind."""
+CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
+"""What compensation files call the labels of a method."""
 
 _TEXTS = ("source", "target", "method", "translator", "model")
 _WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4}

@@ -21,6 +21,7 @@ from learning.evaluation.force_table import (
 )
 from learning.evaluation.group_results import NO_TRANSLATOR, Group, mean
 from learning.evaluation.paper_figures import PAPER, label_share, paper_share
+from learning.evaluation.predictions import CHOICES
 from learning.evaluation.translation_scores import TRANSLATED, score_line
 from recorder.durable import replace_file
 
@@ -31,8 +32,6 @@ GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
 GOAL_SHARE = 0.5
 """Errors that are hoped for, over the paper's: both as shares of the range of the labels."""
 NORMAL, SHEAR = ("fz",), ("fx", "fy")
-LABELS = {"default": "compensated"}
-"""What models call the labels that a compensation file calls otherwise."""
 
 
 def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Path]:
@@ -153,13 +152,14 @@ def _labels(group: Group) -> list[str]:
         "The source's labels beside the target's own (training presses, paired locations):",
     ]
     lines += ["", *_head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
+    methods = {choice: method for method, choice in CHOICES.items()}
     for name, choices in found.items():
         fits = {pair: one.r2 for pair, one in choices.items() if one.r2 is not None}
         apart = {pair: one.error for pair, one in choices.items() if one.error is not None}
         if apart:
             fit = _mean_and_worst(fits, min, ".3f") if fits else ("-", "-")
             cells = (*fit, *_mean_and_worst(apart, max, ".3f"))
-            lines.append(_line(LABELS.get(name, name), *cells))
+            lines.append(_line(methods.get(name, name), *cells))
     return lines
 
 

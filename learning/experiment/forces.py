@@ -16,7 +16,7 @@ from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.evaluation.force_errors import force_errors
-from learning.evaluation.predictions import Predictions, predictions_of, read_predictions
+from learning.evaluation.predictions import CHOICES, Predictions, predictions_of, read_predictions
 from learning.experiment.force_settings import force_settings
 from learning.experiment.models import Places
 from learning.experiment.parts import Pair, Tested, as_images, look_of, tested_on, trained_on
@@ -36,8 +36,6 @@ from learning.translation.translator import FLOW, SensorView, aimed
 from recorder import MarkerArchive
 
 BEFORE, TRANSFERRED, TARGET = "source-only", "transferred", "target"
-_CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
-"""How the compensation file calls what evaluations call so."""
 
 
 @dataclass(slots=True, eq=False)
@@ -292,6 +290,6 @@ def _labels(
     pair: Pair, method: str, compensation: StoredCompensation | None
 ) -> Compensation | None:
     """Return what changes the labels of a pair, by a kind of labels."""
-    if compensation is None or method not in _CHOICES:
+    if compensation is None or method not in CHOICES:
         return None
-    return compensation.pair(pair.source, pair.target, _CHOICES[method]).applied
+    return compensation.pair(pair.source, pair.target, CHOICES[method]).applied

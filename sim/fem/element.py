@@ -22,6 +22,19 @@ GAUSS_POINTS = 8
 
 
 @functools.cache
+def column_function(real):
+    """`column(m, j)`: a column of a matrix, as a vector."""
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+
+    @wp.func
+    def column(m: mat33, j: int):
+        return vec3(m[0, j], m[1, j], m[2, j])
+
+    return column
+
+
+@functools.cache
 def nodal_function(real, kind):
     """`nodal(m1, ..., m7)` -> 8 values by corner, of vectors or matrices: `modes_of` transposed."""
     eighth = real(0.125)

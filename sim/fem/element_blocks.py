@@ -19,7 +19,7 @@ import functools
 
 import warp as wp
 
-from sim.fem.element import mode_functions, strain_functions
+from sim.fem.element import column_function, mode_functions, strain_functions
 from sim.fem.scalars import matrix_of, vector_of
 
 
@@ -32,15 +32,12 @@ def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
+    column = column_function(real)
     strain, cofactor, det_less_one = strain_functions(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
     # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
     third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
     eighth, abscissa = real(0.125), real(0.5773502691896258)
-
-    @wp.func
-    def column(m: mat33, j: int):
-        return vec3(m[0, j], m[1, j], m[2, j])
 
     @wp.func
     def spread(bits: int):

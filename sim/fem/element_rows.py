@@ -19,7 +19,7 @@ import functools
 
 import warp as wp
 
-from sim.fem.element import mode_functions, nodal_function, strain_functions
+from sim.fem.element import column_function, mode_functions, nodal_function, strain_functions
 from sim.fem.scalars import matrix_of, vector_of
 
 
@@ -29,6 +29,7 @@ def element_rows_kernel(real, viscous: bool, full_integration: bool = False):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
+    column = column_function(real)
     blocks_of = nodal_function(real, mat33)
     strain, cofactor, det_less_one = strain_functions(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
@@ -47,10 +48,6 @@ def element_rows_kernel(real, viscous: bool, full_integration: bool = False):
         along_y = wp.where((b >> 1) & 1 == 1, half, -half)
         along_z = wp.where(b & 1 == 1, half, -half)
         return vec3(along_x * y * z, along_y * x * z, along_z * x * y)
-
-    @wp.func
-    def column(m: mat33, j: int):
-        return vec3(m[0, j], m[1, j], m[2, j])
 
     @wp.func
     def along(same: real, ea: vec3, c: vec3, ca: vec3, e: vec3, turned: vec3):

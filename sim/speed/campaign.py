@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sim.speed.floor import ROW_BYTES
 from sim.speed.forces import Forces, errors, forces_of, read_runs, write_forces, write_runs
 from sim.speed.machine import FAR_BYTES, copy_rate, flop_rate, machine_name
 from sim.speed.record import Machine, Record, Run, read
@@ -30,8 +31,6 @@ SCALING = (1, 9)
 """Numbers of presses beside the whole and the dense one."""
 AUTHORS_SPEED = 40e-3
 """Speed of the tip in the authors' released parameters, which Tacchi was timed with [m/s]."""
-MATRIX_BYTES = 972
-"""Of a node's row of the tangent in float32."""
 REFERENCE_FILE = "reference.csv"
 
 
@@ -271,7 +270,7 @@ class _Campaign:
     def _rate(self, run: Run) -> None:
         """Measure the machine, beside the run that is held to it."""
         plan = self._plan
-        near = max(MATRIX_BYTES * run.nodes // max(run.presses, 1), 2**20)
+        near = max(ROW_BYTES * run.nodes // max(run.presses, 1), 2**20)
         flops, source = flop_rate(plan.device)
         self._record.machine = replace(
             self._record.machine,
