@@ -16,7 +16,7 @@ DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations live endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test test-all check format setup clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z -]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -130,6 +130,9 @@ learning-tables: $(VENV)/.demo  ## The paper's tables on simulated groups of sen
 
 learning-ablations: $(VENV)/.demo  ## What limits them, one thing changed at a time, behind learning-tables: [OUT=runs/tables] [NAMES="half single-frame"] [DEVICE=cuda:0] [JOBS=8]
 	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash examples/learning-tables/ablations.sh $(or $(OUT),runs/tables) $(NAMES)
+
+learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by side, on all GPUs: [OUT=runs/tables] [ARGS="--only material,half --gpus 0,1"]
+	@$(PY) examples/learning-tables/on_gpus.py $(or $(OUT),runs/tables) $(ARGS)
 
 live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)

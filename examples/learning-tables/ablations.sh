@@ -13,20 +13,24 @@ out=${1:?where the heterogeneous table is, for instance runs/tables}
 shift
 [ $# -gt 0 ] || set -- whole half quarter single-frame direct direct-blind clean
 python=${PYTHON:-python} processes=${PROCESSES:-$(nproc)} device=${DEVICE:-cpu} base=$out/heterogeneous
-[ -f "$base/split.json" ] || { echo "OUT: no table in $base; run.sh makes it" >&2; exit 2; }
-presses=$("$python" -c "
-import json, sys
-print(sum(map(len, json.load(open(sys.argv[1]))['presses']['train'].values())))
-" "$base/split.json")
 export OMP_NUM_THREADS=2
 made=()
 
+share() { # FRACTION: that share of the table's presses to train on
+  "$python" -c "
+import json, sys
+presses = json.load(open(sys.argv[1]))['presses']['train'].values()
+print(sum(map(len, presses)) // int(sys.argv[2]))
+" "$base/split.json" "$1"
+}
+
 for name in "$@"; do
+  [ "$name" = clean ] || [ -f "$base/split.json" ] || { echo "OUT: no table in $base; run.sh makes it" >&2; exit 2; }
   archive=$base.markers.zarr translators='[field]' changed=()
   case $name in
     whole) ;;
-    half) changed=(--set "train_presses=$((presses / 2))") ;;
-    quarter) changed=(--set "train_presses=$((presses / 4))") ;;
+    half) changed=(--set "train_presses=$(share 2)") ;;
+    quarter) changed=(--set "train_presses=$(share 4)") ;;
     single-frame) changed=(--set memory=false) ;;
     direct) translators='[direct]' ;;
     direct-blind) translators='[direct]' changed=(--set source_reference=false) ;;

@@ -252,10 +252,6 @@ class ConjugateGradient:
             self._which.assign(found)
 
     def _iterate(self, times: int) -> None:
-        if not self._device.is_cuda:
-            for _time in range(times):
-                self._once()
-            return
         rows = len(self._which)
         if rows not in self._graphs:
             self._once()  # compiles what is not compiled, which a recording must not
