@@ -112,14 +112,14 @@ def test_a_press_takes_no_more_iterations_with_it(
     body = Body(8e-3, 8e-3, 4e-3, poisson=poisson)
     scene = Scene(named(name), press([0.6e-3]), body, Effects(friction=Friction(0.8)))
     numerics = Numerics(spacing=4e-3 / 3, precision="float32", tolerance=1e-3)
-    plain = simulate(scene, numerics=numerics)
+    half = simulate(scene, numerics=numerics)
     asked = Stencil.__init__
 
-    def halved(self: Stencil, *args: Any, **options: Any) -> None:
-        asked(self, *args, **{**options, "half": True})
+    def whole(self: Stencil, *args: Any, **options: Any) -> None:
+        asked(self, *args, **{**options, "half": False})
 
-    monkeypatch.setattr(Stencil, "__init__", halved)
-    half = simulate(scene, numerics=numerics)
+    monkeypatch.setattr(Stencil, "__init__", whole)
+    plain = simulate(scene, numerics=numerics)
     assert not np.array_equal(half.wrench, plain.wrench), "nothing was rounded"
     np.testing.assert_allclose(half.force[-1, 2], plain.force[-1, 2], rtol=2e-3)
     assert half.quality.newton.sum() <= 1.1 * plain.quality.newton.sum()

@@ -3,10 +3,11 @@
 """Preconditioned conjugate gradients on all environments at once, each stopping on its own.
 
 No number leaves the device but which environments are still running, looked at every `LOOK`
-iterations; on a GPU the iterations between are one graph, recorded once for as many rows as are
-launched. Rows hold the number of an environment, or -1: when half of them are through, the others
-move together and half as many are launched, since threads that have nothing to do take time as
-well. Dot products are float64 whatever the precision of the vectors.
+iterations; the iterations between are one graph, recorded once for as many rows as are launched:
+five kernels each, which Python need not launch one by one. Rows hold the number of an environment,
+or -1: when half of them are through, the others move together and half as many are launched, since
+threads that have nothing to do take time as well. Dot products are float64 whatever the precision
+of the vectors.
 """
 
 import functools
@@ -207,7 +208,7 @@ class ConjugateGradient:
             active: Which environments, int32 (B,); not changed.
             residual: Right-hand side (B, N).
             accuracy: |r| / |residual| to reach, float64 NumPy (B,).
-            most: Iterations at most; a GPU finishes the graph it is in.
+            most: Iterations at most; the graph that they end in is finished.
         """
         start, begin, _step_length, _change, turn = _kernels(self._real, self._lanes)
         self._gather(np.flatnonzero(active.numpy()), anew=True)

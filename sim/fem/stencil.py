@@ -10,9 +10,9 @@ times cheaper on a CPU.
 Nothing is added atomically: `begin` writes what belongs to a node, then elements add theirs, on a
 GPU one colour of eight after the other, so that no two at a time share a node, and row by row.
 
-On a GPU products read the matrix rounded to float16: half the bytes of what takes most of conjugate
-gradients' time. They solve for a Newton step to no more than three digits, and its residual is that
-of the equations themselves; iterations stay what they were.
+In float32 products read the matrix rounded to float16: half the bytes of what takes most of
+conjugate gradients' time. They solve for a Newton step to no more than three digits, and its
+residual is that of the equations themselves; iterations stay what they were.
 """
 
 import functools
@@ -27,14 +27,18 @@ from sim.fem.grid import CENTRE, SLOTS, colour_order, face_slots, slot_offsets
 from sim.fem.mesh import CORNERS, Mesh
 from sim.fem.nodes import RUN
 from sim.fem.scalars import matrix_of, vector_of
+from sim.fem.wide import wide_row
 
 BLOCK = 128
 """Nodes that one block of a GPU's threads takes, whose sums it adds up."""
 
 
 @functools.cache
-def _kernels(real, stored):
-    """Kernels for one precision; `stored` is the scalar type of the matrix that products read."""
+def _kernels(real, stored, wide: bool):
+    """Kernels for one precision; `stored` is the scalar type of the matrix that products read.
+
+    Those that are `wide` take a whole row of blocks that lie next to each other, as on a CPU.
+    """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     kept33 = matrix_of(stored)
@@ -83,7 +87,7 @@ def _kernels(real, stored):
                             matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
 
     @wp.kernel(enable_backward=False, module="unique")
-    def store(
+    def store_blocks(
         # In:
         active: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=mat33),
@@ -95,7 +99,7 @@ def _kernels(real, stored):
             kept_out[env, n, slot] = kept33(matrix[env, n, slot])
 
     @wp.func
-    def line(
+    def by_blocks(
         offsets: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=kept33),
         v: wp.array2d(dtype=vec3),
@@ -114,6 +118,22 @@ def _kernels(real, stored):
                 else:
                     total += mat33(matrix[env, n, slot]) * v[env, other]
         return total
+
+    line = by_blocks
+    if wide:
+        line, round_row = wide_row(real, stored)
+
+        @wp.kernel(enable_backward=False, module="unique")
+        def store_rows(
+            # In:
+            active: wp.array(dtype=wp.int32),
+            matrix: wp.array3d(dtype=mat33),
+            # Out:
+            kept_out: wp.array3d(dtype=kept33),
+        ):
+            env, n = wp.tid()
+            if active[env] == 1:
+                round_row(matrix, env, n, kept_out)
 
     @wp.kernel(enable_backward=False, module="unique")
     def product(
@@ -163,7 +183,7 @@ def _kernels(real, stored):
         if n % BLOCK == 0:
             sums_out[env, n // BLOCK, 0] = whole[0]
 
-    return begin, store, product, block_product
+    return begin, store_rows if wide else store_blocks, product, block_product
 
 
 class Stencil:
@@ -192,8 +212,8 @@ class Stencil:
             full_integration: The planted mistake of `element_kernels`.
             parallel: Whether threads run at once: colour by colour, a row of an element each, and
                 node numbers fastest in memory. On a GPU, when not said.
-            half: Whether products read a copy of the matrix in float16, 486 bytes more. On a GPU in
-                float32, when not said.
+            half: Whether products read a copy of the matrix in float16, 486 bytes more. In float32,
+                when not said.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)
@@ -203,9 +223,10 @@ class Stencil:
         self._elements_kernel = kernel(real, viscous, full_integration)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
-        half = self._on_gpu and real == wp.float32 if half is None else half
+        half = real == wp.float32 if half is None else half
         kept = wp.float16 if half else real
-        self._begin, self._store, self._product, self._block_product = _kernels(real, kept)
+        kernels = _kernels(real, kept, not self._parallel)
+        self._begin, self._store, self._product, self._block_product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """How many shares `product` writes of each sum."""
         if self._parallel:
@@ -281,7 +302,7 @@ class Stencil:
         if self._read is not self.matrix:
             wp.launch(
                 self._store,
-                dim=(self._environments, SLOTS, self._nodes),
+                dim=(self._environments, *((SLOTS,) if self._parallel else ()), self._nodes),
                 inputs=[active, self.matrix],
                 outputs=[self._read],
                 device=self._device,

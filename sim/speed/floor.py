@@ -16,21 +16,21 @@ SLOTS = 27
 ROW_BYTES = SLOTS * BLOCK
 """A node's row of the tangent, all of it stored."""
 HALF_ROW_BYTES = SLOTS * 9 * HALF
-"""The same as a GPU's products read it."""
+"""The same as products read it."""
 PRECONDITIONER_BYTES = 2 * BLOCK
 """Pivot and coupling of a node, each read once."""
 VECTORS_BYTES = 10 * VECTOR
 """Direction, product, solution and residual read, the two last and the preconditioned residual
 written; then that one and the direction read, and the direction written."""
-CG_BYTES = ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
+CG_BYTES = HALF_ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
 """Of a node and iteration of conjugate gradients; in the product a vector, which stays near, is
 read and one written."""
-GPU_CG_BYTES = CG_BYTES - ROW_BYTES + HALF_ROW_BYTES
-"""The same on a GPU."""
+WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
+"""The same if products read the tangent as it was assembled."""
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
 """The product, three small products of the preconditioner, four vector updates and dot products."""
-NEWTON_NODE_BYTES = ROW_BYTES + 4 * BLOCK + 4 * VECTOR
-"""The tangent written once, its columns factored, displacement and residual."""
+NEWTON_NODE_BYTES = ROW_BYTES + HALF_ROW_BYTES + 4 * BLOCK + 4 * VECTOR
+"""The tangent written once in both, its columns factored, displacement and residual."""
 NEWTON_ELEMENT_BYTES = 2 * (8 * BLOCK + 8 * NUMBER + 8 * NUMBER) + 2 * 8 * VECTOR
 """Inverse Jacobians, weights and node numbers, read for the tangent and for the forces; forces of
 the corners written and read."""
@@ -58,14 +58,12 @@ class Floor:
 
 
 def floor_of(run: Run, machine: Machine) -> Floor:
-    """The floor of a run in float32; on a GPU products read the tangent in float16."""
-    cpu = machine.device == "cpu"
-    of_node = NEWTON_NODE_BYTES if cpu else NEWTON_NODE_BYTES + HALF_ROW_BYTES
-    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * of_node
-    cg_bytes = run.cg_nodes * (CG_BYTES if cpu else GPU_CG_BYTES)
+    """The floor of a run in float32, whose products read the tangent in float16."""
+    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * NEWTON_NODE_BYTES
+    cg_bytes = run.cg_nodes * CG_BYTES
     flops = run.newton_elements * NEWTON_ELEMENT_FLOPS + run.cg_nodes * CG_FLOPS
     rate = machine.copy_rate
-    if cpu and machine.near_rate > rate:
+    if machine.device == "cpu" and machine.near_rate > rate:
         rate = machine.near_rate
     return Floor(
         newton_bytes=float(newton_bytes),

@@ -9,10 +9,9 @@ from sim.speed.campaign import steps_file
 from sim.speed.cells import MISSING, or_missing, percent, row, seconds
 from sim.speed.floor import (
     CG_BYTES,
-    GPU_CG_BYTES,
+    HALF_ROW_BYTES,
     NEWTON_ELEMENT_BYTES,
     NEWTON_ELEMENT_FLOPS,
-    ROW_BYTES,
     floor_of,
 )
 from sim.speed.forces import SHALLOW_MM, Forces, errors, read_runs
@@ -30,10 +29,10 @@ _FLOOR = """
 ## The floor
 
 Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
-iteration moves at least {cg} bytes a node in float32 ({row} of the tangent's row, the rest vectors
-and preconditioner), on a GPU {gpu}, as products read that row in float16; a Newton iteration moves
-{element} bytes an element besides writing the tangent, on a GPU in both, and computes {flops}
-operations an element, counted in the kernels' source. Bytes are moved at the rate of a copy
+iteration moves at least {cg} bytes a node ({row} of the tangent's row, which products read in
+float16, the rest vectors and preconditioner in float32); a Newton iteration moves {element} bytes
+an element besides writing the tangent in both, and computes {flops} operations an element, counted
+in the kernels' source. Bytes are moved at the rate of a copy
 measured beside the run: of an array that no cache holds or, on a CPU where that is faster, of one
 as large as the tangent of one press.
 """
@@ -119,8 +118,7 @@ def floor_section(records: Sequence[Record]) -> list[str]:
     lines = [
         _FLOOR.format(
             cg=CG_BYTES,
-            row=ROW_BYTES,
-            gpu=GPU_CG_BYTES,
+            row=HALF_ROW_BYTES,
             element=NEWTON_ELEMENT_BYTES,
             flops=flops,
         ),
