@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim.errors import SceneError, SimulationDiverged
-from sim.result import Result
+from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.simulate import part_of, simulate_many
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
 
-Outcome = Result | SimulationDiverged
 
 ORDER = 2.0
 """Power of the elements' size that the error falls with: linear elements, smooth pressure."""

@@ -13,16 +13,14 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import TYPE_CHECKING, Any
 
-from sim.errors import SceneError, SimulationDiverged
-from sim.result import Result
+from sim.errors import SceneError
+from sim.result import Outcome
 from sim.scene import Scene
 from sim.simulate import Tier, simulate_many
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.mpm import MpmNumerics
-
-Outcome = Result | SimulationDiverged
 
 
 class WorkerLost(RuntimeError):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.errors import SimulationDiverged
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
@@ -71,3 +72,7 @@ class Result:
     def force(self) -> Array:
         """Force of the indenter on the body (F, 3) [N]."""
         return self.wrench[:, :3]
+
+
+Outcome = Result | SimulationDiverged
+"""What becomes of a scene."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from sim.errors import SceneError, SimulationDiverged
-from sim.result import Result
+from sim.result import Outcome, Result
 from sim.scene import Scene
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def simulate_many(
     device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] | None = None,
-) -> list[Result | SimulationDiverged]:
+) -> list[Outcome]:
     """Simulate scenes side by side; each gives its result, or the reason why there is none.
 
     `fem` and `mpm` solve them together in one launch where they are alike enough. Arguments as for
@@ -138,7 +138,7 @@ def simulate_many(
             raise _unfit(numerics, tier, "None")
         from sim.layer import simulate_layer
 
-        outcomes: list[Result | SimulationDiverged] = []
+        outcomes: list[Outcome] = []
         for index, scene in enumerate(scenes):
             share = None
             if progress is not None:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from learning.errors import LearningError
-from learning.evaluation.force_errors import (
+from learning.evaluation.force_table import ALL, csv_text, force_rows, gain_line
+from learning.evaluation.predictions import Predictions, merged, read_predictions
+from learning.force_errors import (
     force_errors,
     mean_absolute_error,
     r_squared,
     spread_and_range,
     with_magnitude,
 )
-from learning.evaluation.force_table import ALL, csv_text, force_rows, gain_line
-from learning.evaluation.predictions import Predictions, merged, read_predictions
 
 TRUE = np.array([[0.0, 0.0, -1.0], [3.0, 0.0, -4.0], [0.0, 1.0, 0.0], [1.0, 1.0, -1.0]])
 

@@ -14,7 +14,6 @@ from made_up_archives import made_up_archive
 from learning.data.images import shrink_masks
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.evaluation.force_errors import force_errors
 from learning.evaluation.predictions import read_predictions
 from learning.experiment import forces, running, side_by_side
 from learning.experiment.blind import Blind
@@ -30,6 +29,7 @@ from learning.experiment.parts import (
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
 from learning.experiment.worker import Done
+from learning.force_errors import force_errors
 from learning.settings import preset_names, read_settings
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView

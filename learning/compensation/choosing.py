@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from learning.compensation.correction import compensate, ratios
 from learning.compensation.prior import Prior
 from learning.errors import LearningError
-from learning.evaluation.force_errors import r_squared
+from learning.force_errors import r_squared
 from recorder import PHASES
 
 Floats = NDArray[np.float64]

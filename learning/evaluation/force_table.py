@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from learning.evaluation.force_errors import AXES, MEASURED, ForceErrors, force_errors
 from learning.evaluation.predictions import Predictions
+from learning.force_errors import AXES, MEASURED, ForceErrors, force_errors
 
 ALL = "all"
 """Role of the row over all held-out frames."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.evaluation.force_errors import spread_and_range
 from learning.evaluation.results_file import Results, read_results, write_results
+from learning.force_errors import spread_and_range
 from recorder.archive import ArchivedSensor
 
 KIND = "predictions"

@@ -15,7 +15,6 @@ from learning.data.fingerprint import archive_fingerprint
 from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
-from learning.evaluation.force_errors import force_errors
 from learning.evaluation.predictions import CHOICES, Predictions, predictions_of, read_predictions
 from learning.experiment.force_settings import force_settings
 from learning.experiment.models import Places
@@ -27,6 +26,7 @@ from learning.force.labels import Compensation
 from learning.force.predictor import KIND, ForcePredictor, load_force_model
 from learning.force.settings import ForceSettings
 from learning.force.train import train_force
+from learning.force_errors import force_errors
 from learning.progress import Progress
 from learning.training.model_folder import read_model_folder
 from learning.training.run_folder import RunFolder

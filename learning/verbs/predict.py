@@ -55,9 +55,9 @@ def add_to(verbs: Verbs) -> None:
 def _run(options: argparse.Namespace) -> int:
     from learning.data.presses import Form, load_presses
     from learning.data.splits import read_split
-    from learning.evaluation.force_errors import force_errors
     from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
+    from learning.force_errors import force_errors
     from learning.training.model_folder import read_model_folder
     from recorder import MarkerArchive
 

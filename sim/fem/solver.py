@@ -24,11 +24,10 @@ from sim.fem.path import Path, path_of, sharpest
 from sim.fem.readings import Snapshot
 from sim.fem.window import meshes_of
 from sim.indenters.device import traits_of
-from sim.result import Result
+from sim.result import Outcome
 from sim.scene import Scene
 
 Progress = Callable[[float], None]
-Outcome = Result | SimulationDiverged
 
 POISSON_FLOAT32 = 0.4995
 """Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""

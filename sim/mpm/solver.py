@@ -17,11 +17,10 @@ from sim.mpm.numerics import MpmNumerics
 from sim.mpm.pace import QUASI_STATIC, Pace, pace_of
 from sim.mpm.particles import COLLAPSED, LEFT_GRID, SPEED_LIMIT, TOO_FAST
 from sim.mpm.state import ROUND, State
-from sim.result import Result
+from sim.result import Outcome
 from sim.scene import Scene
 
 Progress = Callable[[float], None]
-Outcome = Result | SimulationDiverged
 
 COUPLED = 1.0
 """Particles per cell and dimension below which the material falls apart into loose columns."""

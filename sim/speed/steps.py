@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from sim.result import Outcome
 from sim.scene import Scene
 from sim.speed.floor import CG_BYTES, WHOLE_CG_BYTES
 from sim.speed.left_out import (
@@ -15,7 +16,7 @@ from sim.speed.left_out import (
     without_prediction,
     without_rounding,
 )
-from sim.speed.timing import Outcome, Solve, fem
+from sim.speed.timing import Solve, fem
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics

@@ -20,7 +20,7 @@ from sim.body import Body
 from sim.errors import SimulationDiverged
 from sim.motion import press
 from sim.progress import Progress
-from sim.result import Result
+from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.simulate import simulate_many
 from sim.speed.record import Run
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from sim.mpm import MpmNumerics
 
 Value = TypeVar("Value")
-Outcome = Result | SimulationDiverged
 Solve = Callable[[Sequence[Scene], Callable[[float], None]], list[Outcome]]
 """From scenes, and what is told of the share done, to outcomes."""
 
