@@ -224,6 +224,7 @@ def main() -> int:
     parser.add_argument("--gpus", help="numbers of GPUs, 0,1 for instance (all)")
     parser.add_argument("--jobs", type=int, default=8, help="models that a table trains at once")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     gpus, memory = _gpus()
     gpus = options.gpus.split(",") if options.gpus else gpus
     cores = len(os.sched_getaffinity(0))

@@ -12,6 +12,9 @@ import warp as wp
 
 from sim.fem.assembly import Assembly
 
+_CORNERS = np.array(((0, 0), (0, 1), (1, 0), (1, 1)))
+"""Of a face, as `fem.mesh` orders them."""
+
 
 @dataclass(frozen=True, slots=True)
 class ContactPoints:
@@ -102,15 +105,17 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
     assembly = held.assembly
     mesh = assembly.meshes[env]
     nx, ny, _nz = mesh.cells
-    top = slice(0, nx * ny)
-    touched = held.of(env, assembly.touched)[top] > 0
-    share = held.of(env, assembly.face_force)[top].astype(float) * touched[:, None, None]
-    corner_area = np.repeat(mesh.face_area[top], 4).reshape(nx, ny, 4, 1)
-    both = np.concatenate([share.reshape(nx, ny, 4, 3), corner_area], axis=3)
-    nodal = np.zeros((nx + 1, ny + 1, 4))
-    for corner, (i, j) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-        nodal[i : nx + i, j : ny + j] += both[:, :, corner]
-    return nodal[:, :, :3] / nodal[:, :, 3:]
+    rows = np.flatnonzero(held.of(env, assembly.touched)[: nx * ny])
+    share = held.of(env, assembly.face_force)[rows].astype(float).reshape(-1, 3)
+    i, j = np.divmod(rows, ny)
+    nodes = (i[:, None] + _CORNERS[:, 0]) * (ny + 1) + j[:, None] + _CORNERS[:, 1]
+    count = (nx + 1) * (ny + 1)
+    force = [np.bincount(nodes.ravel(), share[:, axis], count) for axis in range(3)]
+    face_area = mesh.face_area[: nx * ny].reshape(nx, ny)
+    area = np.zeros((nx + 1, ny + 1))
+    for i, j in _CORNERS:
+        area[i : nx + i, j : ny + j] += face_area
+    return np.stack(force, axis=-1).reshape(nx + 1, ny + 1, 3) / area[:, :, None]
 
 
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
