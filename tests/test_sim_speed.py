@@ -152,12 +152,12 @@ def test_a_floor_is_the_larger_of_moving_and_computing() -> None:
     run = Run("presses", "all", newton_elements=10, newton_nodes=20, cg_nodes=1000)
     machine = Machine("m", "cpu", copy_rate=1e6, near_rate=1e9, flop_rate=1e9)
     # 2 blocks of the preconditioner, 12 vectors, of 4 bytes a number; 27 blocks of 2, which were
-    # written beside those of 4.
+    # written beside those of 4, of which half as many again were assembled, all copied.
     cg_bytes = 4 * (2 * 9 + 12 * 3) + 2 * 27 * 9
-    newton_bytes = 4 * (31 * 9 + 4 * 3) + 2 * 27 * 9
+    newton_bytes = 4 * (2.5 * 27 * 9 + 4 * 9 + 4 * 3) + 2 * 27 * 9
     near = floor_of(run, machine)
     assert near.cg_bytes == 1000 * cg_bytes
-    assert near.newton_bytes == 10 * 896 + 20 * newton_bytes
+    assert near.newton_bytes == 10 * 720 + 20 * newton_bytes
     assert near.byte_seconds == pytest.approx((near.cg_bytes + near.newton_bytes) / 1e9)
     machine = replace(machine, device="cuda:0")
     floor = floor_of(run, machine)
@@ -213,7 +213,7 @@ def test_without_a_step_the_answer_is_the_same_and_the_next_run_has_it_again(
         assert isinstance(other, Result)
         if name in alike:
             assert np.array_equal(one.wrench, other.wrench)
-        if name == "prediction of the next state":
+        if name in {"prediction of the next state", "elastic part kept for two iterations"}:
             np.testing.assert_allclose(one.force[-1], other.force[-1], rtol=1e-3, atol=1e-7)
 
 

@@ -247,10 +247,11 @@ class Assembly:
             device=self.device,
         )
 
-    def linearise(self, active, u, damping: np.ndarray) -> None:
+    def linearise(self, active, u, damping: np.ndarray, anew=None) -> None:
         """Fill `stencil` and `columns` with the tangent of the state last evaluated, which is `u`.
 
-        `damping` (B,) [E / T^2] stiffens it against any motion, not the residual.
+        `damping` (B,) [E / T^2] stiffens it against any motion, not the residual. The elastic part
+        is that of `u` where `anew` (B,) says so, or everywhere; else as it was last.
         """
         self._shift.assign((self.state.rates + damping).astype(numpy_of(self.real)))
         self.stencil.assemble(
@@ -260,6 +261,7 @@ class Assembly:
             (self._shear, self._bulk, *self.state.viscous),
             (self.shape, self.touched, self._matrix),
             self._shift,
+            anew,
         )
         self.columns.factor(active, self.stencil.matrix)
 

@@ -33,6 +33,10 @@ LENGTH_GOOD = 0.2
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
+ELASTIC_EVERY = 2
+"""Iterations from one elastic part of the tangent to the next, where steps go well: contact, which
+is taken anew each time, changes more. Assembling is half of a press on a CPU, and this costs hardly
+any iterations (docs/speed.md)."""
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 """Friction's limit follows the pressure at once for the first iterations, later half of the way:
 the two may answer each other with equal and opposite changes for ever."""
@@ -104,7 +108,8 @@ class Newton:
                 slow = self.mask(late)
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
-        assembly.linearise(active, state.u, self._damping)
+        anew = running & ((self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0))
+        assembly.linearise(active, state.u, self._damping, self.mask(anew))
         if predicting.any():
             assembly.push(self.mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)

@@ -7,8 +7,9 @@ Where the grid ends, and in rows and columns of held nodes, blocks are zero. Ass
 Newton iteration, costs about as much as 3 products without a matrix; each product is then some ten
 times cheaper on a CPU.
 
-Nothing is added atomically: `begin` writes what belongs to a node, then elements add theirs, on a
-GPU one colour of eight after the other, so that no two at a time share a node, and row by row.
+Nothing is added atomically: elements add to the elastic part, on a GPU one colour of eight after
+the other, so that no two at a time share a node, and row by row; `finish` adds to a copy of it what
+belongs to a node. Contact is what changes most, so the elastic part may be kept for a while.
 
 In float32 products read the matrix rounded to float16: half the bytes of what takes most of
 conjugate gradients' time. They solve for a Newton step to no more than three digits, and its
@@ -44,7 +45,19 @@ def _kernels(real, stored, wide: bool):
     kept33 = matrix_of(stored)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def begin(
+    def clear(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        # Out:
+        elastic_out: wp.array3d(dtype=mat33),
+    ):
+        env, n = wp.tid()
+        if active[env] == 1:
+            for slot in range(elastic_out.shape[2]):
+                elastic_out[env, n, slot] = mat33()
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def finish(
         # Mesh:
         faces: wp.array2d(dtype=wp.int32),
         node_faces: wp.array2d(dtype=wp.int32),
@@ -60,6 +73,7 @@ def _kernels(real, stored, wide: bool):
         shift: wp.array(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
+        elastic: wp.array3d(dtype=mat33),
         # Out:
         matrix_out: wp.array3d(dtype=mat33),
     ):
@@ -67,11 +81,11 @@ def _kernels(real, stored, wide: bool):
         if active[env] == 0:
             return
         for slot in range(matrix_out.shape[2]):
-            matrix_out[env, n, slot] = mat33()
+            matrix_out[env, n, slot] = elastic[env, n, slot]
         if free[n] == 0:
             return
-        own = shift[env] * node_mass[variant[env], n]
-        matrix_out[env, n, CENTRE] = wp.identity(n=3, dtype=real) * own
+        own = wp.identity(n=3, dtype=real) * (shift[env] * node_mass[variant[env], n])
+        matrix_out[env, n, CENTRE] = matrix_out[env, n, CENTRE] + own
         for k in range(node_faces.shape[1]):
             place = node_faces[n, k]
             if place >= 0:
@@ -183,7 +197,7 @@ def _kernels(real, stored, wide: bool):
         if n % BLOCK == 0:
             sums_out[env, n // BLOCK, 0] = whole[0]
 
-    return begin, store_rows if wide else store_blocks, product, block_product
+    return clear, finish, store_rows if wide else store_blocks, product, block_product
 
 
 class Stencil:
@@ -201,7 +215,9 @@ class Stencil:
         parallel: bool | None = None,
         half: bool | None = None,
     ) -> None:
-        """Make room for the matrix: 972 bytes for each node and environment in float32.
+        """Make room: 972 bytes for each node, environment and matrix in float32.
+
+        Two matrices are whole: the tangent, and its elastic part.
 
         Args:
             mesh: Grid and what is around each node; its geometry is given with every assembly.
@@ -226,7 +242,7 @@ class Stencil:
         half = real == wp.float32 if half is None else half
         kept = wp.float16 if half else real
         kernels = _kernels(real, kept, not self._parallel)
-        self._begin, self._store, self._product, self._block_product = kernels
+        self._clear, self._finish, self._store, self._product, self._block_product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """How many shares `product` writes of each sum."""
         if self._parallel:
@@ -235,6 +251,7 @@ class Stencil:
             order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
         self.matrix = self._room(mat33)
         """Blocks (B, N, 27) of the state last assembled."""
+        self._elastic = self._room(mat33)
         self._read = self._room(matrix_of(kept)) if half else self.matrix
         self._order = self._integers(order)
         self._elements = self._integers(mesh.elements)
@@ -244,7 +261,7 @@ class Stencil:
         self._offsets = self._integers(slot_offsets(mesh.cells))
         self._free = self._integers(mesh.free)
 
-    def assemble(self, active, u, geometry, material, contact, shift) -> None:
+    def assemble(self, active, u, geometry, material, contact, shift, anew=None) -> None:
         """Fill `matrix` of active environments with the tangent at `u`.
 
         Args:
@@ -258,24 +275,14 @@ class Stencil:
             contact: Shape functions (P, 4), how many points of a face touch (B, S) and the
                 stiffness of each (B, S, P), as the contact kernel gives them.
             shift: Stiffness of a unit volume against any motion (B,).
+            anew: Those of them whose elastic part is that at `u`, int32 (B,); others keep what they
+                have. None: all.
         """
         inverse, weight, node_mass, variant = geometry
+        anew = active if anew is None else anew
+        by_node = self._environments, self._nodes
         wp.launch(
-            self._begin,
-            dim=(self._environments, self._nodes),
-            inputs=[
-                self._faces,
-                self._node_faces,
-                self._slots,
-                self._free,
-                node_mass,
-                variant,
-                *contact,
-                shift,
-                active,
-            ],
-            outputs=[self.matrix],
-            device=self._device,
+            self._clear, dim=by_node, inputs=[anew], outputs=[self._elastic], device=self._device
         )
         rows = (len(CORNERS),) if self._parallel else ()
         for first, past in pairwise(self._begins):
@@ -292,13 +299,30 @@ class Stencil:
                     self._free,
                     len(CORNERS),
                     *material,
-                    active,
+                    anew,
                     u,
                 ],
-                outputs=[self.matrix],
+                outputs=[self._elastic],
                 device=self._device,
             )
-
+        wp.launch(
+            self._finish,
+            dim=by_node,
+            inputs=[
+                self._faces,
+                self._node_faces,
+                self._slots,
+                self._free,
+                node_mass,
+                variant,
+                *contact,
+                shift,
+                active,
+                self._elastic,
+            ],
+            outputs=[self.matrix],
+            device=self._device,
+        )
         if self._read is not self.matrix:
             wp.launch(
                 self._store,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,15 @@ def without_prediction() -> Iterator[None]:
         begin_step(self, chosen, tip, duration, np.zeros_like(guess))
 
     with _in_place_of(Newton, "begin", here), _in_place_of(State, "begin_step", from_last):
+        yield
+
+
+@contextlib.contextmanager
+def without_keeping() -> Iterator[None]:
+    """Every iteration of Newton's assembles the elastic part of its tangent."""
+    from sim.fem import newton
+
+    with _in_place_of(newton, "ELASTIC_EVERY", 1):
         yield
 
 
@@ -73,9 +82,9 @@ def without_rounding() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _in_place_of(owner: type, name: str, method: Callable[..., None]) -> Iterator[None]:
+def _in_place_of(owner: Any, name: str, value: Any) -> Iterator[None]:
     own = getattr(owner, name)
-    setattr(owner, name, method)
+    setattr(owner, name, value)
     try:
         yield
     finally:

@@ -30,11 +30,11 @@ _FLOOR = """
 
 Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
 iteration moves at least {cg} bytes a node ({row} of the tangent's row, which products read in
-float16, the rest vectors and preconditioner in float32); a Newton iteration moves {element} bytes
-an element besides writing the tangent in both, and computes {flops} operations an element, counted
-in the kernels' source. Bytes are moved at the rate of a copy
-measured beside the run: of an array that no cache holds or, on a CPU where that is faster, of one
-as large as the tangent of one press.
+float16, the rest vectors and preconditioner in float32); a Newton iteration moves {element:g} bytes
+an element besides writing and copying the tangent, whose elastic part every second one assembles,
+and computes {flops} operations an element, counted in the kernels' source. Bytes are moved at the
+rate of a copy measured beside the run: of an array that no cache holds or, on a CPU where that is
+faster, of one as large as the tangent of one press.
 """
 
 
@@ -114,7 +114,7 @@ def _step_line(step: Step, record: Record, base: Run | None, off: dict[str, floa
 
 def floor_section(records: Sequence[Record]) -> list[str]:
     """What the iterations of the timed presses ask for, a column for each device."""
-    flops = f"{NEWTON_ELEMENT_FLOPS:,}"
+    flops = f"{NEWTON_ELEMENT_FLOPS:,.0f}"
     lines = [
         _FLOOR.format(
             cg=CG_BYTES,
