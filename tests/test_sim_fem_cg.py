@@ -77,9 +77,9 @@ class Solved:
         gather: bool = False,
     ) -> None:
         count = len(matrices)
-        solver = ConjugateGradient(
-            real, count, NODES, "cpu", Dense(matrices), Blocks(matrices), gather=gather
-        )
+        # Oracles that reckon in NumPy, which no graph records.
+        both = Dense(matrices), Blocks(matrices)
+        solver = ConjugateGradient(real, count, NODES, "cpu", *both, gather=gather, record=False)
         self.count = solver.solve(
             oracle.integers(active), oracle.vectors(right, real), np.full(count, accuracy), most
         )

@@ -164,6 +164,7 @@ class ConjugateGradient:
         columns: The preconditioner: `advance` goes a step along p and writes z and the shares of
             r.z and r.r, (B, `columns.parts`, 2).
         gather: Whether fewer rows are launched as environments end. On a GPU, when not said.
+        record: Whether iterations are a graph: `stencil` and `columns` only launch kernels.
     """
 
     def __init__(
@@ -176,6 +177,7 @@ class ConjugateGradient:
         columns,
         *,
         gather: bool | None = None,
+        record: bool = True,
     ) -> None:
         vec3 = vector_of(real)
         shape = (environments, nodes)
@@ -197,7 +199,7 @@ class ConjugateGradient:
         self._count = wp.zeros(environments, dtype=wp.int32, device=device)
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
         self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
-        self._graphs = {}
+        self._records, self._graphs = record, {}
         self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
 
@@ -253,6 +255,10 @@ class ConjugateGradient:
             self._which.assign(found)
 
     def _iterate(self, times: int) -> None:
+        if not self._records:
+            for _time in range(times):
+                self._once()
+            return
         rows = len(self._which)
         if rows not in self._graphs:
             self._once()  # compiles what is not compiled, which a recording must not
