@@ -33,10 +33,10 @@ LENGTH_GOOD = 0.2
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
-ELASTIC_EVERY = 2
+ELASTIC_EVERY = {"cpu": 2, "cuda": 1}
 """Iterations from one elastic part of the tangent to the next, where steps go well: contact, which
-is taken anew each time, changes more. Assembling is half of a press on a CPU, and this costs hardly
-any iterations (docs/speed.md)."""
+is taken anew each time, changes more. Assembling was half of a press on a CPU, and this costs
+hardly any iterations (docs/speed.md); on a GPU, where it is a sixth, it was not tried."""
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 """Friction's limit follows the pressure at once for the first iterations, later half of the way:
 the two may answer each other with equal and opposite changes for ever."""
@@ -51,6 +51,7 @@ class Newton:
         self._cg = ConjugateGradient(
             assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.columns
         )
+        self._every = ELASTIC_EVERY["cuda" if wp.get_device(assembly.device).is_cuda else "cpu"]
         self._start = wp.zeros_like(assembly.state.u)
         planted = assembly.numerics.planted
         self._friction = "friction" in assembly.effects
@@ -108,7 +109,7 @@ class Newton:
                 slow = self.mask(late)
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
-        anew = running & ((self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0))
+        anew = running & ((self.iterations % self._every == 0) | (self._damping > 0))
         assembly.linearise(active, state.u, self._damping, self.mask(anew))
         if predicting.any():
             assembly.push(self.mask(predicting), state.travel(predicting))

@@ -29,17 +29,29 @@ WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
 """The same if products read the tangent as it was assembled."""
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
 """The product, three small products of the preconditioner, four vector updates and dot products."""
-ANEW = 0.5
-"""Share of Newton iterations whose elastic part is assembled: `ELASTIC_EVERY`."""
-NEWTON_NODE_BYTES = (2 + ANEW) * ROW_BYTES + HALF_ROW_BYTES + 4 * BLOCK + 4 * VECTOR
-"""The elastic part written where it is new and read, the tangent written once in both, its columns
-factored, displacement and residual."""
-NEWTON_ELEMENT_BYTES = (1 + ANEW) * (8 * BLOCK + 8 * NUMBER + 8 * NUMBER) + 2 * 8 * VECTOR
-"""Inverse Jacobians, weights and node numbers, read for the tangent and for the forces; forces of
-the corners written and read."""
-NEWTON_ELEMENT_FLOPS = ANEW * 14_000 + 3_500
-"""Tangent, where it is new, and one evaluation of the forces, counted in the kernels' source; about
+ANEW = {True: 0.5, False: 1.0}
+"""Share of Newton iterations that assemble the elastic part, on a CPU and not: see
+`sim.fem.newton`."""
+NEWTON_NODE_BYTES = 2 * ROW_BYTES + HALF_ROW_BYTES + 4 * BLOCK + 4 * VECTOR
+"""The elastic part read, the tangent written in both, its columns factored, displacement and
+residual; beside them the elastic part is written where it is new."""
+_GEOMETRY_BYTES = 8 * BLOCK + 8 * NUMBER + 8 * NUMBER
+"""Inverse Jacobians, weights and node numbers of an element."""
+_FORCES_BYTES = 2 * 8 * VECTOR
+"""Forces of its corners, written and read."""
+_TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
+"""Of an element's tangent and one evaluation of its forces, counted in the kernels' source; about
 20 % sure."""
+
+
+def newton_element_bytes(*, cpu: bool) -> float:
+    """Of a Newton iteration and element: what is read for the tangent and for the forces."""
+    return (1 + ANEW[cpu]) * _GEOMETRY_BYTES + _FORCES_BYTES
+
+
+def newton_element_flops(*, cpu: bool) -> float:
+    """Operations of a Newton iteration and element."""
+    return ANEW[cpu] * _TANGENT_FLOPS + _FORCES_FLOPS
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +75,13 @@ class Floor:
 
 def floor_of(run: Run, machine: Machine) -> Floor:
     """The floor of a run in float32, whose products read the tangent in float16."""
-    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * NEWTON_NODE_BYTES
+    cpu = machine.device == "cpu"
+    of_node = NEWTON_NODE_BYTES + ANEW[cpu] * ROW_BYTES
+    newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node
     cg_bytes = run.cg_nodes * CG_BYTES
-    flops = run.newton_elements * NEWTON_ELEMENT_FLOPS + run.cg_nodes * CG_FLOPS
+    flops = run.newton_elements * newton_element_flops(cpu=cpu) + run.cg_nodes * CG_FLOPS
     rate = machine.copy_rate
-    if machine.device == "cpu" and machine.near_rate > rate:
+    if cpu and machine.near_rate > rate:
         rate = machine.near_rate
     return Floor(
         newton_bytes=float(newton_bytes),

@@ -36,7 +36,9 @@ friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames
 tier with elements as high as the table says, {finer:g} times as wide where the indenter comes and
 growing outwards from there, states as exact as these meshes are (`Numerics(tolerance={tolerance:g},
 path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time with kernels
-compiled, from scenes to results; compiling is told apart. Made by `make speed`.
+compiled, from scenes to results; compiling is told apart. Shared machines are not alike from day to
+day: the rates of each, measured beside its presses, are under "The floor", and material points were
+timed in the same run. Made by `make speed`.
 """
 _ERRORS = """
 Error: |F - Fref| / |Fref| of every press and depth that the reference has: all 18 indenters in the

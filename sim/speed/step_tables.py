@@ -10,9 +10,9 @@ from sim.speed.cells import MISSING, or_missing, percent, row, seconds
 from sim.speed.floor import (
     CG_BYTES,
     HALF_ROW_BYTES,
-    NEWTON_ELEMENT_BYTES,
-    NEWTON_ELEMENT_FLOPS,
     floor_of,
+    newton_element_bytes,
+    newton_element_flops,
 )
 from sim.speed.forces import SHALLOW_MM, Forces, errors, read_runs
 from sim.speed.record import Record, Run
@@ -31,10 +31,11 @@ _FLOOR = """
 Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
 iteration moves at least {cg} bytes a node ({row} of the tangent's row, which products read in
 float16, the rest vectors and preconditioner in float32); a Newton iteration moves {element:g} bytes
-an element besides writing and copying the tangent, whose elastic part every second one assembles,
-and computes {flops} operations an element, counted in the kernels' source. Bytes are moved at the
-rate of a copy measured beside the run: of an array that no cache holds or, on a CPU where that is
-faster, of one as large as the tangent of one press.
+an element besides writing and copying the tangent, and computes {flops:,.0f} operations an element,
+counted in the kernels' source: on a CPU, where every second one assembles the elastic part,
+{cpu_element:g} and {cpu_flops:,.0f}. Bytes are moved at the rate of a copy measured beside the run:
+of an array that no cache holds or, on a CPU where that is faster, of one as large as the tangent of
+one press.
 """
 
 
@@ -114,13 +115,14 @@ def _step_line(step: Step, record: Record, base: Run | None, off: dict[str, floa
 
 def floor_section(records: Sequence[Record]) -> list[str]:
     """What the iterations of the timed presses ask for, a column for each device."""
-    flops = f"{NEWTON_ELEMENT_FLOPS:,.0f}"
     lines = [
         _FLOOR.format(
             cg=CG_BYTES,
             row=HALF_ROW_BYTES,
-            element=NEWTON_ELEMENT_BYTES,
-            flops=flops,
+            element=newton_element_bytes(cpu=False),
+            flops=newton_element_flops(cpu=False),
+            cpu_element=newton_element_bytes(cpu=True),
+            cpu_flops=newton_element_flops(cpu=True),
         ),
         "| | " + " | ".join(record.machine.name for record in records) + " |",
         "|---|" + "---|" * len(records),
