@@ -2,12 +2,14 @@
 # What limits the transfer of the heterogeneous table: one thing changed at a time, for two pairs.
 #
 #   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [SCALE=0.15] [PRESET=NAME] \
-#     [PAIRS=uskin:gelsight,gelsight:tacpalm] bash examples/learning-tables/ablations.sh OUT [NAME...]
+#     [PAIRS=uskin:gelsight,gelsight:tacpalm] [ONLY=experiment] \
+#     bash examples/learning-tables/ablations.sh OUT [NAME...]
 #
 # OUT is the folder of run.sh with its heterogeneous table, whose translators are taken over. Names:
 # whole: as it is; half, quarter: of the presses that force models learn from; single-frame: every
 # frame as if nothing had been before it; direct, and direct-blind, which is not told how the source
 # looks untouched; clean: sensors without errors of segmentation, translators trained anew.
+# ONLY=experiment: no page of them at the end.
 set -euo pipefail
 out=${1:?where the heterogeneous table is, for instance runs/tables}
 shift
@@ -51,4 +53,4 @@ for name in "$@"; do
     --jobs "${JOBS:-1}" --set "compensation=[priors]" --set "translators=$translators" "${changed[@]}"
   made+=("$out/ablations/$name")
 done
-"$python" -m learning tables "${made[@]}" --out "$out/learning-ablations.md"
+[ "${ONLY:-}" = experiment ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-ablations.md"

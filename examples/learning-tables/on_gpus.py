@@ -51,6 +51,10 @@ class Piece:
     jobs: int = 0
     """Models that it trains side by side on a GPU; 0: it keeps the cores busy."""
 
+    def can_begin(self, done: Iterable[str]) -> bool:
+        """Whether all that it needs is among those that are done."""
+        return {*self.needs} <= {*done}
+
 
 @dataclass
 class Running:
@@ -103,7 +107,11 @@ def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
 
     def trained(name: str, script: str, needs: str, at_once: int) -> Piece:
         command = ("bash", str(HERE / script), str(out), name.removeprefix(ABLATION))
-        said = (("JOBS", str(at_once)), ("PROCESSES", str(max(at_once, cores // 4))))
+        said = (
+            ("ONLY", "experiment"),  # pages are written at the end, of all
+            ("JOBS", str(at_once)),
+            ("PROCESSES", str(max(at_once, cores // 4))),
+        )
         return Piece(name, command, (needs,), said, at_once)
 
     def table(name: str) -> Piece:
@@ -144,7 +152,7 @@ def run_all(
 
     try:
         while waiting or machine.running:
-            for piece in [piece for piece in waiting if took.keys() >= {*piece.needs}]:
+            for piece in [piece for piece in waiting if piece.can_begin(took)]:
                 gpu = machine.place_for(piece)
                 if gpu is not None:
                     waiting.remove(piece)
@@ -163,7 +171,7 @@ def run_all(
                 said = _log(out, run.piece).read_text(errors="replace").splitlines()
                 for line in said[-SAID_LINES:]:
                     say(f"    {line}")
-            if not machine.running and not any(took.keys() >= {*piece.needs} for piece in waiting):
+            if not machine.running and not any(piece.can_begin(took) for piece in waiting):
                 for piece in waiting:
                     say(f"{now()}{piece.name}: left out, it needs {', '.join(piece.needs)}")
                 break

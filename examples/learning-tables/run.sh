@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # The tables of docs/learning-tables.md: groups of simulated sensors, from presses to a report.
 #
-#   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [ONLY=archive] [SCALE=0.02] \
+#   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [ONLY=archive|experiment] [SCALE=0.02] \
 #     [PRESET=NAME] bash examples/learning-tables/run.sh OUT [TABLE...]
 #
 # Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
 # homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets;
 # heterogeneous-clean: sensors without errors of segmentation, for ablations.sh.
+# ONLY: no more than the archives; or no page of the tables at the end.
 # Presses are simulated on PROCESSES cores; images are made, and JOBS models side by side trained, on
 # DEVICE. Stopped at any moment, the same command goes on.
 set -euo pipefail
@@ -39,5 +40,5 @@ for table in "$@"; do
     --set "compensation=$labels" --set "translators=$translators"
   made+=("$out/$table")
 done
-[ ${#made[@]} -eq 0 ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-tables.md" \
+[ ${#made[@]} -eq 0 ] || [ "${ONLY:-}" = experiment ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-tables.md" \
   --intro "$(dirname "$0")/intro.md"

@@ -14,6 +14,7 @@ import warp as wp
 
 from sim.fem.assembly import Assembly
 from sim.fem.cg import ConjugateGradient
+from sim.fem.numerics import ELASTIC_EVERY
 from sim.fem.scalars import numpy_of
 from sim.fem.vectors import copy_active, walk
 
@@ -33,10 +34,6 @@ LENGTH_GOOD = 0.2
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
-ELASTIC_EVERY = {"cpu": 2, "cuda": 1}
-"""Iterations from one elastic part of the tangent to the next, where steps go well: contact, which
-is taken anew each time, changes more. Assembling was half of a press on a CPU, and this costs
-hardly any iterations (docs/speed.md); on a GPU, where it is a sixth, it was not tried."""
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 """Friction's limit follows the pressure at once for the first iterations, later half of the way:
 the two may answer each other with equal and opposite changes for ever."""

@@ -12,9 +12,6 @@ import warp as wp
 
 from sim.fem.assembly import Assembly
 
-_CORNERS = np.array(((0, 0), (0, 1), (1, 0), (1, 1)))
-"""Of a face, as `fem.mesh` orders them."""
-
 
 @dataclass(frozen=True, slots=True)
 class ContactPoints:
@@ -104,18 +101,17 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
     """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
     assembly = held.assembly
     mesh = assembly.meshes[env]
-    nx, ny, _nz = mesh.cells
-    rows = np.flatnonzero(held.of(env, assembly.touched)[: nx * ny])
+    nx, ny, nz = mesh.cells
+    top = nx * ny
+    rows = np.flatnonzero(held.of(env, assembly.touched)[:top])
     share = held.of(env, assembly.face_force)[rows].astype(float).reshape(-1, 3)
-    i, j = np.divmod(rows, ny)
-    nodes = (i[:, None] + _CORNERS[:, 0]) * (ny + 1) + j[:, None] + _CORNERS[:, 1]
+    columns = mesh.faces[:top] // (nz + 1)  # of nodes, which are numbered upwards
     count = (nx + 1) * (ny + 1)
-    force = [np.bincount(nodes.ravel(), share[:, axis], count) for axis in range(3)]
-    face_area = mesh.face_area[: nx * ny].reshape(nx, ny)
-    area = np.zeros((nx + 1, ny + 1))
-    for i, j in _CORNERS:
-        area[i : nx + i, j : ny + j] += face_area
-    return np.stack(force, axis=-1).reshape(nx + 1, ny + 1, 3) / area[:, :, None]
+    touched = columns[rows].ravel()
+    force = [np.bincount(touched, share[:, axis], count) for axis in range(3)]
+    area = np.bincount(columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
+    nodal = np.stack(force, axis=-1) / area[:, None]
+    return nodal.reshape(nx + 1, ny + 1, 3)
 
 
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:

@@ -155,12 +155,11 @@ class _Campaign:
         due = [step for step in steps if self._due(self._run("steps", step.name))]
         if not due:
             return
+        whole = self._run("steps", AS_IT_IS), sample, fem(plan.numerics, plan.device)
         if plan.on_gpu:  # the first run of that many presses takes memory that later ones reuse
-            self._solved(self._run("steps", AS_IT_IS), sample, fem(plan.numerics, plan.device))
+            self._solved(*whole)
         # What it is held against is timed in the same call: the machine may have changed.
-        base, forces = self._solved(
-            self._run("steps", AS_IT_IS), sample, fem(plan.numerics, plan.device)
-        )
+        base, forces = self._solved(*whole)
         self._keep(base)
         kept = read_runs(steps_file(plan.file)) | {AS_IT_IS: forces}
         for step in due:

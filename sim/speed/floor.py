@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from sim.fem.numerics import ELASTIC_EVERY
 from sim.speed.record import Machine, Run
 
 NUMBER, HALF = 4, 2
@@ -29,9 +30,6 @@ WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
 """The same if products read the tangent as it was assembled."""
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
 """The product, three small products of the preconditioner, four vector updates and dot products."""
-ANEW = {True: 0.5, False: 1.0}
-"""Share of Newton iterations that assemble the elastic part, on a CPU and not: see
-`sim.fem.newton`."""
 NEWTON_NODE_BYTES = 2 * ROW_BYTES + HALF_ROW_BYTES + 4 * BLOCK + 4 * VECTOR
 """The elastic part read, the tangent written in both, its columns factored, displacement and
 residual; beside them the elastic part is written where it is new."""
@@ -44,14 +42,19 @@ _TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
 20 % sure."""
 
 
+def anew(*, cpu: bool) -> float:
+    """Share of Newton iterations that assemble the elastic part."""
+    return 1 / ELASTIC_EVERY["cpu" if cpu else "cuda"]
+
+
 def newton_element_bytes(*, cpu: bool) -> float:
     """Of a Newton iteration and element: what is read for the tangent and for the forces."""
-    return (1 + ANEW[cpu]) * _GEOMETRY_BYTES + _FORCES_BYTES
+    return (1 + anew(cpu=cpu)) * _GEOMETRY_BYTES + _FORCES_BYTES
 
 
 def newton_element_flops(*, cpu: bool) -> float:
     """Operations of a Newton iteration and element."""
-    return ANEW[cpu] * _TANGENT_FLOPS + _FORCES_FLOPS
+    return anew(cpu=cpu) * _TANGENT_FLOPS + _FORCES_FLOPS
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ class Floor:
 def floor_of(run: Run, machine: Machine) -> Floor:
     """The floor of a run in float32, whose products read the tangent in float16."""
     cpu = machine.device == "cpu"
-    of_node = NEWTON_NODE_BYTES + ANEW[cpu] * ROW_BYTES
+    of_node = NEWTON_NODE_BYTES + anew(cpu=cpu) * ROW_BYTES
     newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node
     cg_bytes = run.cg_nodes * CG_BYTES
     flops = run.newton_elements * newton_element_flops(cpu=cpu) + run.cg_nodes * CG_FLOPS

@@ -39,47 +39,35 @@ def without_keeping() -> Iterator[None]:
         yield
 
 
-@contextlib.contextmanager
-def without_graphs() -> Iterator[None]:
+def without_graphs() -> contextlib.AbstractContextManager[None]:
     """Every kernel of conjugate gradients is launched by itself."""
     from sim.fem.cg import ConjugateGradient
 
-    init = ConjugateGradient.__init__
-
-    def unrecorded(self: Any, *args: Any, **options: Any) -> None:
-        init(self, *args, **{**options, "record": False})
-
-    with _in_place_of(ConjugateGradient, "__init__", unrecorded):
-        yield
+    return _made_with(ConjugateGradient, record=False)
 
 
-@contextlib.contextmanager
-def without_gathering() -> Iterator[None]:
+def without_gathering() -> contextlib.AbstractContextManager[None]:
     """Every iteration of conjugate gradients launches threads for all environments."""
     from sim.fem.cg import ConjugateGradient
 
-    gather = ConjugateGradient._gather
-
-    def all_rows(self: Any, running: Any, *, anew: bool = False) -> None:
-        self._gathers = False
-        gather(self, running, anew=anew)
-
-    with _in_place_of(ConjugateGradient, "_gather", all_rows):
-        yield
+    return _made_with(ConjugateGradient, gather=False)
 
 
-@contextlib.contextmanager
-def without_rounding() -> Iterator[None]:
+def without_rounding() -> contextlib.AbstractContextManager[None]:
     """Products read the tangent as it was assembled."""
     from sim.fem.stencil import Stencil
 
-    init = Stencil.__init__
+    return _made_with(Stencil, half=False)
 
-    def whole(self: Any, *args: Any, **options: Any) -> None:
-        init(self, *args, **{**options, "half": False})
 
-    with _in_place_of(Stencil, "__init__", whole):
-        yield
+def _made_with(kind: type, **always: Any) -> contextlib.AbstractContextManager[None]:
+    """Every object of this kind is made with these arguments, whatever else is asked for."""
+    init = kind.__init__  # type: ignore[misc]
+
+    def made(self: Any, *args: Any, **options: Any) -> None:
+        init(self, *args, **{**options, **always})
+
+    return _in_place_of(kind, "__init__", made)
 
 
 @contextlib.contextmanager
