@@ -57,7 +57,9 @@ class Tangents:
             bulk_history=random.normal(0, 0.1, len(GRID.elements)),
         )
 
-    def stencil(self, real: Any, *, parallel: bool = False, half: bool = False) -> Stencil:
+    def stencil(
+        self, real: Any, *, parallel: bool = False, half: bool = False, keep: bool = True
+    ) -> Stencil:
         """Assembled by the kernels over a matrix full of `FILLED`."""
         stencil = Stencil(
             GRID,
@@ -68,8 +70,14 @@ class Tangents:
             full_integration=self.variant == "full_integration",
             parallel=parallel,
             half=half,
+            keep=keep,
         )
         stencil.matrix.fill_(FILLED)
+        self.assemble(stencil, real)
+        return stencil
+
+    def assemble(self, stencil: Stencil, real: Any, anew: list[int] | None = None) -> None:
+        """Assemble once more, as things are now, the elastic part where `anew` says so."""
         geometry = (
             oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
             oracle.scalars(np.stack([mesh.weight for mesh in MESHES]), real),
@@ -88,8 +96,8 @@ class Tangents:
             self.inputs(real, self.materials),
             contact,
             oracle.scalars(self.shift, real),
+            None if anew is None else oracle.integers(anew),
         )
-        return stencil
 
     def inputs(self, real: Any, materials: list[Material]) -> tuple[Any, ...]:
         names = ("shear", "bulk", "factor", "bulk_factor")

@@ -66,6 +66,21 @@ def test_assembling_again_gives_the_same_bits() -> None:
     np.testing.assert_array_equal(first, tangents.stencil(wp.float32).matrix.numpy())
 
 
+@pytest.mark.parametrize("keep", [True, False])
+def test_the_elastic_part_is_kept_where_it_is_not_anew(keep: bool) -> None:
+    before, now = Tangents(), Tangents(strain=0.05, contact=5.0)
+    now.shift = before.shift + 0.2
+    stencil = before.stencil(wp.float64, keep=keep)
+    assert stencil.keeps == keep
+    now.assemble(stencil, wp.float64, anew=[1, 0, 0])
+    found = stencil.matrix.numpy()
+    assert oracle.relative(spread_out(found[0]), now.dense(0)) < 1e-12
+    if keep:  # contact and damping are those of now
+        now.u[1] = before.u[1]
+    assert oracle.relative(spread_out(found[1]), now.dense(1)) < 1e-12
+    assert (found[2] == FILLED).all()
+
+
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize(("real", "error"), REALS)
 def test_the_product_is_that_of_the_dense_matrix(real: Any, error: float, parallel: bool) -> None:

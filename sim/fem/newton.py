@@ -48,7 +48,7 @@ class Newton:
         self._cg = ConjugateGradient(
             assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.columns
         )
-        self._every = ELASTIC_EVERY["cuda" if wp.get_device(assembly.device).is_cuda else "cpu"]
+        self._every = ELASTIC_EVERY if assembly.stencil.keeps else 1
         self._start = wp.zeros_like(assembly.state.u)
         planted = assembly.numerics.planted
         self._friction = "friction" in assembly.effects

@@ -9,10 +9,9 @@ from sim.checks import check_range
 from sim.errors import SceneError
 from sim.fem.grading import Grading
 
-ELASTIC_EVERY = {"cpu": 2, "cuda": 1}
-"""Iterations from one elastic part of the tangent to the next, where steps go well: contact, which
-is taken anew each time, changes more. Assembling was half of a press on a CPU, and this costs
-hardly any iterations (docs/speed.md); on a GPU, where it is a sixth, it was not tried."""
+ELASTIC_EVERY = 2
+"""Iterations from one elastic part of the tangent to the next, where it is kept and steps go well:
+contact, which is taken anew each time, changes more (docs/decisions/0016)."""
 
 
 @dataclass(frozen=True, slots=True)

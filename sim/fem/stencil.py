@@ -9,7 +9,8 @@ times cheaper on a CPU.
 
 Nothing is added atomically: elements add to the elastic part, on a GPU one colour of eight after
 the other, so that no two at a time share a node, and row by row; `finish` adds to a copy of it what
-belongs to a node. Contact is what changes most, so the elastic part may be kept for a while.
+belongs to a node. Contact is what changes most, so the elastic part may be kept for a while: half
+of a press on a CPU is assembling. On a GPU it is a sixth, and memory is what runs out.
 
 In float32 products read the matrix rounded to float16: half the bytes of what takes most of
 conjugate gradients' time. They solve for a Newton step to no more than three digits, and its
@@ -214,10 +215,9 @@ class Stencil:
         full_integration: bool = False,
         parallel: bool | None = None,
         half: bool | None = None,
+        keep: bool | None = None,
     ) -> None:
         """Make room: 972 bytes for each node, environment and matrix in float32.
-
-        Two matrices are whole: the tangent, and its elastic part.
 
         Args:
             mesh: Grid and what is around each node; its geometry is given with every assembly.
@@ -230,6 +230,8 @@ class Stencil:
                 node numbers fastest in memory. On a GPU, when not said.
             half: Whether products read a copy of the matrix in float16, 486 bytes more. In float32,
                 when not said.
+            keep: Whether the elastic part is a matrix of its own, which can be kept. On a CPU, when
+                not said.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)
@@ -251,7 +253,9 @@ class Stencil:
             order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
         self.matrix = self._room(mat33)
         """Blocks (B, N, 27) of the state last assembled."""
-        self._elastic = self._room(mat33)
+        self.keeps = not self._on_gpu if keep is None else keep
+        """Whether an elastic part can be kept."""
+        self._elastic = self._room(mat33) if self.keeps else self.matrix
         self._read = self._room(matrix_of(kept)) if half else self.matrix
         self._order = self._integers(order)
         self._elements = self._integers(mesh.elements)
@@ -276,10 +280,11 @@ class Stencil:
                 stiffness of each (B, S, P), as the contact kernel gives them.
             shift: Stiffness of a unit volume against any motion (B,).
             anew: Those of them whose elastic part is that at `u`, int32 (B,); others keep what they
-                have. None: all.
+                have, where the stencil `keeps` them. None: all.
         """
         inverse, weight, node_mass, variant = geometry
-        anew = active if anew is None else anew
+        if anew is None or not self.keeps:
+            anew = active
         by_node = self._environments, self._nodes
         wp.launch(
             self._clear, dim=by_node, inputs=[anew], outputs=[self._elastic], device=self._device
