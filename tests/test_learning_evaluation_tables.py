@@ -70,9 +70,9 @@ def test_the_page_tells_goals_means_pairs_and_the_paper(
     pair = next(line for line in lines if line.startswith("| array-i to circle-i | "))
     assert pair.endswith("| 0.980 |")
     assert "0.250, 0.250" in pair
-    assert any(
-        line.startswith("| transferred, flow: fz, min | < 0.7 N | 0.25 N |") for line in lines
-    )
+    beside = "| transferred, flow: fz, min (ours of 2 pairs, not 20) | < 0.7 N | 0.25 N |"
+    assert any(line.startswith(beside) for line in lines)
+    assert "## At a glance" not in lines, "one experiment says it all itself"
     folder = page.with_suffix("")
     assert (folder / "homogeneous.png").read_bytes().startswith(b"\x89PNG")
     with (folder / "force.csv").open() as file:
@@ -97,6 +97,7 @@ def test_an_experiment_may_be_called_otherwise_and_have_come_to_no_end(
     assert main(["tables", f"mine={experiment}", "--out", str(page)]) == 0
     text = page.read_text()
     assert "## Mine" in text
+    assert text.startswith("# Forces on sensors that never saw a force gauge")
     assert "hoped for (transferred, flow)" in text
     assert "Translated images" not in text
     assert not (tmp_path / "tables" / "translation.csv").exists()
@@ -160,3 +161,30 @@ def test_what_needs_no_label_of_the_target_is_told_of_and_how_far_its_labels_wer
     assert any(line.startswith(before_line) for line in lines)
     worst = "0.500 (array-i to circle-i) | 1.250 | 1.500 (circle-i to array-i)"
     assert f"| compensated | 0.500 | {worst} |" in lines
+
+
+def test_several_are_told_of_at_a_glance_below_the_intro(experiment: Path, tmp_path: Path) -> None:
+    for number, pair in enumerate(PAIRS):
+        one = predictions("priors", pair, off=0.25, translator="flow")
+        one.write(experiment / "results" / f"priors{number}.npz")
+    branch = Branch((1.0, 0.0), 0.1, 3)
+    priors = {name: Prior(name, branch, branch, 1e-3, 1e-3) for name in PAIRS[0]}
+    choices = [Choice(0.0, 0.0, 2.0, r2=0.25), Choice(0.0, 1.0, 1.0, r2=0.5)]
+    stored = [
+        StoredPair(*pair, Choice(0.0, 0.0, 3.0, r2=0.0), {"priors": choice})
+        for pair, choice in zip(PAIRS, choices, strict=True)
+    ]
+    StoredCompensation(priors, tuple(stored)).write(experiment / "compensation.json")
+    page = tmp_path / "tables.md"
+    groups = [read_group(name, experiment) for name in ("homogeneous", "again")]
+    write_tables(groups, page, "# What limits it\n\nOne thing at a time.\n")
+    lines = page.read_text().splitlines()
+    assert lines[:3] == ["# What limits it", "", "One thing at a time."]
+    found = [line.split(" | ") for line in lines[: lines.index("## Homogeneous")]]
+    told = {cells[0].removeprefix("| "): cells[1:] for cells in found if len(cells) > 2}
+    assert told["homogeneous"] == told["again"]
+    pairs, model, _before, after, worst, _own, labels, newtons, shares, dice = told["again"]
+    assert (pairs, model, labels, newtons) == ("2", "priors, flow", "0.375", "0.250, 0.250")
+    assert float(after) == pytest.approx(float(worst), abs=1e-3)
+    assert shares == "16.7, 6.2"  # labels reach over 3, 1 and 4 N
+    assert dice == "0.950 |"

@@ -18,7 +18,7 @@ from rig.camera.config import CameraConfig
 from rig.camera.jpeg import frame_stamp, jpeg_size, stamped, without_stamp
 from rig.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig
 from rig.camera.opencv import OpenCvDriver
-from rig.camera.sources import FrameSource, LoopSource, WorldSource, natural_key
+from rig.camera.sources import FrameSource, LoopSource, WorldSource
 from rig.clock import SystemClock
 from rig.errors import ConfigError, DeviceLost
 from rig.latest import WORLD_STATE
@@ -280,11 +280,6 @@ def test_a_motion_jpeg_video_of_the_right_size_is_played_byte_for_byte(
     assert all((jpeg in content) == kept for jpeg in played)
     assert played[:3] == played[3:]
     assert len(set(played)) == 3
-
-
-def test_natural_order_counts_numbers() -> None:
-    names = ["b", "image_10", "image_2", "image_2b", "10", "9"]
-    assert sorted(names, key=natural_key) == ["9", "10", "b", "image_2", "image_2b", "image_10"]
 
 
 def test_a_stamp_does_not_hide_the_size() -> None:

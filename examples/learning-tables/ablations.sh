@@ -53,4 +53,5 @@ for name in "$@"; do
     --jobs "${JOBS:-1}" --set "compensation=[priors]" --set "translators=$translators" "${changed[@]}"
   made+=("$out/ablations/$name")
 done
-[ "${ONLY:-}" = experiment ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-ablations.md"
+[ "${ONLY:-}" = experiment ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-ablations.md" \
+  --intro "$(dirname "$0")/ablations.md"

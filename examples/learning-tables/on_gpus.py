@@ -240,9 +240,9 @@ def main() -> int:
     machine = Machine(gpus, memory // JOB_BYTES)
     took = run_all(due, machine, options.out, lambda line: print(line, flush=True))
     tables = [options.out / name for name in (*GROUPS, *FULL) if name in took]
-    _page(options.out, "learning-tables.md", tables, "--intro", str(HERE / "intro.md"))
+    _page(options.out, "learning-tables.md", tables, "--intro", str(HERE / "tables.md"))
     made = [options.out / "ablations" / name for name in ABLATIONS if ABLATION + name in took]
-    _page(options.out, "learning-ablations.md", made)
+    _page(options.out, "learning-ablations.md", made, "--intro", str(HERE / "ablations.md"))
     return int(len(took) < len(due))
 
 

@@ -41,4 +41,4 @@ for table in "$@"; do
   made+=("$out/$table")
 done
 [ ${#made[@]} -eq 0 ] || [ "${ONLY:-}" = experiment ] || "$python" -m learning tables "${made[@]}" --out "$out/learning-tables.md" \
-  --intro "$(dirname "$0")/intro.md"
+  --intro "$(dirname "$0")/tables.md"

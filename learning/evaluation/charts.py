@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from learning.evaluation.force_table import AXES_NAMED, ForceRow, variant_name
 from learning.evaluation.predictions import Predictions
+from recorder.natural import natural_key
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ def heatmaps(
         good: `low` or `high`: which end of the scale is good.
     """
     rows = [row for some in by_variant.values() for row in some]
-    names = sorted({row.source for row in rows} | {row.target for row in rows})
+    names = sorted({name for row in rows for name in (row.source, row.target)}, key=natural_key)
     values = np.array([row.value(measure) for row in rows])
     top = float(np.nanmax(values, initial=1e-9)) if good == "low" else 1.0
     colours = "RdYlGn_r" if good == "low" else "RdYlGn"

@@ -35,6 +35,7 @@ from learning.evaluation.html_page import (
 )
 from learning.evaluation.paper_figures import Beside
 from learning.evaluation.predictions import Predictions
+from recorder.natural import natural_key
 
 ROLES = {
     UNSEEN: "indenters that the models never saw",
@@ -105,7 +106,7 @@ def gains_table(rows: Sequence[ForceRow]) -> str:
         if target in of_target:
             some[of_target[target].variant] = of_target[target]
     lines: list[list[Cell | str]] = []
-    for (source, target), some in sorted(by_pair.items()):
+    for (source, target), some in sorted(by_pair.items(), key=_in_order):
         cells = [_gain(some.get(way), measure) for measure, _ in GAINS for way in ways]
         lines.append([f"{source} to {target}", *cells])
     mean: list[Cell | str] = [f"mean of {len(by_pair)} pairs"]
@@ -118,6 +119,10 @@ def gains_table(rows: Sequence[ForceRow]) -> str:
         groups=[("", 1), *((title, len(ways)) for _, title in GAINS)],
         first_is_mean=True,
     )
+
+
+def _in_order(pair: tuple[tuple[str, str], Any]) -> tuple[Any, ...]:
+    return tuple(map(natural_key, pair[0]))
 
 
 def beside_line(one: Beside) -> dict[str, Any]:

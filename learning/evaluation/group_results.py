@@ -10,7 +10,7 @@ from learning.compensation import StoredCompensation, read_stored
 from learning.errors import LearningError
 from learning.evaluation.force_table import UNSEEN, ForceRow, force_rows, of_role
 from learning.evaluation.paper_figures import Beside, beside_the_paper
-from learning.evaluation.predictions import after, merged
+from learning.evaluation.predictions import CHOICES, after, merged
 from learning.evaluation.results_folder import read_folder
 from learning.evaluation.translation_scores import (
     TRANSLATED,
@@ -63,6 +63,15 @@ class Group:
         return max(
             names, key=lambda name: mean(row.errors.r2_mean for row in self.rows(self.after, name))
         )
+
+    def label_fits(self) -> list[float]:
+        """Return R2 of the labels that were learned from, were they the target's; by pair."""
+        if self.labels is None:
+            return []
+        name = CHOICES.get(self.after)
+        pairs = self.labels.pairs
+        chosen = [pair.choices.get(name) if name else pair.before for pair in pairs]
+        return [one.r2 for one in chosen if one is not None and one.r2 is not None]
 
     def dice(self, translator: str) -> dict[tuple[str, str], float]:
         """Dice of the frames that a translator made, by source and target."""

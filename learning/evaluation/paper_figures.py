@@ -20,7 +20,9 @@ GROUPS = {
 """The paper's sensors by test, the material ones from hard to soft."""
 NORMAL_RANGE, SHEAR_RANGE = 18.0, 8.0
 """Range of the paper's forces [N]: 0 to 18 and -4 to 4 (the paper, Results)."""
-_AXES = ("fx", "fy", "fz")
+NORMAL, SHEAR = ("fz",), ("fx", "fy")
+"""Axes across the skin and along it."""
+_AXES = (*SHEAR, *NORMAL)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,13 @@ from learning.evaluation.force_table import (
     variants,
 )
 from learning.evaluation.group_results import NO_TRANSLATOR, Group, mean
-from learning.evaluation.paper_figures import PAPER, label_share, paper_share
+from learning.evaluation.markdown import head, line
+from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
 from learning.evaluation.predictions import CHOICES
+from learning.evaluation.tables_overview import overview
 from learning.evaluation.translation_scores import TRANSLATED, score_line
 from recorder.durable import replace_file
+from recorder.natural import natural_key
 
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}
 """R2 on unseen indenters that is hoped for, mean over axes and pairs."""
@@ -31,7 +34,7 @@ GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
 """The same of Dice, and from the taxels of a uSkin."""
 GOAL_SHARE = 0.5
 """Errors that are hoped for, over the paper's: both as shares of the range of the labels."""
-NORMAL, SHEAR = ("fz",), ("fx", "fy")
+TITLE = "# Forces on sensors that never saw a force gauge"
 
 
 def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Path]:
@@ -40,7 +43,7 @@ def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Pa
     Args:
         groups: In the order of the page.
         out: Path of the page, ends in .md.
-        intro: What stands above the tables.
+        intro: What stands above the tables; its first line is the page's title if it begins with #.
 
     Raises:
         LearningError: A group without forces.
@@ -48,7 +51,8 @@ def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Pa
     """
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
-    lines = ["# Forces on sensors that never saw a force gauge", "", *intro.splitlines()]
+    titled = [] if intro.startswith("# ") else [TITLE, ""]
+    lines = [*titled, *intro.splitlines(), *overview(groups)]
     written = [out]
     tables: dict[str, list[dict[str, Any]]] = {"force": [], "translation": [], "paper": []}
     for group in groups:
@@ -81,7 +85,8 @@ def _section(group: Group, picture: str) -> list[str]:
         "",
         f"## {group.name[:1].upper()}{group.name[1:]}",
         "",
-        f"{group.pairs} pairs; on the diagonal a sensor's model from its own labels.",
+        f"{group.pairs} pair{'s' * (group.pairs != 1)}; on the diagonal a sensor's model from its "
+        "own labels.",
         "",
         f"![R2 of all pairs before and after]({picture})",
         "",
@@ -96,18 +101,18 @@ def _section(group: Group, picture: str) -> list[str]:
 
 def _goals(group: Group, best: str) -> list[str]:
     rows = group.rows(group.after, best)
-    lines = _head(f"hoped for ({variant_name((group.after, best))})", "asked", "mean", "worst pair")
+    lines = head(f"hoped for ({variant_name((group.after, best))})", "asked", "mean", "worst pair")
     kind = group.name.removesuffix("-full")
     if kind in GOAL_R2:
         values = {_pair(row): _r2(row) for row in rows}
-        lines.append(_line("R2", f"above {GOAL_R2[kind]:g}", *_mean_and_worst(values, min, ".3f")))
+        lines.append(line("R2", f"above {GOAL_R2[kind]:g}", *_mean_and_worst(values, min, ".3f")))
     for axes, name in ((NORMAL, "Fz"), (SHEAR, "shear")):
         paper = _paper_worst(kind, axes)
         if math.isfinite(paper):
             values = {_pair(row): 100 * label_share(row, axes) for row in rows}
             asked = f"below {100 * GOAL_SHARE * paper:.1f} % (the paper's worst: {100 * paper:.1f})"
             found = _mean_and_worst(values, max, ".1f")
-            lines.append(_line(f"MAE of {name} over the labels' range [%]", asked, *found))
+            lines.append(line(f"MAE of {name} over the labels' range [%]", asked, *found))
     dice = group.dice(best)
     for taxels, asked_dice in ((False, GOAL_DICE), (True, GOAL_DICE_TAXELS)):
         values = {
@@ -118,13 +123,13 @@ def _goals(group: Group, best: str) -> list[str]:
         if values:
             name = "Dice from a uSkin" if taxels else "Dice"
             found = _mean_and_worst(values, min, ".3f")
-            lines.append(_line(name, f"above {asked_dice:g}", *found))
+            lines.append(line(name, f"above {asked_dice:g}", *found))
     return lines
 
 
 def _models(group: Group) -> list[str]:
     lines = ["", "Means over pairs:", ""]
-    lines += _head(
+    lines += head(
         "model", "pairs", "Fx, Fy, Fz [N]", "over the labels' std", "R2 of Fx, Fy, Fz", "R2"
     )
     for variant in variants(group.force):
@@ -135,7 +140,7 @@ def _models(group: Group) -> list[str]:
         fit = (f"{mean(each.r2[axis] for each in errors):.2f}" for axis in range(3))
         cells = (", ".join(newtons), ", ".join(relative), ", ".join(fit))
         whole = f"{mean(each.r2_mean for each in errors):.3f}"
-        lines.append(_line(variant_name(variant), str(len(rows)), *cells, whole))
+        lines.append(line(variant_name(variant), str(len(rows)), *cells, whole))
     return lines
 
 
@@ -151,7 +156,7 @@ def _labels(group: Group) -> list[str]:
         "",
         "The source's labels beside the target's own (training presses, paired locations):",
     ]
-    lines += ["", *_head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
+    lines += ["", *head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
     methods = {choice: method for method, choice in CHOICES.items()}
     for name, choices in found.items():
         fits = {pair: one.r2 for pair, one in choices.items() if one.r2 is not None}
@@ -159,7 +164,7 @@ def _labels(group: Group) -> list[str]:
         if apart:
             fit = _mean_and_worst(fits, min, ".3f") if fits else ("-", "-")
             cells = (*fit, *_mean_and_worst(apart, max, ".3f"))
-            lines.append(_line(methods.get(name, name), *cells))
+            lines.append(line(methods.get(name, name), *cells))
     return lines
 
 
@@ -167,7 +172,7 @@ def _translations(group: Group) -> list[str]:
     if not group.scores:
         return []
     lines = ["", "Translated images beside the true ones, means over pairs:", ""]
-    lines += _head("images", "Dice", "centroids [px]", "[mm]", "field error [px]", "count off [%]")
+    lines += head("images", "Dice", "centroids [px]", "[mm]", "field error [px]", "count off [%]")
     kinds = sorted({(row.method != TRANSLATED, row.method) for _one, row in group.scores})
     for other, method in kinds:
         of_method = [(one.translator, row) for one, row in group.scores if row.method == method]
@@ -180,7 +185,7 @@ def _translations(group: Group) -> list[str]:
             known = [row.epe_px for row in rows if math.isfinite(row.epe_px)]
             cells += [f"{mean(known):.2f}" if known else "-"]
             cells += [f"{100 * mean(row.count_mismatch for row in rows):.0f}"]
-            lines.append(_line(method if other else f"by {translator}", *cells))
+            lines.append(line(method if other else f"by {translator}", *cells))
             if other:
                 break
     return lines
@@ -191,7 +196,7 @@ def _pairs(group: Group, best: str) -> list[str]:
     before = {_pair(row): row for row in group.rows(BEFORE)}
     dice = group.dice(best)
     lines = ["", f"All pairs, {variant_name((group.after, best))}:", ""]
-    lines += _head(
+    lines += head(
         "pair",
         "R2 before",
         "after",
@@ -200,11 +205,11 @@ def _pairs(group: Group, best: str) -> list[str]:
         "over the labels' std",
         "Dice",
     )
-    for row in sorted(group.rows(group.after, best), key=_pair):
+    for row in sorted(group.rows(group.after, best), key=_in_order):
         first, target = before.get(_pair(row)), own.get(row.target)
         relative = row.errors.relative
         lines.append(
-            _line(
+            line(
                 _pair(row),
                 f"{_r2(first):.2f}" if first else "-",
                 f"{_r2(row):.2f}",
@@ -222,19 +227,21 @@ def _paper(group: Group) -> list[str]:
     if not shown:
         return []
     lines = ["", "The paper's figures beside ours (unseen indenters; shares of held-out frames):"]
-    lines += ["", *_head("figure", "the paper", "ours", "paper / range", "ours / range")]
+    lines += ["", *head("figure", "the paper", "ours", "paper / range", "ours / range")]
     for one in shown:
         figure = one.figure
         what = f"{variant_name((figure.method, one.translator))}: {figure.measure}"
         which = " to ".join(figure.pair) if figure.pair and figure.statistic == "pair" else ""
         what += f", {which or ' '.join(filter(None, (figure.statistic, figure.which)))}"
+        if one.pairs != one.of:
+            what += f" (ours of {one.pairs} pairs, not {one.of})"
         unit = "" if figure.measure.startswith("r2") else " N"
         shares = (
             f"{100 * value:.1f} %" if math.isfinite(value) else "-"
             for value in (one.paper_share, one.our_share)
         )
         paper = f"{figure.relation} {figure.value:g}{unit}".strip()
-        lines.append(_line(what, paper, f"{one.unseen:.2f}{unit}", *shares))
+        lines.append(line(what, paper, f"{one.unseen:.2f}{unit}", *shares))
     return lines
 
 
@@ -260,13 +267,9 @@ def _r2(row: ForceRow) -> float:
     return row.errors.r2_mean
 
 
+def _in_order(row: ForceRow) -> tuple[object, ...]:
+    return natural_key(row.source), natural_key(row.target)
+
+
 def _pair(row: ForceRow) -> str:
     return f"{row.source} to {row.target}"
-
-
-def _head(*cells: str) -> list[str]:
-    return [_line(*cells), "|" + "---|" * len(cells)]
-
-
-def _line(*cells: str) -> str:
-    return "| " + " | ".join(cells) + " |"

@@ -1,6 +1,5 @@
 """Images from a video file or a folder: the camera's own JPEG bytes where there are any."""
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from PIL import Image
 from recorder.errors import SessionError
 from recorder.importing.avi import read_avi
 from recorder.importing.jpeg import whole_jpeg
+from recorder.natural import natural_key
 
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
@@ -86,7 +86,7 @@ def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, said: bool) -> Fil
 def _folder(path: Path, fps: float | None) -> Film:
     files = sorted(
         (entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES),
-        key=lambda entry: _natural(entry.name),
+        key=lambda entry: natural_key(entry.name),
     )
     if not files:
         raise SessionError(f"{path}: no image; known: {', '.join(_SUFFIXES)}")
@@ -142,10 +142,6 @@ def _decoded(path: Path, fps: float | None) -> Film:
         f"{path.name}: decoded and stored as pixels, losslessly",
     ]
     return Film("zstd", (size[0], size[1]), rate_hz, list(range(count)), load, assumed)
-
-
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in re.split(r"(\d+)", name)]
 
 
 def _size(file: Path) -> tuple[int, int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from recorder.natural import natural_key
 from rig.camera.jpeg import is_whole, jpeg_size
 
 Image = npt.NDArray[np.uint8]
@@ -73,11 +73,6 @@ class LoopSource:
             self._shown, self._left = next(self._frames), self._hold
         self._left -= 1
         return self._shown
-
-
-def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Sorts image_2 before image_10."""
-    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in re.split(r"(\d+)", name)]
 
 
 def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:

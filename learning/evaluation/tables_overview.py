@@ -1,0 +1,67 @@
+"""All groups of a page of tables at a glance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from learning.evaluation.force_table import BEFORE, TARGET, ForceRow, variant_name
+from learning.evaluation.group_results import Group, mean
+from learning.evaluation.markdown import head, line
+from learning.evaluation.paper_figures import NORMAL, SHEAR, label_share
+
+TOLD = """\
+Means over pairs, on unseen indenters. `before`: the source's model on the target's own frames;
+`after`: the model named, which learned from no label of the target; `own labels`: the target's
+model. `labels alone`: R2 of the labels that the model named learned from, were they predictions of
+the target's own, on the presses that it learned from."""
+
+
+def overview(groups: Sequence[Group]) -> list[str]:
+    """Return a line for each group; nothing of one group, which says it all itself."""
+    if len(groups) < 2:
+        return []
+    lines = ["", "## At a glance", "", *TOLD.splitlines(), ""]
+    lines += head(
+        "",
+        "pairs",
+        "model",
+        "R2 before",
+        "after",
+        "worst pair",
+        "own labels",
+        "labels alone",
+        "MAE of shear, Fz [N]",
+        "over the labels' range [%]",
+        "Dice",
+    )
+    for group in groups:
+        best = group.best
+        rows = group.rows(group.after, best)
+        newtons = mean(row.errors.shear for row in rows), mean(row.errors.mae[2] for row in rows)
+        shares = (100 * mean(label_share(row, axes) for row in rows) for axes in (SHEAR, NORMAL))
+        lines.append(
+            line(
+                group.name,
+                str(group.pairs),
+                variant_name((group.after, best)),
+                _told(_fits(group.rows(BEFORE))),
+                _told(_fits(rows)),
+                f"{min(_fits(rows)):.3f}",
+                _told(_fits(group.rows(TARGET))),
+                _told(group.label_fits()),
+                ", ".join(f"{value:.3f}" for value in newtons),
+                ", ".join(f"{value:.1f}" for value in shares),
+                _told(group.dice(best).values()),
+            )
+        )
+    return lines
+
+
+def _fits(rows: Sequence[ForceRow]) -> list[float]:
+    return [row.errors.r2_mean for row in rows]
+
+
+def _told(values: Iterable[float]) -> str:
+    found = mean(values)
+    return f"{found:.3f}" if math.isfinite(found) else "-"
