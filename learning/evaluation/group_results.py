@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from learning.compensation import StoredCompensation, read_stored
 from learning.errors import LearningError
+from learning.evaluation.by_indenter import IndenterErrors, Variant, by_indenter
 from learning.evaluation.force_table import UNSEEN, ForceRow, force_rows, of_role
 from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import CHOICES, after, merged
@@ -39,6 +40,8 @@ class Group:
     """Translated frames, and what they are held against, on unseen indenters."""
     labels: StoredCompensation | None = None
     """How labels were brought from skin to skin; None: they were not."""
+    indenters: Mapping[Variant, tuple[IndenterErrors, ...]] = field(default_factory=dict)
+    """The same errors by indenter, those of the largest forces first."""
 
     @property
     def pairs(self) -> int:
@@ -91,13 +94,15 @@ def read_group(name: str, folder: Path) -> Group:
     forces, scores = read_folder(folder / "results")
     if not forces and not scores:
         raise LearningError(f"{folder}: found no results; allowed: the folder of an experiment")
-    rows = force_rows(merged(forces))
+    predictions = merged(forces)
+    rows = force_rows(predictions)
     return Group(
         name,
         of_role(rows, UNSEEN),
         beside_the_paper(rows),
         tuple((one, row) for one, row in paired_rows(scores) if row.role == UNSEEN),
         read_stored(stored) if (stored := folder / "compensation.json").is_file() else None,
+        by_indenter(predictions),
     )
 
 

@@ -92,6 +92,7 @@ def _section(group: Group, picture: str) -> list[str]:
         "",
         *_goals(group, best),
         *_models(group),
+        *_indenters(group, best),
         *_labels(group),
         *_translations(group),
         *_pairs(group, best),
@@ -141,6 +142,17 @@ def _models(group: Group) -> list[str]:
         cells = (", ".join(newtons), ", ".join(relative), ", ".join(fit))
         whole = f"{mean(each.r2_mean for each in errors):.3f}"
         lines.append(line(variant_name(variant), str(len(rows)), *cells, whole))
+    return lines
+
+
+def _indenters(group: Group, best: str) -> list[str]:
+    found = group.indenters[group.after, best]
+    lines = ["", f"By indenter, {variant_name((group.after, best))}:", ""]
+    lines += head("indenter", "reaches [N]", "MAE of shear, Fz [N]", "R2 of all others")
+    for one in found:
+        errors = f"{one.shear:.3f}, {one.normal:.3f}"
+        others = f"{one.r2_of_others:.3f}" if math.isfinite(one.r2_of_others) else "-"
+        lines.append(line(one.indenter, f"{one.reach:.1f}", errors, others))
     return lines
 
 
