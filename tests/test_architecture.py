@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -64,18 +65,19 @@ MODULES = sorted(
 )
 
 
-def _imports(path: Path) -> set[str]:
+@functools.cache
+def _imports(path: Path) -> frozenset[str]:
     return _imported_by(ast.walk(ast.parse(path.read_text())))
 
 
-def _imported_by(nodes: Iterable[ast.AST]) -> set[str]:
+def _imported_by(nodes: Iterable[ast.AST]) -> frozenset[str]:
     names: set[str] = set()
     for node in nodes:
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             names.add(node.module.split(".")[0])
-    return names
+    return frozenset(names)
 
 
 def _name(path: Path) -> str:
@@ -83,45 +85,43 @@ def _name(path: Path) -> str:
 
 
 def test_there_are_modules_to_look_at() -> None:
-    assert {path.relative_to(ROOT).parts[0] for path in MODULES} >= {
-        "trajectories",
-        "recorder",
-        "rig",
+    assert {path.relative_to(ROOT).parts[0] for path in MODULES} == set(PACKAGES)
+    assert {_name(path) for path in MODULES} >= LAZY.keys()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_import_only_what_lies_below_them(package: str) -> None:
+    others = set(PACKAGES) - {package} - ALLOWED[package]
+    wrong = {
+        _name(path): sorted(ours)
+        for path in MODULES
+        if path.is_relative_to(ROOT / package)
+        and (ours := _imports(path) & others - LAZY.get(_name(path), set()))
     }
+    assert not wrong, f"{package} may import {sorted(ALLOWED[package])}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=_name)
-def test_packages_import_only_what_lies_below_them(path: Path) -> None:
-    package = path.relative_to(ROOT).parts[0]
-    ours = _imports(path) & set(PACKAGES) - {package}
-    allowed = ALLOWED[package] | LAZY.get(_name(path), set())
-    assert ours <= allowed, f"{_name(path)} imports {sorted(ours - allowed)}"
+@pytest.mark.parametrize("name", LAZY)
+def test_what_may_be_imported_lazily_is_not_imported_with_the_module(name: str) -> None:
+    at_once = _imported_by(ast.parse((ROOT / name).read_text()).body)
+    assert not at_once & LAZY[name]
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if _name(path) in LAZY], ids=_name)
-def test_what_may_be_imported_lazily_is_not_imported_with_the_module(path: Path) -> None:
-    at_once = _imported_by(ast.parse(path.read_text()).body)
-    assert not at_once & LAZY[_name(path)]
+@pytest.mark.parametrize("vendor", VENDORS)
+def test_vendor_libraries_stay_in_their_own_folder(vendor: str) -> None:
+    folders = tuple(VENDORS[vendor])
+    users = [_name(path) for path in MODULES if vendor in _imports(path)]
+    wrong = [name for name in users if not name.startswith(folders)]
+    assert not wrong, f"{vendor}: allowed in {sorted(folders)}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=_name)
-def test_vendor_libraries_stay_in_their_own_folder(path: Path) -> None:
-    for vendor, folders in VENDORS.items():
-        if vendor in _imports(path):
-            assert any(_name(path).startswith(folder) for folder in folders), (
-                f"{_name(path)} imports {vendor}; allowed in {sorted(folders)}"
-            )
+def test_only_the_clock_touches_time() -> None:
+    users = {_name(path) for path in MODULES if "time" in _imports(path)}
+    wrong = {name for name in users if name.startswith("rig/")} - {"rig/clock.py"}
+    assert not wrong, "use rig.clock"
 
 
-@pytest.mark.parametrize(
-    "path", [path for path in MODULES if _name(path).startswith("rig/")], ids=_name
-)
-def test_only_the_clock_touches_time(path: Path) -> None:
-    if _name(path) != "rig/clock.py":
-        assert "time" not in _imports(path), f"{_name(path)} imports time; use rig.clock"
-
-
-@pytest.mark.parametrize("path", MODULES, ids=_name)
-def test_files_hold_one_idea(path: Path) -> None:
-    lines = len(path.read_text().splitlines())
-    assert lines <= 400, f"{_name(path)} has {lines} lines: more than one idea?"
+def test_files_hold_one_idea() -> None:
+    lines = {_name(path): len(path.read_text().splitlines()) for path in MODULES}
+    long = {name: count for name, count in lines.items() if count > 400}
+    assert not long, "more than one idea?"
