@@ -14,8 +14,7 @@ import typing
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
-import yaml
-
+from recorder.strict_yaml import YamlError, read_mapping, said
 from rig.errors import ConfigError
 from rig.units import to_si
 
@@ -39,20 +38,6 @@ class Pose:
         return (*self.position, *self.rotation)
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """YAML that refuses a key written twice: the second would win without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                line = key_node.start_mark.line + 1
-                raise ConfigError(f"{self.name}: line {line}: key {key!r} is written twice")
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file, merged over the file its `extends` names.
 
@@ -61,44 +46,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: No such file, not YAML, not a mapping, or files that extend each other.
     """
-    return _read_extended(path, ())
-
-
-def _read_extended(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    if path.resolve() in above:
-        raise ConfigError(f"{path}: extends: the files extend each other in a circle")
     try:
-        with path.open(encoding="utf-8") as file:
-            loader = _StrictLoader(file)
-            loader.name = str(path)
-            try:
-                content = loader.get_single_data()
-            finally:
-                loader.dispose()
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from None
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path}: found {_name(content)}; allowed: a mapping of keys to values")
-    parent = content.pop("extends", None)
-    if parent is None:
-        return content
-    if not isinstance(parent, str):
-        raise ConfigError(f"{path}.extends: found {parent!r}; allowed: the name of a file")
-    return _merged(_read_extended(path.parent / parent, (*above, path.resolve())), content)
-
-
-def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    result = dict(below)
-    for key, value in above.items():
-        old: Any = result.get(key)
-        result[key] = value
-        mappings = isinstance(old, dict) and isinstance(value, dict)
-        # A mapping of another kind replaces: its keys would not fit.
-        if mappings and value.get("kind", old.get("kind")) == old.get("kind"):
-            result[key] = _merged(old, value)
-    return result
+        return read_mapping(path)
+    except YamlError as error:
+        raise ConfigError(str(error)) from None
 
 
 def build(spec: type[Spec], content: Any, where: str) -> Spec:
@@ -113,7 +64,7 @@ def build(spec: type[Spec], content: Any, where: str) -> Spec:
         ConfigError: An unknown, missing, mistyped or refused value.
     """
     if not isinstance(content, dict):
-        raise ConfigError(f"{where}: found {_name(content)}; allowed: a mapping")
+        raise ConfigError(f"{where}: found {said(content)}; allowed: a mapping")
     expected = getattr(spec, "KIND", None)
     if expected is not None and (kind := content.get("kind", expected)) != expected:
         raise ConfigError(f"{where}.kind: found {kind!r}; allowed: [{expected!r}]")
@@ -152,10 +103,6 @@ def key_of(field: dataclasses.Field[Any]) -> str:
     return f"{field.name}_{unit}" if unit else field.name
 
 
-def _name(value: Any) -> str:
-    return f"{type(value).__name__} {value!r}"
-
-
 def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
     origin = get_origin(hint)
     if origin in (Union, types.UnionType):
@@ -170,13 +117,13 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         return build(hint, value, where)  # type: ignore[arg-type]
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"{where}: found {_name(value)}; allowed: a number{_in(unit)}")
+            raise ConfigError(f"{where}: found {said(value)}; allowed: a number{_in(unit)}")
         if not math.isfinite(value):
             raise ConfigError(f"{where}: found {value!r}; allowed: a finite number{_in(unit)}")
         return to_si(float(value), unit) if unit else float(value)
     if hint in (int, bool, str):
         if type(value) is not hint:
-            raise ConfigError(f"{where}: found {_name(value)}; allowed: {hint.__name__}")
+            raise ConfigError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
         return value
     raise TypeError(f"{where}: the loader knows no {hint!r}")
 
@@ -188,7 +135,7 @@ def _in(unit: str | None) -> str:
 def _tuple(hint: Any, value: Any, where: str, unit: str | None) -> tuple[Any, ...]:
     inner = get_args(hint)
     if not isinstance(value, list):
-        raise ConfigError(f"{where}: found {_name(value)}; allowed: a list")
+        raise ConfigError(f"{where}: found {said(value)}; allowed: a list")
     if inner[-1] is Ellipsis:
         inner = (inner[0],) * len(value)
     if len(inner) != len(value):
@@ -210,7 +157,7 @@ def _union(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         return _value(options[0], value, where, unit)
     kinds = {option.KIND: option for option in options}
     if not isinstance(value, dict):
-        raise ConfigError(f"{where}: found {_name(value)}; allowed: a mapping with 'kind'")
+        raise ConfigError(f"{where}: found {said(value)}; allowed: a mapping with 'kind'")
     kind = value.get("kind")
     if kind not in kinds:
         raise ConfigError(f"{where}.kind: found {kind!r}; allowed: {sorted(kinds)}")

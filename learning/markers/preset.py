@@ -115,13 +115,7 @@ class ColourBelow:
 
 
 Detector = Contrast | BlurDifference | Dark | ColourBelow
-DETECTORS: dict[str, type[Detector]] = {
-    "contrast": Contrast,
-    "blur_difference": BlurDifference,
-    "dark": Dark,
-    "colour_below": ColourBelow,
-}
-"""Detectors by the `kind` that a preset's file gives."""
+"""A preset's file names one by its `kind`."""
 
 
 @dataclass(frozen=True, slots=True)

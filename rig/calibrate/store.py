@@ -10,13 +10,13 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from recorder.durable import replace_file
+from recorder.strict_yaml import yaml_text
 from rig.bench import Bench
 from rig.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.clock import ClockAnchor
@@ -28,6 +28,7 @@ FOLDER = Path("calibrations")
 """Where they lie unless told otherwise."""
 STALE_DAYS = 7.0
 """Older than this a calibration is used with a warning."""
+_NOTE = "# Measured, not written by hand: make home, make calibrate-latency.\n"
 _SAME_PLACE, _SAME_ANGLE = 1e-6, 1e-6
 # Frames that differ by less are the same [m, rad]: YAML keeps mm to nine digits.
 
@@ -125,13 +126,7 @@ def store(
         content["latency"] = _plain(latency)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        building = path.with_suffix(".yaml.tmp")
-        with building.open("w", encoding="utf-8") as file:
-            file.write("# Measured, not written by hand: make home, make calibrate-latency.\n")
-            yaml.safe_dump(content, file, sort_keys=False)
-            file.flush()
-            os.fsync(file.fileno())
-        building.replace(path)
+        replace_file(path, (_NOTE + yaml_text(content)).encode())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error})") from error
     return path

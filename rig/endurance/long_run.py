@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 
-import yaml
-
+from recorder.strict_yaml import yaml_text
 from rig.bench import load_bench
 from rig.clock import SECOND_NS, SystemClock
 from rig.endurance.processes import Track, look, role_of
@@ -70,7 +69,7 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
         "trajectory": {"kind": "press_shear", "angle_step_deg": 360.0 / directions},
         "limits": {"duration_max_min": 2 * length(directions) / 60},
     }
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml_text(content))
     return path, len(replace(plan, angle_step=2 * pi / directions))
 
 

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import yaml
-
+from recorder import strict_yaml
+from recorder.strict_yaml import YamlError, said
 from sim.body import Body
 from sim.effects import Viscosity
 from sim.errors import SceneError
@@ -47,50 +47,16 @@ UNITS: Mapping[type, Mapping[str, str]] = {
 }
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """YAML that refuses a key written twice: the second would win without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                line = key_node.start_mark.line + 1
-                raise SceneError(f"{self.name}: line {line}: key {key!r} is written twice")
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-def read_mapping(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_mapping(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file, merged over the file that its `extends` names.
-
-    Mappings merge key by key, everything else replaces, as does a mapping of another `kind`. The
-    name is relative to the file. `above` are the files that led here.
 
     Raises:
         SceneError: No such file, not YAML, not a mapping, or files that extend each other.
     """
-    if path.resolve() in above:
-        raise SceneError(f"{path}: extends: the files extend each other in a circle")
     try:
-        loader = _StrictLoader(path.read_text(encoding="utf-8"))
-        loader.name = str(path)
-        try:
-            content = loader.get_single_data()
-        finally:
-            loader.dispose()
-    except FileNotFoundError:
-        raise SceneError(f"{path}: no such file") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not YAML: {error}") from None
-    if not isinstance(content, dict):
-        raise SceneError(f"{path}: found {_name(content)}; allowed: a mapping of keys to values")
-    parent = content.pop("extends", None)
-    if parent is None:
-        return content
-    if not isinstance(parent, str):
-        raise SceneError(f"{path}.extends: found {_name(parent)}; allowed: the name of a file")
-    return _merged(read_mapping(path.parent / parent, (*above, path.resolve())), content)
+        return strict_yaml.read_mapping(path)
+    except YamlError as error:
+        raise SceneError(str(error)) from None
 
 
 def build(kind: type[Value], content: Any, where: str) -> Value:
@@ -100,7 +66,7 @@ def build(kind: type[Value], content: Any, where: str) -> Value:
         SceneError: A key that is unknown or missing, or a value of the wrong kind or refused.
     """
     if not isinstance(content, dict):
-        raise SceneError(f"{where}: found {_name(content)}; allowed: a mapping")
+        raise SceneError(f"{where}: found {said(content)}; allowed: a mapping")
     content = dict(content)
     word = getattr(kind, "KIND", None)
     if word is not None and (found := content.pop("kind", word)) != word:
@@ -133,17 +99,6 @@ def _unit(kind: type, field: dataclasses.Field[Any]) -> str | None:
     return unit
 
 
-def _merged(below: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    result = dict(below)
-    for key, value in over.items():
-        old: Any = result.get(key)
-        result[key] = value
-        mappings = isinstance(old, dict) and isinstance(value, dict)
-        if mappings and value.get("kind", old.get("kind")) == old.get("kind"):
-            result[key] = _merged(old, value)
-    return result
-
-
 def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
     """`value` as the field's annotation asks, in SI."""
     origin, inner = get_origin(hint), get_args(hint)
@@ -155,7 +110,7 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         return value
     if origin is tuple:
         if not isinstance(value, list):
-            raise SceneError(f"{where}: found {_name(value)}; allowed: a list")
+            raise SceneError(f"{where}: found {said(value)}; allowed: a list")
         each = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         if len(each) != len(value):
             raise SceneError(f"{where}: found {len(value)} values; allowed: {len(each)}")
@@ -168,13 +123,13 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             text = f" [{unit}]" if unit else ""
-            raise SceneError(f"{where}: found {_name(value)}; allowed: a number{text}")
+            raise SceneError(f"{where}: found {said(value)}; allowed: a number{text}")
         if not math.isfinite(value):
             raise SceneError(f"{where}: found {value!r}; allowed: a finite number")
         return float(value) * (SI_PER_UNIT[unit] if unit else 1.0)
     if hint in (int, str, bool):
         if type(value) is not hint:
-            raise SceneError(f"{where}: found {_name(value)}; allowed: {hint.__name__}")
+            raise SceneError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
         return value
     raise TypeError(f"{where}: the reader knows no {hint!r}")
 
@@ -192,7 +147,3 @@ def _union(options: tuple[Any, ...], value: Any, where: str, unit: str | None) -
             f"{where}: found kind {kind!r}; allowed: a mapping with kind {' or '.join(kinds)}"
         )
     return build(kinds[kind], value, where)
-
-
-def _name(value: Any) -> str:
-    return f"{type(value).__name__} {value!r}"

@@ -1,0 +1,123 @@
+"""YAML files without surprises: each key once, plain words as YAML 1.2 reads them, `extends`.
+
+1e-4 is a number, and `no` and `on` are words: only true and false are neither.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+_BOOL = "tag:yaml.org,2002:bool"
+_EXPONENT = (
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
+
+
+class YamlError(ValueError):
+    """What is wrong with a file: where, what was found, what is allowed."""
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """Refuses a key that is written twice: the second would win without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                line = key_node.start_mark.line + 1
+                raise YamlError(f"{self.name}: line {line}: key {key!r} is written twice")
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_StrictLoader.yaml_implicit_resolvers = {
+    first: [each for each in resolvers if each[0] != _BOOL]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_StrictLoader.add_implicit_resolver(_BOOL, re.compile(r"(true|false)$"), list("tf"))
+_StrictLoader.add_implicit_resolver(*_EXPONENT)
+
+
+class _StrictDumper(yaml.SafeDumper):
+    """Writes what `_StrictLoader` reads as it was: a commit such as 2902e78 is quoted."""
+
+
+_StrictDumper.add_implicit_resolver(*_EXPONENT)
+
+
+def yaml_text(content: Mapping[str, Any]) -> str:
+    """Return a mapping of plain values as YAML that `parse` reads back."""
+    return yaml.dump(content, Dumper=_StrictDumper, sort_keys=False)
+
+
+def parse(text: str, name: str) -> Any:
+    """Return what a text of YAML says; `name` is where it stands, for errors.
+
+    Raises:
+        YamlError: Not YAML, or a key that is written twice.
+    """
+    try:
+        loader = _StrictLoader(text)
+        loader.name = name
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
+    except yaml.YAMLError as error:
+        raise YamlError(f"{name}: not YAML: {error}") from None
+
+
+def read_mapping(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Return the mapping in a YAML file, merged over the file that its `extends` names.
+
+    Args:
+        path: The file; the name that it extends is relative to it.
+        above: Files that led here.
+
+    Raises:
+        YamlError: No such file, not YAML, not a mapping, or files that extend each other.
+    """
+    if path.resolve() in above:
+        raise YamlError(f"{path}: extends: the files extend each other in a circle")
+    try:
+        content = parse(path.read_text(encoding="utf-8"), str(path))
+    except FileNotFoundError:
+        raise YamlError(f"{path}: no such file") from None
+    except UnicodeDecodeError as error:
+        raise YamlError(f"{path}: not YAML: {error}") from None
+    if not isinstance(content, dict):
+        raise YamlError(f"{path}: found {said(content)}; allowed: a mapping of keys to values")
+    parent = content.pop("extends", None)
+    if parent is None:
+        return content
+    if not isinstance(parent, str):
+        raise YamlError(f"{path}.extends: found {said(parent)}; allowed: the name of a file")
+    return merged(read_mapping(path.parent / parent, (*above, path.resolve())), content)
+
+
+def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one mapping over another, key by key; whatever else replaces.
+
+    So does a mapping of another `kind`, since its keys would not fit.
+    """
+    result = dict(below)
+    for key, value in over.items():
+        old: Any = result.get(key)
+        result[key] = value
+        mappings = isinstance(old, dict) and isinstance(value, dict)
+        if mappings and value.get("kind", old.get("kind")) == old.get("kind"):
+            result[key] = merged(old, value)
+    return result
+
+
+def said(value: Any) -> str:
+    """Return how errors call a value: its type and itself."""
+    return f"{type(value).__name__} {value!r}"

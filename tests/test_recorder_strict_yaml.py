@@ -1,0 +1,68 @@
+"""YAML without surprises: what is read is what is written, and nothing is overwritten silently."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from recorder.strict_yaml import YamlError, merged, parse, read_mapping, yaml_text
+
+
+@pytest.mark.parametrize(
+    "value", ["2902e78", "1e5", "-3E+2", "no", "true", "1e-4x", "0x10", 1e-5, 2.5e20, 3, None]
+)
+def test_what_is_written_is_read_back_as_it_was(tmp_path: Path, value: object) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml_text({"code_version": value, "rates": [value]}))
+    assert read_mapping(path) == {"code_version": value, "rates": [value]}
+
+
+def test_plain_words_are_those_of_yaml_1_2() -> None:
+    text = "{a: 1e-4, b: 2E3, c: no, d: on, e: true, f: 1.5, g: -1}"
+    expected = {"a": 1e-4, "b": 2e3, "c": "no", "d": "on", "e": True, "f": 1.5, "g": -1}
+    assert parse(text, "here") == expected
+
+
+def test_a_file_extends_another_key_by_key_but_for_another_kind(tmp_path: Path) -> None:
+    below = "a: {x: 1, y: 2}\nb: {kind: one, x: 1}\nc: {kind: one, x: 1}\nd: [1, 2]\n"
+    (tmp_path / "below.yaml").write_text(below)
+    over = "extends: below.yaml\na: {y: 3}\nb: {kind: two, z: 1}\nc: {y: 2}\nd: [3]\n"
+    (tmp_path / "over.yaml").write_text(over)
+    assert read_mapping(tmp_path / "over.yaml") == {
+        "a": {"x": 1, "y": 3},
+        "b": {"kind": "two", "z": 1},
+        "c": {"kind": "one", "x": 1, "y": 2},
+        "d": [3],
+    }
+
+
+def test_merging_changes_neither() -> None:
+    one, other = {"a": {"x": 1}}, {"a": {"y": 2}}
+    assert merged(one, other) == {"a": {"x": 1, "y": 2}}
+    assert (one, other) == ({"a": {"x": 1}}, {"a": {"y": 2}})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: 1\nb: {c: 1,\n  c: 2}\n", r"it\.yaml: line 3: key 'c' is written twice"),
+        ("a: [\n", r"it\.yaml: not YAML"),
+        ("- 1\n", r"it\.yaml: found list \[1\]; allowed: a mapping"),
+        ("extends: 3\n", r"it\.yaml\.extends: found int 3; allowed: the name of a file"),
+        ("extends: it.yaml\n", "extend each other in a circle"),
+        ("extends: other.yaml\n", r"other\.yaml: no such file"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "it.yaml"
+    path.write_text(text)
+    with pytest.raises(YamlError, match=said):
+        read_mapping(path)
+
+
+def test_bytes_that_are_no_text_are_said_so(tmp_path: Path) -> None:
+    path = tmp_path / "it.yaml"
+    path.write_bytes(b"a: \xff\n")
+    with pytest.raises(YamlError, match="not YAML"):
+        read_mapping(path)
