@@ -28,6 +28,23 @@ def preset_names(preset_dir: Path) -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in preset_dir.glob("*.yaml")))
 
 
+def preset_path(preset_dir: Path, name_or_path: str | Path) -> Path:
+    """Return the file of a preset in a folder, or the YAML file of one's own that was named.
+
+    Raises:
+        LearningError: No such preset.
+    """
+    path = Path(name_or_path)
+    if path.suffix in _SUFFIXES:
+        return path
+    known = preset_names(preset_dir)
+    if str(name_or_path) not in known:
+        raise LearningError(
+            f"preset: found {str(name_or_path)!r}; known: {', '.join(known)}, or a .yaml file"
+        )
+    return preset_dir / f"{name_or_path}.yaml"
+
+
 def read_settings(
     kind: type[Settings],
     preset_dir: Path,
@@ -45,14 +62,7 @@ def read_settings(
     Raises:
         LearningError: No such preset or file, or a key or value that is not allowed.
     """
-    path = Path(name_or_path)
-    if path.suffix not in _SUFFIXES:
-        known = preset_names(preset_dir)
-        if str(name_or_path) not in known:
-            raise LearningError(
-                f"preset: found {str(name_or_path)!r}; known: {', '.join(known)}, or a .yaml file"
-            )
-        path = preset_dir / f"{name_or_path}.yaml"
+    path = preset_path(preset_dir, name_or_path)
     content = read_mapping(path)
     for override in overrides:
         key, equals, text = override.partition("=")

@@ -15,8 +15,8 @@ from sim.fem.grid import SLOTS, colour_order, face_slots, neighbours
 from sim.fem.nodes import RUN
 from sim.fem.numerics import Numerics
 from sim.fem.scalars import vector_of
-from sim.fem.stencil import Stencil
 from sim.indenters import named
+from sim.speed.left_out import without_rounding
 
 RUNS = -(-COUNT // RUN)
 REALS = [
@@ -121,20 +121,13 @@ def test_a_product_of_half_the_bytes_keeps_three_digits(parallel: bool) -> None:
 
 
 @pytest.mark.parametrize(("name", "poisson"), [("sphere", 0.45), ("dots", 0.49)])
-def test_a_press_takes_no_more_iterations_with_it(
-    name: str, poisson: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_press_takes_no_more_iterations_with_it(name: str, poisson: float) -> None:
     body = Body(8e-3, 8e-3, 4e-3, poisson=poisson)
     scene = Scene(named(name), press([0.6e-3]), body, Effects(friction=Friction(0.8)))
     numerics = Numerics(spacing=4e-3 / 3, precision="float32", tolerance=1e-3)
     half = simulate(scene, numerics=numerics)
-    asked = Stencil.__init__
-
-    def whole(self: Stencil, *args: Any, **options: Any) -> None:
-        asked(self, *args, **{**options, "half": False})
-
-    monkeypatch.setattr(Stencil, "__init__", whole)
-    plain = simulate(scene, numerics=numerics)
+    with without_rounding():
+        plain = simulate(scene, numerics=numerics)
     assert not np.array_equal(half.wrench, plain.wrench), "nothing was rounded"
     np.testing.assert_allclose(half.force[-1, 2], plain.force[-1, 2], rtol=2e-3)
     assert half.quality.newton.sum() <= 1.1 * plain.quality.newton.sum()

@@ -50,8 +50,8 @@ def by_indenter(
 
 def _of_pairs(pairs: Sequence[Predictions]) -> tuple[IndenterErrors, ...]:
     names = {str(name) for one in pairs for name in one.indenter}
-    found = (_of_indenter(name, pairs) for name in sorted(names, key=natural_key))
-    return tuple(sorted(found, key=lambda one: -one.reach))
+    found = (_of_indenter(name, pairs) for name in names)
+    return tuple(sorted(found, key=lambda one: (-one.reach, natural_key(one.indenter))))
 
 
 def _of_indenter(name: str, pairs: Sequence[Predictions]) -> IndenterErrors:

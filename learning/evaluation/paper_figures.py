@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from learning.evaluation.force_table import ALL, UNSEEN, ForceRow, of_role
+from learning.force_errors import AXES
 
 GROUPS = {
     "homogeneous": ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i"),
@@ -22,7 +23,6 @@ NORMAL_RANGE, SHEAR_RANGE = 18.0, 8.0
 """Range of the paper's forces [N]: 0 to 18 and -4 to 4 (the paper, Results)."""
 NORMAL, SHEAR = ("fz",), ("fx", "fy")
 """Axes across the skin and along it."""
-_AXES = (*SHEAR, *NORMAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,10 +184,10 @@ def _value(row: ForceRow, measure: str, share: bool) -> float:
         if share:
             return math.nan
         return row.errors.r2_mean if measure == "r2" else row.value(measure)
-    axes = ("fx", "fy") if measure == "shear" else (measure,)
+    axes = SHEAR if measure == "shear" else (measure,)
     if share:
         return label_share(row, axes)
-    return sum(row.errors.mae[_AXES.index(axis)] for axis in axes) / len(axes)
+    return sum(row.errors.mae[AXES.index(axis)] for axis in axes) / len(axes)
 
 
 def label_share(row: ForceRow, axes: Sequence[str]) -> float:
@@ -197,7 +197,7 @@ def label_share(row: ForceRow, axes: Sequence[str]) -> float:
         row: The errors.
         axes: Some of `fx`, `fy`, `fz`.
     """
-    places = [_AXES.index(axis) for axis in axes]
+    places = [AXES.index(axis) for axis in axes]
     return sum(row.errors.mae[place] / row.label_range[place] for place in places) / len(axes)
 
 

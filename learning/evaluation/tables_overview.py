@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from learning.evaluation.force_table import BEFORE, TARGET, ForceRow, variant_name
 from learning.evaluation.group_results import Group, mean
-from learning.evaluation.markdown import head, line
+from learning.evaluation.markdown import head, line, or_dash
 from learning.evaluation.paper_figures import NORMAL, SHEAR, label_share
 
 TOLD = """\
@@ -40,6 +40,7 @@ def overview(groups: Sequence[Group]) -> list[str]:
     for group in groups:
         best = group.best
         rows = group.rows(group.after, best)
+        fits = _fits(rows)
         newtons = mean(row.errors.shear for row in rows), mean(row.errors.mae[2] for row in rows)
         shares = (100 * mean(label_share(row, axes) for row in rows) for axes in (SHEAR, NORMAL))
         lines.append(
@@ -47,15 +48,15 @@ def overview(groups: Sequence[Group]) -> list[str]:
                 group.name,
                 str(group.pairs),
                 variant_name((group.after, best)),
-                _told(_fits(group.rows(BEFORE))),
-                _told(_fits(rows)),
-                f"{min(_fits(rows)):.3f}",
+                or_dash(mean(_fits(group.rows(BEFORE))), ".3f"),
+                or_dash(mean(fits), ".3f"),
+                f"{min(fits):.3f}",
                 _but_for_one(group, best),
-                _told(_fits(group.rows(TARGET))),
-                _told(group.label_fits()),
+                or_dash(mean(_fits(group.rows(TARGET))), ".3f"),
+                or_dash(mean(group.label_fits()), ".3f"),
                 ", ".join(f"{value:.3f}" for value in newtons),
                 ", ".join(f"{value:.1f}" for value in shares),
-                _told(group.dice(best).values()),
+                or_dash(mean(group.dice(best).values()), ".3f"),
             )
         )
     return lines
@@ -72,8 +73,3 @@ def _but_for_one(group: Group, best: str) -> str:
 
 def _fits(rows: Sequence[ForceRow]) -> list[float]:
     return [row.errors.r2_mean for row in rows]
-
-
-def _told(values: Iterable[float]) -> str:
-    found = mean(values)
-    return f"{found:.3f}" if math.isfinite(found) else "-"

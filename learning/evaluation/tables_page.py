@@ -20,7 +20,7 @@ from learning.evaluation.force_table import (
     variants,
 )
 from learning.evaluation.group_results import NO_TRANSLATOR, Group, mean
-from learning.evaluation.markdown import head, line
+from learning.evaluation.markdown import head, line, or_dash
 from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
 from learning.evaluation.predictions import CHOICES
 from learning.evaluation.tables_overview import overview
@@ -151,7 +151,7 @@ def _indenters(group: Group, best: str) -> list[str]:
     lines += head("indenter", "reaches [N]", "MAE of shear, Fz [N]", "R2 of all others")
     for one in found:
         errors = f"{one.shear:.3f}, {one.normal:.3f}"
-        others = f"{one.r2_of_others:.3f}" if math.isfinite(one.r2_of_others) else "-"
+        others = or_dash(one.r2_of_others, ".3f")
         lines.append(line(one.indenter, f"{one.reach:.1f}", errors, others))
     return lines
 
@@ -194,8 +194,8 @@ def _translations(group: Group) -> list[str]:
             cells = [f"{mean(row.dice for row in rows):.3f}"]
             cells += [f"{mean(row.centroid_px for row in rows):.2f}"]
             cells += [f"{mean(row.centroid_mm for row in rows):.3f}"]
-            known = [row.epe_px for row in rows if math.isfinite(row.epe_px)]
-            cells += [f"{mean(known):.2f}" if known else "-"]
+            known = (row.epe_px for row in rows if math.isfinite(row.epe_px))
+            cells += [or_dash(mean(known), ".2f")]
             cells += [f"{100 * mean(row.count_mismatch for row in rows):.0f}"]
             lines.append(line(method if other else f"by {translator}", *cells))
             if other:

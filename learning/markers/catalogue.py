@@ -6,9 +6,8 @@ from functools import cache
 from pathlib import Path
 from typing import get_args
 
-from learning.errors import LearningError
 from learning.markers.preset import Preset
-from learning.settings import build_one_of, preset_names, read_mapping
+from learning.settings import build_one_of, preset_names, preset_path, read_mapping
 
 FOLDER = Path(__file__).parent / "presets"
 
@@ -25,11 +24,7 @@ def preset(name: str) -> Preset:
     Raises:
         LearningError: No such preset, or a file that is none.
     """
-    if name.endswith((".yaml", ".yml")):
-        return read_preset(Path(name))
-    if name not in names():
-        raise LearningError(f"preset: found {name!r}; known: {', '.join(names())}, or a .yaml file")
-    return read_preset(FOLDER / f"{name}.yaml")
+    return read_preset(preset_path(FOLDER, name))
 
 
 def preset_of_sensor(sensor: str) -> str | None:

@@ -48,7 +48,6 @@ class Newton:
         self._cg = ConjugateGradient(
             assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.columns
         )
-        self._every = ELASTIC_EVERY if assembly.stencil.keeps else 1
         self._start = wp.zeros_like(assembly.state.u)
         planted = assembly.numerics.planted
         self._friction = "friction" in assembly.effects
@@ -106,8 +105,11 @@ class Newton:
                 slow = self.mask(late)
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
-        anew = running & ((self.iterations % self._every == 0) | (self._damping > 0))
-        assembly.linearise(active, state.u, self._damping, self.mask(anew))
+        anew = None
+        if assembly.stencil.keeps:
+            due = (self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0)
+            anew = self.mask(running & due)
+        assembly.linearise(active, state.u, self._damping, anew)
         if predicting.any():
             assembly.push(self.mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
