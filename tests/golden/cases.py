@@ -1,0 +1,1024 @@
+"""The cases of the golden set: command lines of all packages, and what is looked at after them."""
+
+# ruff: noqa: E501  (a command line is one line)
+
+from __future__ import annotations
+
+from golden import Case
+
+GELSIGHT, USKIN = "{data}/gelsight.zarr", "{data}/uskin.zarr"
+ARCHIVE, SPLIT = "{data}/skins.markers.zarr", "{data}/split.json"
+MODELS = "{data}/models"
+BENCHES = ("gelsight", "gelsight-hetero", "gelsight-material", "tacpalm", "uskin")
+
+
+def _bench(text: str, of: str = "gelsight") -> str:
+    """A bench file that changes one of ours."""
+    return f"extends: {{root}}/benches/{of}.yaml\n{text}\n"
+
+
+def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tuple[object, ...]:
+    """A copy of a session or archive, and what is done to it."""
+    inside = tuple((kind, f"{{out}}/{name}/{path}", *rest) for kind, path, *rest in steps)
+    return (("copy", source, f"{{out}}/{name}"), *inside)
+
+
+# What the help pages name
+
+RIG = (
+    *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
+    *("preview", "compare", "mock", "replay"),
+)
+RECORDER = ("info", "check", "recover", "repack", "export", "import", "view", "sheet")
+SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
+LEARNING = (
+    *("markers", "import-genforce", "export-genforce", "split", "train-field"),
+    *("train-autoencoder", "train-direct", "train-marker-vae", "train-diffusion"),
+    *("import-weights", "translate", "compensate", "train-force", "export-onnx", "predict"),
+    *("evaluate", "experiment"),
+)
+HELP = tuple(
+    Case(
+        f"{package}-help",
+        (f"{package} --help", *(f"{package} {verb} --help" for verb in verbs)),
+        together=True,
+    )
+    for package, verbs in (
+        ("rig", RIG),
+        ("recorder", RECORDER),
+        ("sim", SIM),
+        ("learning", LEARNING),
+    )
+)
+
+# Rig
+
+WRONG_BENCHES = {
+    "unknown-key": "wheels: 4",
+    "unknown-inner-key": "arm: {wheels: 4}",
+    "wrong-type": "rate_hz: fast",
+    "not-finite": "rate_hz: .nan",
+    "too-deep": "trajectory: {depth_max_mm: 3.0}",
+    "unknown-kind": "camera: {kind: eye, address: x, rate_hz: 30.0}",
+    "no-unit": "limits: {depth_max: 1.0}",
+    "twice": "rate_hz: 40.0\nrate_hz: 50.0",
+    "outside-box": "trajectory: {step_x_mm: 9.0}",
+}
+WRONG_CAMPAIGNS = {
+    "none": "sessions: []",
+    "key": "session: []",
+    "indenter": "sessions: [{sensor: gelsight}]",
+    "sensor": "sessions: [{sensor: nosuch, indenter: a}]",
+    "plan": "sessions: [{sensor: gelsight, indenter: a, plan: wave}]",
+    "targets": "sessions: [{sensor: gelsight, indenter: a, targets: 999}]",
+    "twice": "sessions: [{sensor: uskin, indenter: a}, {sensor: uskin, indenter: a}]",
+}
+RIG_CASES = (
+    Case(
+        "rig-preview",
+        timed=False,
+        commands=tuple(f"rig preview --sensor {name} --out {{out}}/{name}.png" for name in BENCHES),
+        together=True,
+        look=("*.png",),
+    ),
+    Case(
+        "rig-bench-refused",
+        timed=False,
+        commands=(
+            *(
+                f"rig preview --bench {{out}}/{name}.yaml --out {{out}}/x.png"
+                for name in WRONG_BENCHES
+            ),
+            "rig preview --bench {out}/none.yaml --out {out}/x.png",
+            "rig preview --bench {out}/list.yaml --out {out}/x.png",
+            "rig preview --sensor nosuch --out {out}/x.png",
+            "rig preview --out {out}/x.png",
+        ),
+        together=True,
+        prepare=(
+            *(
+                ("write", f"{{out}}/{name}.yaml", _bench(text))
+                for name, text in WRONG_BENCHES.items()
+            ),
+            ("write", "{out}/list.yaml", "[1, 2]\n"),
+        ),
+    ),
+    Case(
+        "rig-collect-refused",
+        (
+            "rig collect --sensor nosuch --out {out}/a.zarr",
+            "rig collect --sensor gelsight --targets 0 --out {out}/a.zarr",
+            "rig collect --sensor gelsight --targets 999 --out {out}/a.zarr",
+            "rig collect --sensor gelsight --bench a.yaml --out {out}/a.zarr",
+            "rig collect --sensor gelsight --camera {out}/nowhere --out {out}/a.zarr",
+            "rig collect --sensor gelsight --taxels {out}/none.npy --out {out}/a.zarr",
+            "rig collect --resume {out}/nowhere.zarr",
+            "rig collect --resume {out}/x.zarr --targets 3",
+            "rig collect --resume {out}/x.zarr --sensor tacpalm",
+            "rig home --sensor gelsight --repeats 0 --out {out}/a.zarr",
+            "rig calibrate-latency --sensor gelsight --taps 0 --out {out}/a.zarr",
+            "rig jog --sensor gelsight",
+            "rig grip --sensor nosuch",
+        ),
+        together=True,
+        prepare=_copied(GELSIGHT),
+    ),
+    Case(
+        "rig-out-exists",
+        (
+            "rig collect --sensor gelsight --targets 1 --out {out}/x.zarr",
+            "rig force-depth --sensor gelsight --out {out}/x.zarr",
+        ),
+        prepare=_copied(GELSIGHT),
+        loose=True,
+        slow=True,
+    ),
+    Case(
+        "rig-resume-refused",
+        (
+            "rig collect --resume {out}/y.zarr --bench {out}/same.yaml",
+            "rig collect --resume {out}/z.zarr",
+        ),
+        together=True,
+        prepare=(
+            ("write", "{out}/same.yaml", _bench("", of="tacpalm")),
+            *_copied(GELSIGHT, "y.zarr", ("json", "zarr.json", "attributes.status", "stopped")),
+            *_copied(GELSIGHT, "z.zarr", ("json", "zarr.json", "attributes.format_version", 99)),
+        ),
+    ),
+    Case(
+        "rig-campaign",
+        (
+            "rig campaign --file campaigns/day.yaml --out {out}/none --list",
+            "rig campaign --file {out}/none.yaml --list",
+            *(f"rig campaign --file {{out}}/{name}.yaml --list" for name in WRONG_CAMPAIGNS),
+        ),
+        together=True,
+        prepare=tuple(
+            ("write", f"{{out}}/{name}.yaml", f"out: {{out}}/day\n{text}\n")
+            for name, text in WRONG_CAMPAIGNS.items()
+        ),
+    ),
+    Case(
+        "rig-compare",
+        ("rig compare --session " + GELSIGHT + " --truth {out}/none.truth",),
+        together=True,
+    ),
+    Case(
+        "rig-replay",
+        (f"rig replay --session {GELSIGHT} --speed max --out {{out}}/x.zarr",),
+        look=("x.zarr",),
+        loose=True,
+    ),
+    Case(
+        "rig-replay-taxels",
+        (f"rig replay --session {USKIN} --speed max --out {{out}}/x.zarr",),
+        look=("x.zarr",),
+        loose=True,
+    ),
+    Case(
+        "rig-replay-refused",
+        (
+            "rig replay --session {out}/none.zarr --out {out}/x.zarr",
+            f"rig replay --session {GELSIGHT} --speed 0 --out {{out}}/x.zarr",
+            f"rig replay --session {GELSIGHT} --speed x --out {{out}}/x.zarr",
+            f"rig replay --session {GELSIGHT} --out {GELSIGHT}",
+            f"rig replay --session {GELSIGHT} --without smell --out {{out}}/x.zarr",
+            f"rig replay --session {ARCHIVE} --out {{out}}/x.zarr",
+        ),
+        together=True,
+    ),
+    Case(
+        "rig-collect-tacpalm",
+        (
+            "rig collect --sensor tacpalm --targets 1 --indenter cylinder --operator golden "
+            "--calibrations {out}/none --out {out}/x.zarr --truth {out}/x.truth",
+            "recorder check {out}/x.zarr",
+            "rig compare --session {out}/x.zarr --truth {out}/x.truth",
+        ),
+        look=("*",),
+        loose=True,
+        unstable=(r"commands\.[12]\.(exit|text.*)", r"files\..*\.log.*"),
+    ),
+    Case(
+        "rig-collect-uskin",
+        (
+            "rig collect --sensor uskin --targets 2 --indenter cylinder --operator golden "
+            "--calibrations {out}/none --out {out}/x.zarr",
+            "recorder info {out}/x.zarr",
+        ),
+        look=("x.zarr",),
+        loose=True,
+    ),
+    Case(
+        "rig-force-depth",
+        (
+            "rig force-depth --bench {out}/b.yaml --operator golden --calibrations {out}/none "
+            "--out {out}/x.zarr",
+        ),
+        prepare=(
+            (
+                "write",
+                "{out}/b.yaml",
+                _bench("force_depth: {kind: force_depth, depth_max_mm: 0.4, repeats: 1}", "uskin"),
+            ),
+        ),
+        look=("x.zarr",),
+        loose=True,
+        slow=True,
+    ),
+    Case(
+        "rig-world-sim",
+        (
+            "rig collect --sensor uskin --world sim --targets 1 --indenter cylinder --operator golden "
+            "--calibrations {out}/none --out {out}/x.zarr",
+        ),
+        look=("x.zarr",),
+        loose=True,
+        slow=True,
+    ),
+    Case(
+        "rig-live",
+        (
+            f"rig live --model {MODELS}/force --session {GELSIGHT} --runtime torch --seconds 2 "
+            "--out {out}/x.csv",
+        ),
+        look=("x.csv",),
+        loose=True,
+        unstable=(r"commands\.0\.text.*",),
+    ),
+    Case(
+        "rig-live-refused",
+        (
+            f"rig live --model {{out}}/none --session {GELSIGHT}",
+            f"rig live --model {MODELS}/direct --session {GELSIGHT} --runtime torch",
+            f"rig live --model {MODELS}/force --session {GELSIGHT} --runtime onnx",
+            f"rig live --model {MODELS}/force --session {GELSIGHT} --sensor gelsight",
+            f"rig live --model {MODELS}/force --session {GELSIGHT} --seconds 0",
+            f"rig live --model {MODELS}/force --session {{out}}/none.zarr",
+            f"rig live --session {GELSIGHT}",
+        ),
+        together=True,
+    ),
+)
+
+# Recorder
+
+NEWER = ("json", "zarr.json", "attributes.format_version", 99)
+RECORDER_CASES = (
+    Case(
+        "recorder-info",
+        (f"recorder info {GELSIGHT}", f"recorder info {USKIN}", f"recorder info {ARCHIVE}"),
+        together=True,
+        portable=True,
+    ),
+    Case(
+        "recorder-check",
+        (f"recorder check {GELSIGHT}", f"recorder check {USKIN}", f"recorder check {ARCHIVE}"),
+        together=True,
+        portable=True,
+    ),
+    Case(
+        "recorder-check-broken",
+        tuple(f"recorder check {{out}}/{name}.zarr" for name in "abcdefgh"),
+        together=True,
+        portable=True,
+        prepare=(
+            *_copied(GELSIGHT, "a.zarr", ("delete", "streams/force/seq/c/0")),
+            *_copied(GELSIGHT, "b.zarr", ("json", "zarr.json", "attributes.status", "recording")),
+            *_copied(GELSIGHT, "c.zarr", ("cut", "streams/force/value/c/0/0", 2000)),
+            *_copied(GELSIGHT, "d.zarr", ("delete", "streams/force/zarr.json")),
+            *_copied(USKIN, "e.zarr", ("delete", "streams/taxels/value")),
+            *_copied(USKIN, "f.zarr", ("json", "streams/force/value/zarr.json", "attributes", {})),
+            *_copied(ARCHIVE, "g.zarr", ("delete", "r6/table/wrench")),
+            *_copied(ARCHIVE, "h.zarr", ("delete", "r18/zarr.json")),
+        ),
+    ),
+    Case(
+        "recorder-refused",
+        (
+            *(
+                f"recorder {verb} {{out}}/none.zarr"
+                for verb in ("info", "check", "recover", "sheet")
+            ),
+            *(f"recorder {verb} {{out}}/text.zarr" for verb in ("info", "check", "sheet")),
+            *(f"recorder {verb} {{out}}/newer.zarr" for verb in ("info", "check", "recover")),
+            "recorder info {out}/other.zarr",
+            "recorder info {out}/bare.zarr",
+            "recorder info {out}/newer.markers.zarr",
+            "recorder info {out}/broken.zarr",
+            f"recorder sheet {ARCHIVE} --output {{out}}/x.png",
+            f"recorder sheet {GELSIGHT} --count 0 --output {{out}}/x.png",
+            f"recorder repack {GELSIGHT} {{out}}/newer.zarr",
+            f"recorder repack {GELSIGHT} {{out}}/x.zarr --profile smaller",
+            f"recorder export {GELSIGHT} {{out}}/newer.zarr --to hdf5",
+            f"recorder export {GELSIGHT} {{out}}/x --to word",
+            f"recorder export {ARCHIVE} {{out}}/x --to hdf5",
+            "recorder recover s3://bucket/x.zarr",
+        ),
+        together=True,
+        portable=True,
+        prepare=(
+            ("write", "{out}/text.zarr", "no session\n"),
+            *_copied(GELSIGHT, "newer.zarr", NEWER),
+            *_copied(GELSIGHT, "other.zarr", ("json", "zarr.json", "attributes.format", "else")),
+            *_copied(GELSIGHT, "bare.zarr", ("json", "zarr.json", "attributes", {})),
+            *_copied(ARCHIVE, "newer.markers.zarr", NEWER),
+            *_copied(GELSIGHT, "broken.zarr", ("cut", "zarr.json", 300)),
+        ),
+    ),
+    Case(
+        "recorder-missing-field",
+        tuple(f"recorder info {{out}}/{name}.zarr" for name in "abcdef"),
+        together=True,
+        portable=True,
+        prepare=(
+            *_copied(GELSIGHT, "a.zarr", ("json", "zarr.json", "attributes.status", None)),
+            *_copied(GELSIGHT, "b.zarr", ("json", "zarr.json", "attributes.sensor", None)),
+            *_copied(GELSIGHT, "c.zarr", ("json", "zarr.json", "attributes.t0_ns", None)),
+            *_copied(GELSIGHT, "d.zarr", ("delete", "segments")),
+            *_copied(GELSIGHT, "e.zarr", ("delete", "streams/camera")),
+            *_copied(GELSIGHT, "f.zarr", ("delete", "frames")),
+        ),
+    ),
+    Case(
+        "recorder-recover",
+        (
+            "recorder recover {out}/x.zarr",
+            "recorder recover {out}/x.zarr",
+            "recorder check {out}/x.zarr",
+        ),
+        together=True,
+        portable=True,
+        prepare=_copied(
+            GELSIGHT,
+            "x.zarr",
+            ("json", "zarr.json", "attributes.status", "recording"),
+            ("write", "streams/force/t_ns/journal-99999", "torn"),
+        ),
+        look=("x.zarr",),
+    ),
+    Case(
+        "recorder-repack-portable",
+        (f"recorder repack {GELSIGHT} {{out}}/x.zarr", "recorder info {out}/x.zarr"),
+        portable=True,
+        look=("x.zarr",),
+    ),
+    Case(
+        "recorder-repack-camera",
+        (f"recorder repack {GELSIGHT} {{out}}/x.zarr --profile camera",),
+        portable=True,
+        look=("x.zarr",),
+    ),
+    Case(
+        "recorder-export-hdf5",
+        (
+            f"recorder export {USKIN} {{out}}/x.h5 --to hdf5",
+            f"recorder export {GELSIGHT} {{out}}/y.h5 --to hdf5",
+            f"recorder export {GELSIGHT} {{out}}/z.h5 --to hdf5 --decode",
+        ),
+        together=True,
+        portable=True,
+        look=("*.h5",),
+    ),
+    Case(
+        "recorder-export-mcap",
+        (
+            f"recorder export {USKIN} {{out}}/x.mcap --to mcap",
+            f"recorder export {GELSIGHT} {{out}}/y.mcap --to mcap",
+        ),
+        together=True,
+        portable=True,
+        look=("*.mcap",),
+    ),
+    Case(
+        "recorder-export-lerobot",
+        (
+            f"recorder export {USKIN} {{out}}/x --to lerobot",
+            f"recorder export {GELSIGHT} {{out}}/y --to lerobot --valid-only",
+        ),
+        together=True,
+        portable=True,
+        look=("x", "y"),
+    ),
+    Case(
+        "recorder-export-genforce",
+        (
+            f"recorder export {GELSIGHT} {{out}}/x --to genforce",
+            f"recorder export {USKIN} {{out}}/y --to genforce",
+        ),
+        together=True,
+        portable=True,
+        look=("x", "y"),
+    ),
+    Case(
+        "recorder-sheet",
+        (
+            f"recorder sheet {GELSIGHT} --output {{out}}/x.png --count 5",
+            f"recorder sheet {USKIN} --output {{out}}/y.png",
+        ),
+        together=True,
+        look=("*.png",),
+    ),
+    Case(
+        "recorder-import",
+        (
+            "recorder import {out}/a.zarr --video {out}/frames --fps 20 --sensor gelsight "
+            "--indenter ball --operator golden",
+            "recorder import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --sensor uskin "
+            "--indenter ball --operator golden",
+            "recorder import {out}/c.zarr --video {out}/frames --fps 20 --force {out}/f.csv "
+            "--force-hz 40 --units N --torque-units N*m --trim --sensor gelsight --indenter ball "
+            "--operator golden",
+            "recorder info {out}/b.zarr",
+            "recorder check {out}/a.zarr",
+        ),
+        together=True,
+        portable=True,
+        prepare=(
+            *(("png", f"{{out}}/frames/{index:03}.png", index) for index in range(12)),
+            ("npy", "{out}/t.npy", 60, 48, 3),
+            (
+                "write",
+                "{out}/f.csv",
+                "fx,fy,fz,tx,ty,tz\n" + "".join(f"0,{n / 10},-{n},0,0,0.01\n" for n in range(24)),
+            ),
+        ),
+        look=("*.zarr",),
+    ),
+    Case(
+        "recorder-import-refused",
+        (
+            "recorder import {out}/a.zarr --sensor uskin --indenter ball",
+            "recorder import {out}/a.zarr --taxels {out}/t.npy --sensor uskin --indenter ball",
+            "recorder import {out}/a.zarr --taxels {out}/bad.npy --taxels-hz 60 --sensor u --indenter b",
+            "recorder import {out}/a.zarr --taxels {out}/none.npy --taxels-hz 60 --sensor u --indenter b",
+            "recorder import {out}/a.zarr --taxels {out}/t.npy --taxels-hz -1 --sensor u --indenter b",
+            "recorder import {out}/a.zarr --taxels {out}/n.npy --taxels-hz 60 --sensor u --indenter b",
+            "recorder import {out}/a.zarr --force {out}/f.csv --force-hz 40 --sensor u --indenter b",
+            "recorder import {out}/a.zarr --video {out}/f.csv --fps 9 --sensor u --indenter b",
+            "recorder import {out}/a.zarr --video {out}/none --fps 9 --sensor u --indenter b",
+        ),
+        together=True,
+        portable=True,
+        prepare=(
+            ("npy", "{out}/t.npy", 60, 48, 3),
+            ("npy", "{out}/n.npy", 60, 7, 3),
+            ("write", "{out}/bad.npy", "no array"),
+            ("write", "{out}/f.csv", "fx,fy,fz\n1,2,x\n"),
+        ),
+    ),
+)
+
+# Simulator: forces, surface and quality of scenes over tiers, effects and precisions
+
+
+def _scene(name: str, words: str, **more: object) -> Case:
+    line = f"sim {words} --json --save {{out}}/x.zarr"
+    return Case(f"sim-{name}", (line,), look=("x.zarr",), timeout=600, **more)  # type: ignore[arg-type]
+
+
+STL = "solid wedge\n" + "".join(
+    "facet normal 0 0 0\nouter loop\n"
+    + "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners)
+    + "endloop\nendfacet\n"
+    for corners in (
+        ((-2, -2, 3), (2, -2, 3), (2, 2, 3)),
+        ((-2, -2, 3), (2, 2, 3), (-2, 2, 3)),
+        ((0, 0, 0), (2, -2, 3), (-2, -2, 3)),
+        ((0, 0, 0), (2, 2, 3), (2, -2, 3)),
+        ((0, 0, 0), (-2, 2, 3), (2, 2, 3)),
+        ((0, 0, 0), (-2, -2, 3), (-2, 2, 3)),
+    )
+)
+SIM_CASES = (
+    _scene("layer-press-sphere", "press --tier layer --shape sphere --radius 4 --depths 0.5,1"),
+    _scene("layer-press-dots", "press --tier layer --shape dots --depths 0.3,0.6 --at -2,1.5"),
+    _scene("layer-loop-prism", "loop --tier layer --shape prism --depth 0.8 --shear 0.6 --steps 2"),
+    _scene("layer-hold", "hold --tier layer --shape cylinder --depth 0.6 --steps 3"),
+    _scene(
+        "layer-viscous-friction",
+        "loop --tier layer --shape moon --depth 0.5 --shear 0.4 --angle 30 --steps 2 "
+        "--viscosity 0.5:0.5,0.2:0.05 --friction 0.8",
+    ),
+    _scene("fem-press-sphere", "press --shape sphere --radius 4 --depths 0.4,0.8 --mesh 1.3"),
+    _scene(
+        "fem-press-box-float64",
+        "press --shape box --width 4 --length 3 --depths 0.3,0.6 --mesh 1.3 --precision float64",
+    ),
+    _scene(
+        "fem-press-prism-float32",
+        "press --shape prism --depths 0.3,0.6 --mesh 1.3 --precision float32 --size 16,16,4",
+    ),
+    _scene(
+        "fem-loop-friction", "loop --shape cylinder --depth 0.6 --shear 0.5 --steps 2 --mesh 1.3"
+    ),
+    _scene("fem-hold-viscosity", "hold --shape sphere --radius 3 --depth 0.6 --steps 2 --mesh 1.3"),
+    _scene(
+        "fem-viscosity-shear",
+        "hold --shape moon --depth 0.4 --steps 2 --mesh 1.3 --relaxes shear --viscosity 0.5:0.1",
+    ),
+    _scene("fem-gravity", "press --shape dots --depths 0.3,0.5 --mesh 1.3 --gravity 0,-9.81,0"),
+    _scene(
+        "fem-inertia",
+        "press --shape sphere --radius 4 --depths 0.2,0.4 --mesh 1.3 --inertia --speed 50",
+    ),
+    _scene("fem-dome", "press --shape plane --depths 0.3,0.6 --dome 60 --mesh 1.3"),
+    _scene(
+        "fem-all-effects",
+        "loop --shape sphere --radius 4 --depth 0.5 --shear 0.3 --steps 2 --mesh 1.3 --friction 0.6 "
+        "--viscosity 0.4:0.2 --gravity --inertia 1 --precision float64",
+        slow=True,
+    ),
+    Case(
+        "sim-fem-stl-tilted",
+        (
+            "sim press --shape {out}/wedge.stl --tilt 5,-3 --depths 0.3,0.6 --mesh 1.3 --json "
+            "--save {out}/x.zarr",
+            "sim press --shape {out}/wedge.stl --stl-unit m --depths 0.3 --tier layer --json",
+            "sim press --shape {out}/text.stl --depths 0.3 --tier layer --json",
+        ),
+        prepare=(
+            ("write", "{out}/wedge.stl", STL + "endsolid wedge\n"),
+            ("write", "{out}/text.stl", "no body\n"),
+        ),
+        look=("x.zarr",),
+        timeout=600,
+    ),
+    _scene("tilted-layer", "press --shape cylinder --tilt 4,2 --tier layer --depths 0.4,0.8"),
+    _scene(
+        "fem-error-bar",
+        "press --shape sphere --radius 4 --depths 0.5 --mesh 1.0 --error-bar",
+        slow=True,
+    ),
+    _scene(
+        "fem-extrapolate",
+        "press --shape sphere --radius 4 --depths 0.5 --mesh 1.0 --extrapolate",
+        slow=True,
+    ),
+    _scene("tolerance", 'press --shape sphere --radius 4 --depths 0.5 --tolerance "20 %"'),
+    Case(
+        "sim-table-and-picture",
+        (
+            "sim press --tier layer --shape dots --depths 0.2,0.4 --out {out}/press.png",
+            "sim loop --tier layer --shape sphere --steps 1 --out {out}/loop.png",
+            "sim hold --tier layer --shape line --steps 2 --out {out}/hold.png",
+        ),
+        together=True,
+        look=("*.png",),
+    ),
+    Case(
+        "sim-refused",
+        tuple(
+            f"sim {words} --json"
+            for words in (
+                "press --tier layer --shape bla",
+                "press --tier layer --shape prism --radius 3",
+                "press --tier layer --shape box --width 3",
+                "press --tier layer --shape sphere --radius -4",
+                "press --tier layer --shape torus --ring-radius 3 --tube-radius 1 --edge-radius 1",
+                "press --tier layer --shape prism --edge-radius 9",
+                "press --tier layer --poisson 0.5",
+                "press --tier layer --size 20,20,0",
+                "press --tier layer --friction -1",
+                "press --tier layer --friction nan",
+                "press --tier layer --depths nan",
+                "press --tier layer --depths 5",
+                "press --tier layer --depths 1,1",
+                "press --tier layer --depths 1,x",
+                "press --tier layer --at 1",
+                "press --tier layer --speed 0",
+                "press --tier layer --viscosity 0.5:0",
+                "press --tier layer --mesh 1",
+                "press --tier layer --gravity",
+                "press --tier layer --tolerance 5",
+                "press --tier mpm",
+                "press --mesh 0",
+                "press --mesh 3",
+                "press --device cuda:7",
+                'press --tolerance "0 %"',
+                'press --tolerance "0.00001 %"',
+                "press --tolerance much",
+                "press --out x.jpg",
+                "loop --tier layer --shear 0",
+                "loop --tier layer --steps 0",
+                "hold --tier layer --ramp 0",
+                "hold --viscosity 0.5",
+                "press --shape {out}/none.stl",
+            )
+        ),
+        together=True,
+    ),
+    Case(
+        "sim-archive-sensors",
+        (
+            "sim archive sensors --sensors gelsight,tacpalm,uskin --tier layer --scale smoke --steps 1 "
+            "--indenters sphere --processes 1 --out {out}/x.markers.zarr",
+            "recorder info {out}/x.markers.zarr",
+            "sim archive sheet {out}/x.markers.zarr --out {out}/x.png",
+        ),
+        look=("x.markers.zarr", "x.png"),
+        timeout=600,
+        slow=False,
+    ),
+    Case(
+        "sim-archive-in-use",
+        (
+            "sim archive sensors --sensors array-i,{out}/mine.yaml --tier layer --scale 0.005 --steps 1 "
+            "--indenters cone --processes 2 --no-check --seed 3 --out {out}/x.markers.zarr",
+        ),
+        prepare=(
+            (
+                "write",
+                "{out}/mine.yaml",
+                "extends: {root}/sim/sensors/rows/gelsight.yaml\ndescription: our own skin\n"
+                "body: {modulus_kpa: 200.0}\nsignal: {patterns: [Circle-I]}\n"
+                "life: {mount: {shift_mm: 0.2, turn_deg: 1.0}}\n",
+            ),
+        ),
+        look=("x.markers.zarr",),
+        timeout=600,
+        slow=True,
+    ),
+    Case(
+        "sim-archive-states",
+        (
+            "sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
+            "--processes 1 --out {out}/x.markers.zarr",
+            "sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
+            "--processes 1 --out {out}/x.markers.zarr",
+            "sim archive states --smoke --indenters sphere --patterns Array1 --tier layer "
+            "--processes 1 --out {out}/x.markers.zarr",
+            "sim archive resume {out}/x.markers.zarr --no-check",
+        ),
+        look=("x.markers.zarr",),
+        timeout=600,
+        slow=True,
+    ),
+    Case(
+        "sim-archive-fem",
+        (
+            "sim archive sensors --sensors r6,r18 --tier fem --spacing 1.3 --scale smoke --steps 1 "
+            "--indenters sphere --processes 1 --no-check --out {out}/x.markers.zarr",
+        ),
+        look=("x.markers.zarr",),
+        timeout=900,
+        slow=True,
+    ),
+    Case(
+        "sim-archive-refused",
+        (
+            "sim archive sensors --out {out}/x.markers.zarr",
+            "sim archive sensors --sensors digit --out {out}/x.markers.zarr",
+            "sim archive sensors --sensors {out}/key.yaml --out {out}/x.markers.zarr",
+            "sim archive sensors --sensors {out}/value.yaml --out {out}/x.markers.zarr",
+            "sim archive sensors --sensors {out}/none.yaml --out {out}/x.markers.zarr",
+            "sim archive sensors --sensors {out}/list.yaml --out {out}/x.markers.zarr",
+            "sim archive sensors --sensors {out}/circle.yaml --out {out}/x.markers.zarr",
+            "sim archive sensors --group homogeneous --scale 2 --out {out}/x.markers.zarr",
+            "sim archive sensors --group homogeneous --indenters egg --out {out}/x.markers.zarr",
+            "sim archive sensors --group homogeneous --steps -1 --out {out}/x.markers.zarr",
+            'sim archive sensors --group material --tier fem --tolerance "3 %" --out {out}/x.markers.zarr',
+            "sim archive states --patterns Spiral --out {out}/x.markers.zarr",
+            "sim archive states --processes 0 --tier layer --smoke --out {out}/x.markers.zarr",
+            "sim archive resume {out}/none.markers.zarr",
+            f"sim archive resume {ARCHIVE.replace('skins.markers', 'gelsight')}",
+            "sim archive sheet {out}/none.markers.zarr --out {out}/x.png",
+        ),
+        together=True,
+        prepare=(
+            (
+                "write",
+                "{out}/key.yaml",
+                "extends: {root}/sim/sensors/rows/gelsight.yaml\nwings: 2\n",
+            ),
+            (
+                "write",
+                "{out}/value.yaml",
+                "extends: {root}/sim/sensors/rows/gelsight.yaml\nbody: {modulus_kpa: soft}\n",
+            ),
+            ("write", "{out}/list.yaml", "[1]\n"),
+            ("write", "{out}/circle.yaml", "extends: circle.yaml\n"),
+        ),
+    ),
+    Case(
+        "sim-mpm",
+        ("sim.mpm.bench --only 'cell 0.5 mm, reach 0.25' --file {out}/rows.json",),
+        look=("rows.json",),
+        timeout=900,
+        slow=True,
+    ),
+)
+
+# Learning
+
+FORCE = (
+    f"--split {SPLIT} --preset tiny --set 'stages=[{{epochs: 2, learning_rate: 0.002}}]' "
+    "--set input.side_px=32 --set 'network.encoder=[4, 4, 8]' --set network.memory=8 "
+    "--set 'network.tail=[8, 8]'"
+)
+FEW = "--set 'launch={device: cpu, mixed_precision: no}' --set steps=2 --set batch=2"
+WEIGHTS = ("x/model.safetensors", "x/config.yaml")
+
+
+def _trained(name: str, line: str, **more: object) -> Case:
+    return Case(
+        f"learning-{name}",
+        (f"{line} --out {{out}}/x",),
+        look=("x/model.safetensors", "x/metrics.jsonl"),
+        rtol_elsewhere=0.05,
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def _based(kind: str) -> tuple[tuple[object, ...], ...]:
+    """A model that says where the networks are that it adapts."""
+    return (
+        ("copy", f"{MODELS}/{kind}", f"{{out}}/{kind}"),
+        ("fill", f"{{out}}/{kind}/config.yaml"),
+    )
+
+
+TRANSLATED = "--source r6 --target r18 --out {out}/x.markers.zarr"
+EXPERIMENT = (
+    "--pairs r6:r18 --processes 1 --set scored_presses=0 --set 'fine_tuning=[]' "
+    '--set \'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
+    '"network.memory=4", "network.tail=[4, 4]", '
+    '"stages=[{epochs: 1, learning_rate: 0.001}]"]}\' --set validation=0.0 --set new_press=0.2'
+)
+LEARNING_CASES = (
+    Case(
+        "learning-markers",
+        (
+            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset bench-gelsight "
+            "--sheet {out}/a.png",
+            f"learning markers {USKIN} --out {{out}}/b.markers.zarr",
+            "recorder info {out}/a.markers.zarr",
+        ),
+        together=True,
+        look=("*.markers.zarr", "a.png"),
+    ),
+    Case(
+        "learning-markers-refused",
+        (
+            f"learning markers {GELSIGHT}",
+            "learning markers {out}/none.zarr --out {out}/a.markers.zarr",
+            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset nosuch",
+            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset {{out}}/key.yaml",
+            f"learning markers {GELSIGHT} {USKIN} --out {{out}}/a.markers.zarr",
+            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --mm-per-px -1",
+            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --sam-encoder x.onnx",
+            f"learning markers {ARCHIVE} --out {{out}}/a.markers.zarr",
+        ),
+        together=True,
+        prepare=(("write", "{out}/key.yaml", "description: mine\nspeed: 3\n"),),
+    ),
+    Case(
+        "learning-split",
+        (
+            f"learning split {ARCHIVE} --out {{out}}/a.json",
+            f"learning split {ARCHIVE} --out {{out}}/b.json --seed 4 --new-press 0.3 --unseen sphere",
+            f"learning split {ARCHIVE} --out {{out}}/c.json --hold-out-sensors uskin",
+            f"learning split {ARCHIVE} --out {{out}}/d.json --validation 2",
+            f"learning split {ARCHIVE} --out {{out}}/d.json --hold-out-sensors digit",
+            f"learning split {ARCHIVE} --out {{out}}/d.json --unseen egg",
+            "learning split {out}/none.markers.zarr --out {out}/d.json",
+            f"learning split {GELSIGHT} --out {{out}}/d.json",
+        ),
+        together=True,
+        portable=True,
+        look=("*.json",),
+    ),
+    Case(
+        "learning-genforce",
+        (
+            f"learning export-genforce {ARCHIVE} --out {{out}}/x",
+            "learning import-genforce {out}/x --out {out}/y.markers.zarr",
+            "recorder info {out}/y.markers.zarr",
+            f"learning export-genforce {ARCHIVE} --out {{out}}/x",
+            "learning import-genforce {out}/none --out {out}/z.markers.zarr",
+            "learning import-genforce {data} --out {out}/z.markers.zarr",
+            "learning import-genforce {out}/x --mm-per-px r6 --out {out}/z.markers.zarr",
+        ),
+        together=True,
+        look=("x", "y.markers.zarr"),
+    ),
+    Case(
+        "learning-compensate",
+        (
+            f"learning compensate {ARCHIVE} --out {{out}}/a.json --split {SPLIT} --pairs r6:r18,r18:r6",
+            f"learning compensate {ARCHIVE} --out {{out}}/b.json --pairs r6:r18 --d0 0,0.5 "
+            "--lambda 0,1 --default 0,0.5 --picture {out}/b.png",
+            f"learning compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:digit",
+            f"learning compensate {ARCHIVE} --out {{out}}/c.json --d0 3",
+            f"learning compensate {ARCHIVE} --out {{out}}/c.json --default 0",
+            f"learning compensate {ARCHIVE} --out {{out}}/c.json --range-mm r6",
+        ),
+        together=True,
+        look=("*.json", "*.png"),
+    ),
+    Case(
+        "learning-translate-flow",
+        (
+            f"learning translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role train --sheet {{out}}/x.png",
+            "recorder check {out}/x.markers.zarr",
+        ),
+        look=("x.markers.zarr", "x.png"),
+    ),
+    Case(
+        "learning-translate-direct",
+        (f"learning translate {ARCHIVE} {TRANSLATED} --model {MODELS}/direct",),
+        look=("x.markers.zarr",),
+        timeout=300,
+    ),
+    Case(
+        "learning-translate-field",
+        (f"learning translate {ARCHIVE} {TRANSLATED} --model {MODELS}/field",),
+        look=("x.markers.zarr",),
+        timeout=300,
+    ),
+    Case(
+        "learning-translate-diffusion",
+        (f"learning translate {ARCHIVE} {TRANSLATED} --model {{out}}/diffusion",),
+        prepare=_based("diffusion"),
+        look=("x.markers.zarr",),
+        timeout=300,
+    ),
+    Case(
+        "learning-translate-refused",
+        (
+            f"learning translate {ARCHIVE} --out {{out}}/x.markers.zarr",
+            f"learning translate {ARCHIVE} --source r6 --target digit --out {{out}}/x.markers.zarr",
+            f"learning translate {ARCHIVE} --source r6 --target r6 --out {{out}}/x.markers.zarr",
+            f"learning translate {ARCHIVE} {TRANSLATED} --model {{out}}/none",
+            f"learning translate {ARCHIVE} {TRANSLATED} --model {MODELS}/force",
+            f"learning translate {ARCHIVE} {TRANSLATED} --model {{out}}/broken",
+            f"learning translate {ARCHIVE} {TRANSLATED} --role train",
+            f"learning translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role nobody",
+            f"learning translate {GELSIGHT} {TRANSLATED}",
+        ),
+        together=True,
+        prepare=(
+            ("copy", f"{MODELS}/direct", "{out}/broken"),
+            ("cut", "{out}/broken/model.safetensors", 1000),
+        ),
+    ),
+    Case(
+        "learning-predict-evaluate",
+        (
+            f"learning predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} "
+            "--role train,validation,new_indenter --out {out}/results/r6.npz",
+            f"learning predict {MODELS}/force {ARCHIVE} --sensor r18 --split {SPLIT} "
+            "--role train,validation,new_indenter --source r6 --out {out}/results/r18.npz",
+            "learning evaluate {out}/results --out {out}/report --title Golden",
+            f"learning predict {MODELS}/force {ARCHIVE} --sensor digit --split {SPLIT} --out {{out}}/a.npz",
+            f"learning predict {MODELS}/direct {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
+            f"learning predict {MODELS}/force {ARCHIVE} --sensor r6 --split {{out}}/none.json --out {{out}}/a.npz",
+            f"learning predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} --method transferred "
+            "--out {out}/a.npz",
+            "learning evaluate {out}/none --out {out}/report2",
+            f"learning evaluate {{out}}/results --archive {ARCHIVE} --out {{out}}/report2",
+        ),
+        together=True,
+        prepare=(("write", "{out}/results/.keep", ""),),
+        look=("results/*.npz", "report"),
+    ),
+    Case(
+        "learning-evaluate-translated",
+        (
+            f"learning translate {ARCHIVE} {TRANSLATED}",
+            f"learning evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
+            f"--split {SPLIT} --role train,new_indenter --out {{out}}/report",
+            f"learning evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
+            f"--split {SPLIT} --role train --features {MODELS}/autoencoder --frames 4 "
+            "--out {out}/report2",
+        ),
+        prepare=(("write", "{out}/results/.keep", ""),),
+        look=("results/*.npz", "report", "report2"),
+        slow=True,
+    ),
+    Case(
+        "learning-export-onnx",
+        (
+            f"learning export-onnx {MODELS}/force --out {{out}}/model.onnx",
+            f"learning export-onnx {MODELS}/field --out {{out}}/other.onnx",
+            "learning export-onnx {out}/none --out {out}/other.onnx",
+        ),
+        look=("model.onnx",),
+    ),
+    _trained("train-force", f"learning train-force {ARCHIVE} --sensor r6 {FORCE}"),
+    Case(
+        "learning-train-force-compensated",
+        (
+            f"learning compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:r18",
+            f"learning translate {ARCHIVE} {TRANSLATED}",
+            f"learning train-force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
+            f"--compensation {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
+            f"learning train-force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
+            f"--compensation {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
+        ),
+        look=("x/model.safetensors",),
+        rtol_elsewhere=0.05,
+        slow=True,
+    ),
+    _trained(
+        "train-autoencoder",
+        f"learning train-autoencoder {ARCHIVE} --split {SPLIT} --preset cpu_smoke --set steps=4 "
+        "--set warm_up=1 --set validate_every=4 --set most_images=20 --set validation_images=4",
+    ),
+    _trained(
+        "train-direct",
+        f"learning train-direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/autoencoder "
+        "--preset cpu_smoke --set steps=2 --set warm_up=1 --set validate_every=2 "
+        "--set validation_images=2 --sensors r6,r18 --set batch=2",
+    ),
+    _trained(
+        "train-field",
+        f"learning train-field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors r6,r18 "
+        "--set field_stage.steps=2 --set map_stage.steps=2 --set field_stage.warm_up_steps=1 "
+        "--set map_stage.warm_up_steps=1 --set validate_every_steps=2 --set validated=2 "
+        "--set field_stage.batch=2 --set map_stage.batch=2 --set 'net.widths=[8, 8, 16, 16, 16]' "
+        "--set 'map.widths=[8, 8, 8, 8]' --set map.numbers=4 --set examples.patterns=4",
+    ),
+    _trained(
+        "train-marker-vae",
+        f"learning train-marker-vae {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base {FEW}",
+    ),
+    _trained(
+        "train-diffusion",
+        f"learning train-diffusion {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base "
+        f"{FEW} --set unet_rank=2 --set vae_rank=2 --set losses.adversarial=0 "
+        "--set losses.perceptual=0 --set accumulation=1 --marker-vae {out}/marker-vae",
+        prepare=_based("marker-vae"),
+        slow=True,
+    ),
+    Case(
+        "learning-train-refused",
+        (
+            f"learning train-force {ARCHIVE} --sensor digit {FORCE} --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --set wings=2 --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --set input.side_px=big --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --set nonsense --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 --split {SPLIT} --preset huge --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --start-from {MODELS}/direct --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --compensation {SPLIT} --out {{out}}/x",
+            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --out {{out}}/force",
+            f"learning train-force {GELSIGHT} --sensor r6 {FORCE} --out {{out}}/x",
+            f"learning train-field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors digit --out {{out}}/x",
+            f"learning train-field {ARCHIVE} --split {{out}}/none.json --out {{out}}/x",
+            f"learning train-direct {ARCHIVE} --split {SPLIT} --out {{out}}/x",
+            f"learning train-direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/force --out {{out}}/x",
+            f"learning train-direct {ARCHIVE} --split {SPLIT} --from {MODELS}/direct --preset small "
+            "--out {out}/x",
+            f"learning train-autoencoder {ARCHIVE} --out {{out}}/x",
+            f"learning train-marker-vae {ARCHIVE} --split {SPLIT} --out {{out}}/x",
+            f"learning train-diffusion {ARCHIVE} --split {SPLIT} --base {{out}}/none --out {{out}}/x",
+            "learning train-diffusion",
+            "learning import-weights {out}/none.pkl --base {data}/base --out {out}/x",
+            f"learning import-weights {SPLIT} --base {{data}}/base --out {{out}}/x",
+        ),
+        together=True,
+        prepare=(("copy", f"{MODELS}/force", "{out}/force"),),
+    ),
+    Case(
+        "learning-experiment",
+        (
+            f"learning experiment {ARCHIVE} --out {{out}}/x {EXPERIMENT}",
+            f"learning experiment {ARCHIVE} --out {{out}}/x {EXPERIMENT} --set new_press=0.3",
+        ),
+        look=("x/results", "x/report", "x/*.json", "x/*.csv"),
+        rtol_elsewhere=0.05,
+        timeout=600,
+        slow=True,
+    ),
+    Case(
+        "learning-experiment-refused",
+        (
+            f"learning experiment {ARCHIVE} --out {{out}}/x --pairs r6:digit",
+            f"learning experiment {ARCHIVE} --out {{out}}/x --pairs r6",
+            f"learning experiment {ARCHIVE} --out {{out}}/x --preset none",
+            f"learning experiment {ARCHIVE} --out {{out}}/x --set 'translators=[magic]'",
+            f"learning experiment {ARCHIVE} --out {{out}}/x --set wings=2",
+            f"learning experiment {ARCHIVE} --out {{out}}/x --jobs 0",
+            "learning experiment {out}/none.markers.zarr --out {out}/x",
+        ),
+        together=True,
+    ),
+    Case(
+        "learning-demo",
+        (
+            "sim archive sensors --sensors examples/demo-learning/array-hard.yaml,"
+            "examples/demo-learning/circle.yaml,examples/demo-learning/diamond-soft.yaml --tier layer "
+            "--scale 0.025 --steps 4 --no-check --out {out}/demo.markers.zarr",
+            "learning experiment {out}/demo.markers.zarr --out {out} --preset demo "
+            "--pairs array-hard:circle,array-hard:diamond-soft",
+        ),
+        look=("report/*.csv",),
+        rtol_elsewhere=0.1,
+        timeout=2400,
+        slow=True,
+        once=True,
+    ),
+)
+
+CASES = (*HELP, *RIG_CASES, *RECORDER_CASES, *SIM_CASES, *LEARNING_CASES)

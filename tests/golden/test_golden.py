@@ -1,0 +1,20 @@
+"""What the commands say and write is what they said and wrote before: see README.md."""
+
+from __future__ import annotations
+
+import pytest
+from cases import CASES
+from golden import CHECKOUT, Case, compare, run_case
+
+
+def _marks(case: Case) -> list[pytest.MarkDecorator]:
+    timeout = pytest.mark.timeout(case.timeout * (1 if case.together else len(case.commands)))
+    return [timeout, pytest.mark.slow] if case.slow else [timeout]
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=case.name, marks=_marks(case)) for case in CASES]
+)
+def test_it_is_as_it_was(case: Case) -> None:
+    lines, _ = compare(case, run_case(case, CHECKOUT))
+    assert not lines, "\n".join(lines)
