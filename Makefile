@@ -61,32 +61,32 @@ replay: $(VENV)/.rig  ## Play a session through mock hardware and record it agai
 check-session: $(VENV)/.rig  ## Look for faults in a session: SESSION=sessions/x.zarr
 	@$(PY) -m recorder check $(SESSION)
 
-endurance: $(VENV)/.rig  ## A long mock collection, watched: SENSOR=tacpalm [MINUTES=30] [OUT=docs/endurance.md]
-	@$(PY) -m rig endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
+endurance: $(VENV)/.rig  ## A long mock collection, watched: SENSOR=tacpalm [MINUTES=30] [OUT=docs/results/endurance.md]
+	@$(PY) -m benchmarks endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
 
-faults: $(VENV)/.nidaq  ## Break a mock bench in every way, write docs/reliability.md: [QUICK=1] [ONLY=row] [KILLS=100] (half an hour)
-	@$(PY) -m rig faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
+faults: $(VENV)/.nidaq  ## Break a mock bench in every way, write docs/results/reliability.md: [QUICK=1] [ONLY=row] [KILLS=100] (half an hour)
+	@$(PY) -m benchmarks faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
 
-bench-recorder: $(VENV)/.bench  ## Measure what recording costs, write docs/recording.md: [QUICK=1] [ONLY=part] [OUT=page.md] (12 minutes)
-	@$(PY) -m rig bench-recorder $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
+bench-recorder: $(VENV)/.bench  ## Measure what recording costs, write docs/results/recording.md: [QUICK=1] [ONLY=part] [OUT=page.md] (12 minutes)
+	@$(PY) -m benchmarks recording $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
 
 press: $(VENV)/.sim  ## Simulate a press, table and picture: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5 --mesh 1"]
 	@$(PY) -m sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
-hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators, write docs/stability.md: [ONLY=case] [PLANTED=all] [DEVICE=cuda:0] [OUT=page.md] (10 minutes)
-	@$(PY) -m sim hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators, write docs/results/stability.md: [ONLY=case] [PLANTED=all] [DEVICE=cuda:0] [OUT=page.md] (10 minutes)
+	@$(PY) -m benchmarks hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
 
-refine: $(VENV)/.sim  ## Force and surface from coarse to fine meshes, all 18 shapes, write docs/refinement.md: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md] (hours on a CPU)
-	@$(PY) -m sim refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+refine: $(VENV)/.sim  ## Force and surface from coarse to fine meshes, all 18 shapes, write docs/results/refinement.md: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md] (hours on a CPU)
+	@$(PY) -m benchmarks refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
 
-accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh, write docs/accuracy.md: [ONLY=measure|page] [DEVICE=cuda:0] [OUT=docs/accuracy] [ARGS="--case sphere --smoke"] (15 minutes)
-	@$(PY) -m sim accuracy $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh, write docs/results/accuracy.md: [ONLY=measure|page] [DEVICE=cuda:0] [OUT=docs/results/accuracy] [ARGS="--case sphere --smoke"] (15 minutes)
+	@$(PY) -m benchmarks accuracy $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
-cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...), write docs/cost-table.md: [ARGS="--validate | --seconds | --page | --take DIR"] [DEVICE=cuda:0] [OUT=page.md] (an hour)
-	@$(PY) -m sim cost-table $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...), write docs/results/cost-table.md: [ARGS="--validate | --seconds | --page | --take DIR"] [DEVICE=cuda:0] [OUT=page.md] (an hour)
+	@$(PY) -m benchmarks cost-table $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
-speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth, the floor, write docs/speed.md: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/speed] [ARGS="--again --smoke"] (20 minutes)
-	@$(PY) -m sim speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth, the floor, write docs/results/speed.md: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/results/speed] [ARGS="--again --smoke"] (20 minutes)
+	@$(PY) -m benchmarks speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 simulate: $(VENV)/.sim  ## The paper's 810 states under 12 patterns, a marker archive: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
 	@$(PY) -m sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
@@ -119,20 +119,20 @@ experiment: $(VENV)/.learning  ## Translate, train, compensate, evaluate, all pa
 	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time: [ARGS="--model runs/x --archive x.markers.zarr"]
-	@$(PY) -m learning bench $(ARGS)
+	@$(PY) -m benchmarks latency $(ARGS)
 
 demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes): [OUT=runs/demo-learning]
 	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 learning-tables: $(VENV)/.demo  ## The paper's tables on simulated groups of sensors, for a GPU: [OUT=runs/tables] [TABLES="material homogeneous-full"] [DEVICE=cuda:0] [JOBS=8]
-	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash examples/learning-tables/run.sh $(or $(OUT),runs/tables) $(TABLES)
+	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash benchmarks/learning/tables/run.sh $(or $(OUT),runs/tables) $(TABLES)
 
 learning-ablations: $(VENV)/.demo  ## What limits them, one thing changed at a time, behind learning-tables: [OUT=runs/tables] [NAMES="half single-frame"] [DEVICE=cuda:0] [JOBS=8]
-	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash examples/learning-tables/ablations.sh $(or $(OUT),runs/tables) $(NAMES)
+	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash benchmarks/learning/tables/ablations.sh $(or $(OUT),runs/tables) $(NAMES)
 
 learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by side, on all GPUs: [OUT=runs/tables] [ARGS="--only material,half --gpus 0,1"]
-	@$(PY) examples/learning-tables/on_gpus.py $(or $(OUT),runs/tables) $(ARGS)
+	@$(PY) benchmarks/learning/tables/on_gpus.py $(or $(OUT),runs/tables) $(ARGS)
 
 live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)

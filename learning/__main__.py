@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from learning.errors import LearningError
 from learning.verbs import (
-    bench,
     compensate,
     evaluate,
     experiment,
@@ -18,7 +18,6 @@ from learning.verbs import (
     markers,
     predict,
     split,
-    tables,
     train_autoencoder,
     train_diffusion,
     train_direct,
@@ -50,12 +49,10 @@ _VERBS = (
     compensate,
     train_force,
     export_onnx,
-    bench,
     # What came of it
     predict,
     evaluate,
     experiment,
-    tables,
 )
 
 
@@ -72,9 +69,25 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
+_MOVED = {"bench": "latency", "tables": "learning-tables"}
+"""Verbs that measured, and the benchmark that each is now."""
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; the exit code."""
-    options = arguments().parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    if words and words[0] in _MOVED:
+        now = f"python -m benchmarks {_MOVED[words[0]]}"
+        print(
+            f"wrong input: {words[0]!r} has moved; run, from the repository: {now}", file=sys.stderr
+        )
+        return EXIT_WRONG_INPUT
+    return run(arguments(), words)
+
+
+def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
+    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    options = parser.parse_args(argv)
     try:
         return int(options.run(options))
     except (LearningError, SessionError) as error:

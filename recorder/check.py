@@ -8,12 +8,7 @@ from recorder.archive.check import check_archive
 from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.attrs import read_session_attrs, says_it_is
 from recorder.check_content import check_frames, check_segments, check_stream
-from recorder.check_storage import (
-    check_arrays,
-    check_chunks,
-    check_stream_files,
-    check_table,
-)
+from recorder.check_storage import check_arrays, check_chunks, check_stream_files, check_table
 from recorder.errors import SessionError
 from recorder.files import Files, locate
 from recorder.findings import Finding

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from recorder import SessionError
 from rig.collect.interrupt import Interrupted
@@ -17,13 +18,10 @@ from rig.errors import (
     SafetyStop,
 )
 from rig.verbs import (
-    bench_recorder,
     calibrate_latency,
     campaign,
     collect,
     compare,
-    endurance,
-    faults,
     force_depth,
     grip,
     home,
@@ -47,9 +45,6 @@ _VERBS = (
     compare,
     mock,
     replay,
-    endurance,
-    faults,
-    bench_recorder,
 )
 
 
@@ -61,9 +56,25 @@ def _arguments() -> argparse.ArgumentParser:
     return parser
 
 
+_MOVED = {"bench-recorder": "recording", "endurance": "endurance", "faults": "faults"}
+"""Verbs that measured, and the benchmark that each is now."""
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; the exit code."""
-    options = _arguments().parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    if words and words[0] in _MOVED:
+        now = f"python -m benchmarks {_MOVED[words[0]]}"
+        print(
+            f"wrong input: {words[0]!r} has moved; run, from the repository: {now}", file=sys.stderr
+        )
+        return EXIT_WRONG_INPUT
+    return run(_arguments(), words)
+
+
+def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
+    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    options = parser.parse_args(argv)
     try:
         return int(options.run(options))
     except ConfigError as error:

@@ -4,20 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from sim.errors import SceneError, SimulationDiverged
-from sim.verbs import (
-    accuracy,
-    archive,
-    cost_table,
-    effects,
-    hard_cases,
-    hold,
-    loop,
-    press,
-    refine,
-    speed,
-)
+from sim.verbs import archive, hold, loop, press
 from sim.verbs.numbers import joined
 
 EXIT_DIVERGED = 1
@@ -27,7 +17,7 @@ EXIT_INTERRUPTED = 130
 TRIED_SHOWN = 5
 """Last attempts that are told of when there is no solution."""
 
-_VERBS = (press, loop, hold, refine, hard_cases, effects, accuracy, cost_table, speed, archive)
+_VERBS = (press, loop, hold, archive)
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -42,9 +32,25 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
+_MOVED = ("refine", "hard-cases", "effects", "accuracy", "cost-table", "speed")
+"""Verbs that measured; each is a benchmark of the same name now."""
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; the exit code."""
-    options = arguments().parse_args(joined(sys.argv[1:] if argv is None else argv))
+    words = sys.argv[1:] if argv is None else argv
+    if words and words[0] in _MOVED:
+        now = f"python -m benchmarks {words[0]}"
+        print(
+            f"wrong input: {words[0]!r} has moved; run, from the repository: {now}", file=sys.stderr
+        )
+        return EXIT_WRONG_INPUT
+    return run(arguments(), words)
+
+
+def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
+    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    options = parser.parse_args(joined(argv))
     try:
         return int(options.run(options))
     except SceneError as error:

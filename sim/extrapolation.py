@@ -2,7 +2,7 @@
 
 What a mesh makes a press too stiff by falls about as the square of the elements' size; two meshes
 tell how much that is, and the force without it. So two coarse meshes come closer than a finer one
-that takes longer: docs/speed.md, on the paper's presses.
+that takes longer: docs/results/speed.md, on the paper's presses.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def simulate(
             `fem`: finite elements, large strain; `mpm`: explicit material points.
         numerics: `Numerics` of `fem`, `MpmNumerics` of `mpm`; `layer` has none to choose.
         tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: the cheapest
-            way to it, told in `record["plan"]` (docs/cost-table.md).
+            way to it, told in `record["plan"]` (docs/results/cost-table.md).
         error_bar: Solve a coarser mesh as well, and add `record["error_bar"]`.
         extrapolate: Solve a coarser mesh as well, and give the forces that both lead to
             (`sim.extrapolation`); of `fem`.

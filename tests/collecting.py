@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.faults import quick as reliability
+from benchmarks.faults.processes import family, stream_process
 from recorder import check
-from rig.reliability import quick as reliability
-from rig.reliability.processes import family, stream_process
 
 ROOT = Path(__file__).parent.parent
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from benchmarks.sim.cost_table.measure import conditions_text
 from sim.planner.choices import Choice
 from sim.planner.features import GROUPS, Features
-from sim.planner.measure import conditions_text
 from sim.planner.seconds import Timed
 from sim.planner.table import CostRow, Table
 from sim.planner.tolerance import KINDS

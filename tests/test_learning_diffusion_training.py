@@ -19,14 +19,15 @@ from tiny_diffusion import (
     tiny_settings,
 )
 
+from benchmarks.learning import diffusion_full_size
+from benchmarks.learning.diffusion_full_size import check, overfitted_pairs, table
 from learning.errors import LearningError
 from learning.settings import preset_names, read_settings
 from learning.training.launch import LaunchSettings, accelerator
 from learning.training.run_folder import METRICS, RunFolder
 from learning.training.schedules import Constant
-from learning.translation.diffusion import full_size_check, train_vae, updates
+from learning.translation.diffusion import train_vae, updates
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
-from learning.translation.diffusion.full_size_check import check, overfitted_pairs, table
 from learning.translation.diffusion.network import build
 from learning.translation.diffusion.pairs import ImagePairs
 from learning.translation.diffusion.settings import (
@@ -236,9 +237,9 @@ def test_the_full_size_check_measures_and_writes(tmp_path: Path) -> None:
     found = check(
         [1, 2],
         out,
-        steps=full_size_check.WARM + 1,
+        steps=diffusion_full_size.WARM + 1,
         overrides=["launch={device: cpu, mixed_precision: no}"],
-        networks=lambda device: full_size_check.random_pretrained(
+        networks=lambda device: diffusion_full_size.random_pretrained(
             UNET, DEEP_VAE, CLIP, VGG, device
         ),
         side=64,

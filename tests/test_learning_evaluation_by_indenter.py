@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_learning_evaluation_forces import TRUE, predictions
 
-from learning.evaluation.by_indenter import by_indenter
+from benchmarks.learning.tables.by_indenter import by_indenter
 from learning.evaluation.predictions import Predictions
 from learning.force_errors import r_squared
 

@@ -10,11 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.evaluation.distances import (
-    frechet_distance,
-    kernel_distance,
-    squared_kernel_distance,
-)
+from learning.evaluation.distances import frechet_distance, kernel_distance, squared_kernel_distance
 from learning.evaluation.features import MarkerGrid, load_extractor
 from learning.evaluation.inception import FEATURES, Inception, load_inception
 from learning.evaluation.two_samples import classifier_accuracy, embedded, mixing_score

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from test_learning_evaluation_forces import predictions
 
-from learning.__main__ import main
+from benchmarks.__main__ import main
+from benchmarks.learning.tables.group_results import read_group
+from benchmarks.learning.tables.page import write_tables
 from learning.compensation import Branch, Choice, Prior, StoredCompensation
 from learning.compensation.store import StoredPair
-from learning.evaluation.group_results import read_group
-from learning.evaluation.tables_page import write_tables
 from learning.evaluation.translation_scores import PairedScore, TranslationScores
 
 PAIRS = (("array-i", "circle-i"), ("circle-i", "array-i"))
@@ -54,7 +54,9 @@ def test_the_page_tells_goals_means_pairs_and_the_paper(
     intro = tmp_path / "intro.txt"
     intro.write_text("Made by hand.\n")
     page = tmp_path / "docs" / "tables.md"
-    assert main(["tables", str(experiment), "--out", str(page), "--intro", str(intro)]) == 0
+    assert (
+        main(["learning-tables", str(experiment), "--out", str(page), "--intro", str(intro)]) == 0
+    )
     lines = page.read_text().splitlines()
     assert lines[0].startswith("# Forces on sensors")
     assert "Made by hand." in lines
@@ -94,7 +96,7 @@ def test_an_experiment_may_be_called_otherwise_and_have_come_to_no_end(
     for path in (experiment / "results").glob("*.scores.npz"):
         path.unlink()
     page = tmp_path / "tables.md"
-    assert main(["tables", f"mine={experiment}", "--out", str(page)]) == 0
+    assert main(["learning-tables", f"mine={experiment}", "--out", str(page)]) == 0
     text = page.read_text()
     assert "## Mine" in text
     assert text.startswith("# Forces on sensors that never saw a force gauge")
@@ -123,7 +125,7 @@ def test_what_makes_no_table_is_an_error_and_writes_nothing(
     said: str,
 ) -> None:
     filled = [word.format(experiment=experiment, tmp=tmp_path) for word in words]
-    assert main(["tables", *filled]) == 2
+    assert main(["learning-tables", *filled]) == 2
 
     assert re.search(said, capsys.readouterr().err)
     assert not (tmp_path / "page.md").exists()
@@ -134,7 +136,7 @@ def test_forces_that_were_not_transferred_are_no_table(experiment: Path, tmp_pat
         path.unlink()
     one = predictions("source-only", PAIRS[0], off=1.5)
     one.write(experiment / "results" / "0.npz")
-    assert main(["tables", str(experiment), "--out", str(tmp_path / "page.md")]) == 2
+    assert main(["learning-tables", str(experiment), "--out", str(tmp_path / "page.md")]) == 2
 
 
 def test_what_needs_no_label_of_the_target_is_told_of_and_how_far_its_labels_were(

@@ -9,10 +9,10 @@ import torch
 from force_models import TOY, noise_presses
 from onnx import TensorProto, helper
 
+from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
+from benchmarks.learning.latency.costs import Variant, costs, sample_of, sample_of_noise
 from learning.data.force_range import ForceRange
 from learning.errors import LearningError
-from learning.force.cost_table import draw, markdown, write_csv
-from learning.force.costs import Variant, costs, sample_of, sample_of_noise
 from learning.force.export import export_onnx, torch_stream
 from learning.force.network import ForceModel
 from learning.force.predictor import ForcePredictor

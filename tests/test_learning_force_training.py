@@ -18,12 +18,7 @@ from learning.force.batches import forces_of, frames_of
 from learning.force.labels import force_range, labels_of
 from learning.force.predictor import KIND, ForcePredictor
 from learning.force.sequences import Sequences, epoch
-from learning.force.settings import (
-    ForceSettings,
-    InputSettings,
-    SequenceSettings,
-    StageSettings,
-)
+from learning.force.settings import ForceSettings, InputSettings, SequenceSettings, StageSettings
 from learning.force.train import train_force
 from learning.training.run_folder import RunFolder
 

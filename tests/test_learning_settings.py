@@ -9,11 +9,7 @@ from typing import ClassVar, Literal
 import pytest
 
 from learning.errors import LearningError
-from learning.settings import (
-    differing_keys,
-    read_settings,
-    settings_to_dict,
-)
+from learning.settings import differing_keys, read_settings, settings_to_dict
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-SCRIPT = Path(__file__).parent.parent / "examples" / "learning-tables" / "on_gpus.py"
+SCRIPT = Path(__file__).parent.parent / "benchmarks" / "learning" / "tables" / "on_gpus.py"
 
 
 @pytest.fixture(scope="module")

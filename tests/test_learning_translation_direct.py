@@ -15,12 +15,7 @@ from learning.errors import LearningError
 from learning.training.model_folder import read_model_folder
 from learning.translation import load_translator
 from learning.translation.direct.aligned import AlignedImages, align
-from learning.translation.direct.augmentation import (
-    Augmentation,
-    blot,
-    disturb_source,
-    move_edges,
-)
+from learning.translation.direct.augmentation import Augmentation, blot, disturb_source, move_edges
 from learning.translation.direct.examples import all_pairs, draw_examples, examples_at
 from learning.translation.direct.network import DirectNetwork, fetched
 from recorder import MarkerArchive

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.reliability.kills import VICTIMS, Kills, kill_often
+from benchmarks.faults.kills import VICTIMS, Kills, kill_often
 
 BENCHES = Path(__file__).parent.parent / "benches"
 SEED_OF_ALL = 25

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from collecting import ROOT, quick_bench
 
+from benchmarks.endurance.long_run import long_bench, run_long
+from benchmarks.endurance.processes import Track, look, role_of
+from benchmarks.endurance.report import growth_of, page
 from rig.bench import load_bench
-from rig.endurance.long_run import long_bench, run_long
-from rig.endurance.processes import Track, look, role_of
-from rig.endurance.report import growth_of, page
 from rig.errors import ConfigError
 from trajectories import rehearse
 

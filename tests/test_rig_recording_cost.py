@@ -14,25 +14,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorder import Session, SessionWriter, StreamWriter
-from rig.__main__ import main
-from rig.clock import FakeClock
-from rig.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from rig.recording_cost import claims, load, page, store_race
-from rig.recording_cost.alignment import (
+from benchmarks.__main__ import main
+from benchmarks.recording import claims, load, page, store_race
+from benchmarks.recording.alignment import (
     Error,
     force_error,
     image_error,
     measure_latency,
     measure_methods,
 )
-from rig.recording_cost.charts import Bar, Point, bars, scatter
-from rig.recording_cost.feed import Fed, Feed, record, samples
-from rig.recording_cost.frames import GelFrames, number_in_jpeg, number_in_pixels
-from rig.recording_cost.lateness import busy_processes, loop
-from rig.recording_cost.markdown import table
-from rig.recording_cost.measure import QUICK, Spread, tree_bytes
-from rig.recording_cost.motion import (
+from benchmarks.recording.charts import Bar, Point, bars, scatter
+from benchmarks.recording.feed import Fed, Feed, record, samples
+from benchmarks.recording.frames import GelFrames, number_in_jpeg, number_in_pixels
+from benchmarks.recording.lateness import busy_processes, loop
+from benchmarks.recording.markdown import table
+from benchmarks.recording.measure import QUICK, Spread, tree_bytes
+from benchmarks.recording.motion import (
     EXPOSURE,
     LATENCY,
     PEAK,
@@ -42,11 +39,14 @@ from rig.recording_cost.motion import (
     record_motion,
     ticks,
 )
-from rig.recording_cost.page import Results, render
-from rig.recording_cost.progress import Progress
-from rig.recording_cost.store_child import inspect, read, write
-from rig.recording_cost.store_race import ChildFailed, Kill, StoreRow, Write
-from rig.recording_cost.stores import STORES, Entry, entry
+from benchmarks.recording.page import Results, render
+from benchmarks.recording.progress import Progress
+from benchmarks.recording.store_child import inspect, read, write
+from benchmarks.recording.store_race import ChildFailed, Kill, StoreRow, Write
+from benchmarks.recording.stores import STORES, Entry, entry
+from recorder import Session, SessionWriter, StreamWriter
+from rig.clock import FakeClock
+from rig.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 
 SECONDS = 3.0
 
@@ -362,8 +362,8 @@ def test_claims_are_missed_when_the_figures_say_so() -> None:
 
 
 def test_the_command_line_knows_every_part() -> None:
-    from rig.recording_cost.run import PARTS
-    from rig.verbs import bench_recorder
+    from benchmarks.recording import command as bench_recorder
+    from benchmarks.recording.run import PARTS
 
     assert bench_recorder._PARTS == PARTS
     fields = set(Results.__dataclass_fields__)
@@ -414,7 +414,7 @@ def test_one_quick_part_from_the_command_line_writes_its_page(
 ) -> None:
     out = tmp_path / "docs" / "recording.md"
     scratch = tmp_path / "scratch"
-    arguments = ["bench-recorder", "--quick", "--only", "alignment"]
+    arguments = ["recording", "--quick", "--only", "alignment"]
     assert main([*arguments, "--scratch", str(scratch), "--out", str(out)]) == EXIT_DONE
     text = out.read_text()
     assert "## What alignment accuracy costs" in text
@@ -429,7 +429,7 @@ def test_a_scratch_folder_that_cannot_be_is_wrong_input(
 ) -> None:
     file = tmp_path / "file"
     file.write_text("")
-    arguments = ["bench-recorder", "--quick", "--scratch", str(file / "below")]
+    arguments = ["recording", "--quick", "--scratch", str(file / "below")]
     assert main(arguments) == EXIT_WRONG_INPUT
     assert "--scratch" in capsys.readouterr().err
 
@@ -445,7 +445,7 @@ def test_too_little_room_is_refused_before_anything_is_written(
 
 
 def test_ctrl_c_leaves_nothing_on_the_disk_and_no_process(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "rig", "bench-recorder", "--quick", "--only", "stores"]
+    command = [sys.executable, "-m", "benchmarks", "recording", "--quick", "--only", "stores"]
     process = subprocess.Popen(
         [*command, "--scratch", str(tmp_path)], stderr=subprocess.PIPE, text=True
     )
@@ -481,7 +481,7 @@ def test_lerobot_writes_in_its_own_interpreter(key: str, tmp_path: Path) -> None
 @pytest.mark.slow
 def test_the_whole_quick_run_writes_every_part(tmp_path: Path) -> None:
     out = tmp_path / "recording.md"
-    arguments = ["bench-recorder", "--quick", "--scratch", str(tmp_path), "--out", str(out)]
+    arguments = ["recording", "--quick", "--scratch", str(tmp_path), "--out", str(out)]
     assert main(arguments) == EXIT_DONE
     text = out.read_text()
     for heading in ("Stores", "CPU of one", "How late", "How many", "Everything", "What alignment"):

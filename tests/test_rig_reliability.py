@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from test_recorder_samples import make_session
 
+from benchmarks.__main__ import main
+from benchmarks.faults import disk
+from benchmarks.faults.judge import Judgement, arm_in_words, complaints, left_in, losses
+from benchmarks.faults.kills import VICTIMS, Kills
+from benchmarks.faults.observer import ArmState, Seen
+from benchmarks.faults.page import page
+from benchmarks.faults.rows import ROWS
+from benchmarks.faults.run import Results, names
 from recorder import Session
-from rig.__main__ import main
 from rig.bench import bench_from, load_bench
 from rig.clock import FakeClock
 from rig.guard import Guard
 from rig.latest import FORCE_LATEST, POSE_LATEST
-from rig.reliability import disk
-from rig.reliability.judge import Judgement, arm_in_words, complaints, left_in, losses
-from rig.reliability.kills import VICTIMS, Kills
-from rig.reliability.observer import ArmState, Seen
-from rig.reliability.page import page
-from rig.reliability.rows import ROWS
-from rig.reliability.run import Results, names
 
 BENCHES = Path(__file__).parent.parent / "benches"
 MS = 1_000_000

@@ -6,12 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.accuracy.markers import DISTANCE, FOCAL, marker_places, seen
-from sim.accuracy.measure import POINTS, WEAK, compare, marker_pixels
-from sim.accuracy.outcome import Outcome, load, outcome_of, save
 from sim.body import Body
+from sim.camera.camera import DISTANCE, FOCAL
 from sim.indenters import sphere
 from sim.layer import simulate_layer
+from sim.metrics import (
+    POINTS,
+    WEAK,
+    Outcome,
+    compare,
+    load,
+    marker_pixels,
+    marker_places,
+    outcome_of,
+    save,
+    seen,
+)
 from sim.motion import press
 from sim.scene import Scene
 

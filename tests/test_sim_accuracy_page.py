@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sim.accuracy import campaign
-from sim.accuracy.campaign import CLOSED_FORM, Plan, measure, measure_here
-from sim.accuracy.cases import CASES, chosen
-from sim.accuracy.chart import Scale
-from sim.accuracy.closed_form import closed_form
-from sim.accuracy.competitors import by_name, competitors
-from sim.accuracy.outcome import outcome_of
-from sim.accuracy.page import COLOURS, write_page
-from sim.accuracy.reference import Reference, finer, solve_references
-from sim.accuracy.row import MEASURES, Measured, Row, append, begin, read
-from sim.accuracy.spent import spent_by
+from benchmarks.sim.accuracy import campaign
+from benchmarks.sim.accuracy.campaign import CLOSED_FORM, Plan, measure, measure_here
+from benchmarks.sim.accuracy.cases import CASES, chosen
+from benchmarks.sim.accuracy.chart import Scale
+from benchmarks.sim.accuracy.closed_form import closed_form
+from benchmarks.sim.accuracy.competitors import by_name, competitors
+from benchmarks.sim.accuracy.page import COLOURS, write_page
+from benchmarks.sim.accuracy.reference import Reference, finer, solve_references
+from benchmarks.sim.accuracy.row import MEASURES, Measured, Row, append, begin, read
+from benchmarks.sim.reference_solutions import hertz
+from benchmarks.sim.spent import spent_by
 from sim.errors import SceneError
 from sim.layer import simulate_layer
+from sim.metrics import outcome_of
 from sim.motion import press, ramp_hold
-from sim.references import hertz
 
 SPHERE = chosen(("sphere",))[0]
 

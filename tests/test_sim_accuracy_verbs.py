@@ -6,13 +6,15 @@ from pathlib import Path
 import pytest
 from made_up_costs import made_up
 
-from sim.accuracy.row import read
+from benchmarks.sim.accuracy import command as accuracy
+from benchmarks.sim.accuracy.row import read
+from benchmarks.sim.cost_table import command as cost_table
+from benchmarks.sim.cost_table.seconds import write as write_seconds
 from sim.errors import SceneError
 from sim.planner import seconds as seconds_file
 from sim.planner import table as table_file
 from sim.planner.choices import Choice
 from sim.planner.seconds import Timed
-from sim.verbs import accuracy, cost_table
 from sim.verbs.device import ready_device
 
 STORED_FILES = ((table_file, "TRAINING"), (table_file, "HELD_OUT"), (seconds_file, "STORED"))
@@ -70,7 +72,7 @@ def test_what_was_measured_elsewhere_is_taken_home(tmp_path, monkeypatch):
     table_file.write(tmp_path / "held-out.csv", made_up(2, 40))
     for device, took in (("cpu", 2.0), ("cuda", 0.1), ("cuda", 0.2)):
         press = Timed(device, "m", Choice("fem", 4), 100, 10, 100, 3, took)
-        seconds_file.write(tmp_path / f"seconds-{device}.csv", [press])
+        write_seconds(tmp_path / f"seconds-{device}.csv", [press])
         run(cost_table, "--take", str(tmp_path), "--out", str(tmp_path / "page.md"))
     assert [(one.device, one.seconds) for one in seconds_file.read()] == [("cpu", 2), ("cuda", 0.2)]
     assert table_file.read(own / "HELD_OUT.csv").rows[0].scene == "made-up-2-0"

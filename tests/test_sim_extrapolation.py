@@ -71,7 +71,7 @@ def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) 
 
 @pytest.mark.slow
 def test_two_coarse_meshes_meet_the_converged_force_of_a_sphere() -> None:
-    # Figures on which two element families agree to 0.1 % (docs/refinement.md).
+    # Figures on which two element families agree to 0.1 % (docs/results/refinement.md).
     exact = np.array([0.2652, 0.9197, 1.9560])
     scene = Scene(indenters.sphere(4e-3), press([0.5e-3, 1e-3, 1.5e-3]), Body())
     numerics = Numerics(spacing=0.8e-3, grading=FOR_EDGES)

@@ -15,6 +15,12 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.sim.effects import measure
+from benchmarks.sim.effects.kernels import launches
+from benchmarks.sim.effects.machine_code import machine_code
+from benchmarks.sim.effects.memory import declared, stored
+from benchmarks.sim.effects.page import render
+from benchmarks.sim.effects.without import EFFECTS, built_without, cut, cut_factory
 from sim import (
     Body,
     Effects,
@@ -27,12 +33,6 @@ from sim import (
     Viscosity,
     simulate,
 )
-from sim.effects_cost import measure
-from sim.effects_cost.kernels import launches
-from sim.effects_cost.machine_code import machine_code
-from sim.effects_cost.memory import declared, stored
-from sim.effects_cost.page import render
-from sim.effects_cost.without import EFFECTS, built_without, cut, cut_factory
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
 from sim.fem.numerics import Numerics
@@ -241,7 +241,7 @@ def test_launches_name_the_kernels_of_a_run_and_end_with_their_block() -> None:
 @pytest.mark.timeout(600)
 def test_the_verb_proves_every_effect_and_writes_the_page(tmp_path: Path) -> None:
     page = tmp_path / "effects.md"
-    command = [sys.executable, "-m", "sim", "effects", "--repeats", "1", "--out", str(page)]
+    command = [sys.executable, "-m", "benchmarks", "effects", "--repeats", "1", "--out", str(page)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("leaves no trace") == len(EFFECTS)

@@ -8,12 +8,12 @@ import pytest
 import warp as wp
 from fem_oracles import Array
 
+from benchmarks.sim.reference_solutions import confined_stress, simple_shear_stress, uniaxial_stress
 from sim import Body, Effects, Friction, Gravity, Indenter, Inertia, Scene, Viscosity, press
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, build_mesh
 from sim.fem.numerics import Numerics
 from sim.indenters import plane, sphere
-from sim.references import confined_stress, simple_shear_stress, uniaxial_stress
 
 BODY = Body(size_x=4e-3, size_y=5e-3, thickness=3e-3, poisson=0.4)
 AREA = BODY.size_x * BODY.size_y / BODY.thickness**2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.sim.reference_solutions import compression_frequency, hereditary, layer_sag
 from sim import (
     Body,
     Effects,
@@ -19,7 +20,6 @@ from sim import (
 )
 from sim.fem.numerics import Numerics
 from sim.indenters import plane, sphere
-from sim.references import compression_frequency, hereditary, layer_sag
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3

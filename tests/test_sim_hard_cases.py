@@ -5,16 +5,16 @@ from dataclasses import fields
 
 import pytest
 
-from sim.__main__ import main
+from benchmarks.__main__ import main
+from benchmarks.sim.stability.case import Case, Run, Solver
+from benchmarks.sim.stability.catalogue import BY_NAME, CASES, chosen
+from benchmarks.sim.stability.divergence import evidence
+from benchmarks.sim.stability.laws import Law, at_least, at_most, difference, rises, smooth
+from benchmarks.sim.stability.page import page
+from benchmarks.sim.stability.planted import CATCHERS, planted
+from benchmarks.sim.stability.runner import Report, run_case, run_cases
 from sim.errors import SimulationDiverged
 from sim.fem.numerics import Planted
-from sim.hard_cases.case import Case, Run, Solver
-from sim.hard_cases.catalogue import BY_NAME, CASES, chosen
-from sim.hard_cases.divergence import evidence
-from sim.hard_cases.laws import Law, at_least, at_most, difference, rises, smooth
-from sim.hard_cases.page import page
-from sim.hard_cases.planted import CATCHERS, planted
-from sim.hard_cases.runner import Report, run_case, run_cases
 
 QUICK = (
     "flat-punch-between-bounds",

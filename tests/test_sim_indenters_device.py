@@ -12,8 +12,8 @@ import stl_files as files
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.effects_cost.machine_code import machine_code
-from sim.effects_cost.without import cut
+from benchmarks.sim.effects.machine_code import machine_code
+from benchmarks.sim.effects.without import cut
 from sim.indenters import NAMES, Indenter, device, from_stl, named, plane, rounded_cone
 from sim.indenters.device import (
     FAR,

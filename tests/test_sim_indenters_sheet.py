@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.sim.pictures.indenters import CAPTION, VIEW, draw_sheet, main
 from sim.indenters import named, tube
-from sim.indenters.sheet import CAPTION, VIEW, draw_sheet, main
 
 
 def test_a_sheet_shows_material_where_there_is_some(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.sim.reference_solutions import layer_compliance
 from sim.layer.compliance import compliance
-from sim.references import layer_compliance
 
 THICKNESS, SHEAR = 4e-3, 5e4
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from benchmarks.sim.reference_solutions import layer_punch, layer_sphere
 from sim.body import Body
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.layer import press as press_module
@@ -16,7 +17,6 @@ from sim.layer.contact import solve_frictionless
 from sim.layer.convolution import Convolutions
 from sim.layer.grid import Grid
 from sim.motion import press
-from sim.references import layer_punch, layer_sphere
 from sim.result import Result
 from sim.scene import Scene
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.sim.reference_solutions import boussinesq, cerruti
 from sim.body import Body
 from sim.errors import SceneError
 from sim.layer.convolution import Convolutions
 from sim.layer.grid import Grid
-from sim.references import boussinesq, cerruti
 
 
 def test_a_window_gives_what_the_whole_top_gives() -> None:

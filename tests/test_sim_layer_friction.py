@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from benchmarks.sim.reference_solutions import (
+    hertz_contact_radius,
+    mindlin_displacement,
+    mindlin_stick_radius,
+)
 from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
@@ -16,7 +21,6 @@ from sim.layer import Grid, Press, contact, simulate_layer
 from sim.layer.compliance import compliance
 from sim.layer.convolution import Convolutions
 from sim.motion import Motion, press, press_shear_return, through
-from sim.references import hertz_contact_radius, mindlin_displacement, mindlin_stick_radius
 from sim.result import Result
 from sim.scene import Scene
 

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.sim.tiers.layer import main
 from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import named, sphere
 from sim.layer import simulate_layer
-from sim.layer.bench import main
 from sim.motion import press, press_shear_return, through
 from sim.scene import Scene
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.sim.reference_solutions import hereditary, layer_sphere
 from sim.body import Body
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import simulate_layer
 from sim.motion import Motion, press, ramp_hold, through
-from sim.references import hereditary, layer_sphere
 from sim.result import Result
 from sim.scene import Scene
 

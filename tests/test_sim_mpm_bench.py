@@ -7,8 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from sim.mpm import MpmNumerics, bench
-from sim.mpm.comparison import BODY_RELEASED, FORCE, Row, choices, measure, sphere_scene
+from benchmarks.sim.tiers import mpm
+from benchmarks.sim.tiers.comparison import (
+    BODY_RELEASED,
+    FORCE,
+    Row,
+    choices,
+    measure,
+    sphere_scene,
+)
+from sim.mpm import MpmNumerics
 
 ROW = Row(
     name="row",
@@ -27,7 +35,7 @@ ROW = Row(
 
 
 def test_the_table_states_force_and_error_and_the_right_volume_where_it_was_not() -> None:
-    lines = bench.table([ROW, replace(ROW, force_rescaled=(0.5304, 0.9197, 7.824))])
+    lines = mpm.table([ROW, replace(ROW, force_rescaled=(0.5304, 0.9197, 7.824))])
     assert "0.2652  0.4598  3.9120 (   0.0  -50.0  100.0)" in lines[2]
     assert "10.0   20.0    3.0" in lines[2]
     assert "( 100.0    0.0  300.0)  had the volume" in lines[4]
@@ -43,10 +51,10 @@ def test_a_row_is_measured_and_not_measured_again(
         asked.append(name)
         return replace(ROW, name=name)
 
-    monkeypatch.setattr(bench, "measure", once)
+    monkeypatch.setattr(mpm, "measure", once)
     file = tmp_path / "rows.json"
     for _ in range(2):
-        bench.main(["--only", "0.5 mm", "--file", str(file)])
+        mpm.main(["--only", "0.5 mm", "--file", str(file)])
     assert asked == [name for name in choices() if "0.5 mm" in name]
     printed = capsys.readouterr().out
     assert printed.count("cell 0.5 mm, reach 0.25") == 2

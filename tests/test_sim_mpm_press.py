@@ -9,21 +9,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sim import (
-    Body,
-    Effects,
-    Friction,
-    Gravity,
-    Inertia,
-    Result,
-    Scene,
-    SimulationDiverged,
-    press,
-)
+from benchmarks.sim.tiers.comparison import DEPTHS, FORCE, around
+from sim import Body, Effects, Friction, Gravity, Inertia, Result, Scene, SimulationDiverged, press
 from sim.indenters import flat_punch, plane, sphere
 from sim.motion import through
 from sim.mpm import MpmNumerics, pace, simulate_mpm
-from sim.mpm.comparison import DEPTHS, FORCE, around
 from sim.mpm.frames import end_of_line
 from sim.mpm.pace import wave_speed
 from sim.store import load_result, save_results

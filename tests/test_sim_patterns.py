@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from benchmarks.sim.pictures.patterns import draw_sheet
 from sim.body import Body
 from sim.errors import SceneError
 from sim.patterns import (
@@ -27,7 +28,6 @@ from sim.patterns import (
     staggered,
 )
 from sim.patterns.contour import contour, distance_to
-from sim.patterns.sheet import draw_sheet
 
 COUNTS = {
     "Array": (225, 100, 80, 99),

@@ -7,6 +7,11 @@ import numpy as np
 import pytest
 from made_up_costs import MESHES, made_up, timed_presses
 
+from benchmarks.sim.cost_table.measure import Campaign, conditions_text, measure
+from benchmarks.sim.cost_table.scenes import BATCH, HELD_OUT, TRAINING, batch
+from benchmarks.sim.cost_table.seconds import write as write_seconds
+from benchmarks.sim.cost_table.validation import each_bar, share_covered, share_kept, validate
+from benchmarks.sim.reference_solutions import layer_sphere
 from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
@@ -16,18 +21,13 @@ from sim.motion import press, press_shear_return, through
 from sim.planner import run as run_file
 from sim.planner.choices import COARSER_BY, LADDER, Choice, all_choices, companion
 from sim.planner.features import NAMES, probe
-from sim.planner.measure import Campaign, conditions_text, measure
 from sim.planner.model import PROMISED, fit, quantile
 from sim.planner.plan import Planner, plan
 from sim.planner.run import simulate_within, with_error_bar
-from sim.planner.scenes import BATCH, HELD_OUT, TRAINING, batch
 from sim.planner.seconds import fit_seconds
 from sim.planner.seconds import read as read_seconds
-from sim.planner.seconds import write as write_seconds
 from sim.planner.table import Table, merged, read, write
 from sim.planner.tolerance import KINDS, tolerance_of
-from sim.planner.validation import each_bar, share_covered, share_kept, validate
-from sim.references import layer_sphere
 from sim.scene import Scene
 from sim.simulate import simulate
 
@@ -306,7 +306,7 @@ def test_a_batch_is_measured_once_and_read_after(tmp_path, monkeypatch):
         measured.append(index)
         return list(rows)
 
-    monkeypatch.setattr("sim.planner.measure.measure_batch", pretend)
+    monkeypatch.setattr("benchmarks.sim.cost_table.measure.measure_batch", pretend)
     lines = []
     for _ in range(2):
         table = measure(campaign, tmp_path, lines.append)

@@ -9,7 +9,7 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 
-from sim.references import (
+from benchmarks.sim.reference_solutions import (
     HAYES_KAPPA,
     HAYES_POISSON,
     HAYES_PRINTED,
@@ -33,7 +33,7 @@ from sim.references import (
     sphere,
     sphere_contact_radius,
 )
-from sim.references.layer_contact import deficit_rule
+from benchmarks.sim.reference_solutions.layer_contact import deficit_rule
 
 SOFT = (0.145e6, 0.45)
 GEL = (4e-3, *SOFT)

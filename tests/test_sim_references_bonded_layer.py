@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sim.references import edge_decay, layer_compliance, layer_deficit, layer_ratio, reduced_modulus
+from benchmarks.sim.reference_solutions import (
+    edge_decay,
+    layer_compliance,
+    layer_deficit,
+    layer_ratio,
+    reduced_modulus,
+)
 
 POISSON = [0.0, 0.3, 0.45, 0.49, 0.4999, 0.5]
 ANY_LAYER = [("bonded", nu) for nu in POISSON] + [("frictionless", 0.3)]

@@ -9,7 +9,7 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 
-from sim.references import (
+from benchmarks.sim.reference_solutions import (
     boussinesq,
     cerruti,
     cone,

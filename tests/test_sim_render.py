@@ -11,6 +11,11 @@ import warp as wp
 from scipy.ndimage import binary_dilation, label
 from scipy.spatial import cKDTree
 
+from benchmarks.sim.render.check import lines
+from benchmarks.sim.render.compare import iou, mismatch
+from benchmarks.sim.render.raycast import cast_rays, marked, smooth
+from benchmarks.sim.render.states import State, dent, fold, state_of
+from benchmarks.sim.render.timing import measure
 from recorder.markers import Lattice, count_markers, pack
 from sim.body import Body
 from sim.camera import Camera
@@ -19,13 +24,9 @@ from sim.fem.numerics import Numerics
 from sim.indenters import sphere
 from sim.motion import press
 from sim.patterns import SIMULATED, ImagePattern, Pattern, distance_texture, named
-from sim.render import Renderer, Textures, iou, mismatch
-from sim.render.bench import measure
-from sim.render.check import lines
+from sim.render import Renderer, Textures
 from sim.render.cubic import cubic_taps
 from sim.render.from_lattice import without_gaps
-from sim.render.raycast import cast_rays, marked, smooth
-from sim.render.states import State, dent, fold, state_of
 from sim.scene import Scene
 from sim.simulate import simulate
 

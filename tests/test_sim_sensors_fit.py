@@ -7,11 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.effects import Viscosity
-from sim.sensors import SimulatedSensor, TaxelSignal, sensor
-from sim.sensors.bench import stages
-from sim.sensors.field import SurfaceField
-from sim.sensors.fit import (
+from benchmarks.sim.sensors.fit import (
     COUNTS_NORMAL,
     COUNTS_SHEAR,
     FORCES,
@@ -22,8 +18,12 @@ from sim.sensors.fit import (
     prism_press,
     prism_shear,
 )
-from sim.sensors.picture import COLUMNS, Tile, outlined, sheet
-from sim.sensors.relaxation import hysteresis, relaxed
+from benchmarks.sim.sensors.picture import COLUMNS, Tile, outlined, sheet
+from benchmarks.sim.sensors.relaxation import hysteresis, relaxed
+from benchmarks.sim.sensors.timing import stages
+from sim.effects import Viscosity
+from sim.sensors import SimulatedSensor, TaxelSignal, sensor
+from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import TaxelPad
 from sim.simulate import simulate
 

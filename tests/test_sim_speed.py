@@ -11,11 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
-from sim.effects import Effects, Friction
-from sim.fem.numerics import Numerics
-from sim.indenters import NAMES, sphere
-from sim.speed.campaign import (
+from benchmarks.sim.speed.campaign import (
     REFERENCE_FILE,
     Plan,
     measure,
@@ -23,8 +19,8 @@ from sim.speed.campaign import (
     presses_file,
     steps_file,
 )
-from sim.speed.floor import floor_of
-from sim.speed.forces import (
+from benchmarks.sim.speed.floor import floor_of
+from benchmarks.sim.speed.forces import (
     errors,
     forces_of,
     read_forces,
@@ -32,12 +28,16 @@ from sim.speed.forces import (
     write_forces,
     write_runs,
 )
-from sim.speed.machine import copy_rate, flop_rate, machine_name
-from sim.speed.page import write_page
-from sim.speed.record import Machine, Record, Run, read
-from sim.speed.steps import AS_IT_IS, STEPS, assembled_gain, steps_on
-from sim.speed.timing import counted, spent_with_workers
-from sim.speed.work import Press, Work, paper_work, smoke_work
+from benchmarks.sim.speed.machine import copy_rate, flop_rate, machine_name
+from benchmarks.sim.speed.page import write_page
+from benchmarks.sim.speed.record import Machine, Record, Run, read
+from benchmarks.sim.speed.steps import AS_IT_IS, STEPS, assembled_gain, steps_on
+from benchmarks.sim.speed.timing import counted, spent_with_workers
+from benchmarks.sim.speed.work import Press, Work, paper_work, smoke_work
+from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
+from sim.effects import Effects, Friction
+from sim.fem.numerics import Numerics
+from sim.indenters import NAMES, sphere
 from sim.verbs.device import ready_device
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -361,10 +361,15 @@ def test_each_device_has_the_steps_that_mean_something_there() -> None:
 
 
 def test_measuring_needs_neither_a_plotter_nor_a_store() -> None:
-    names = ["sim.verbs.speed", "sim.speed.campaign", "sim.accuracy.reference", "sim.mpm"]
+    names = [
+        "benchmarks.sim.speed.command",
+        "benchmarks.sim.speed.campaign",
+        "benchmarks.sim.accuracy.reference",
+        "sim.mpm",
+    ]
     code = (
         f"import sys, importlib\nfor name in {names}: importlib.import_module(name)\n"
-        "from sim.speed.work import paper_work\npaper_work().presses[0].scene()\n"
+        "from benchmarks.sim.speed.work import paper_work\npaper_work().presses[0].scene()\n"
         "print([name for name in ('zarr', 'matplotlib', 'PIL') if name in sys.modules])"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

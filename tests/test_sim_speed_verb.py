@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.sim.speed import command
+from benchmarks.sim.speed.record import PARTS as RECORDED
+from benchmarks.sim.speed.record import read
 from sim.errors import SceneError
-from sim.speed.record import PARTS as RECORDED
-from sim.speed.record import read
-from sim.verbs import speed
 
 
 def run(*words: str) -> int:
     parser = argparse.ArgumentParser()
-    speed.add_to(parser.add_subparsers(required=True))
-    return speed.run(parser.parse_args(["speed", *words]))
+    command.add_to(parser.add_subparsers(required=True))
+    return command.run(parser.parse_args(["speed", *words]))
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_speed_refuses_what_means_nothing(tmp_path: Path, words: list[str], said
 
 
 def test_the_verb_offers_every_part_there_is() -> None:
-    assert speed.PARTS == RECORDED
+    assert command.PARTS == RECORDED
 
 
 @pytest.mark.slow

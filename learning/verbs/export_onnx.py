@@ -16,7 +16,7 @@ def add_to(verbs: Verbs) -> None:
         "export-onnx",
         help="write one step of a force model as ONNX",
         description="Writes frame, state and untouched image in, force [N] and next state out, and "
-        "compares it with torch. python -m rig live and python -m learning bench run it.",
+        "compares it with torch. python -m rig live and python -m benchmarks latency run it.",
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="the folder of a force model")
     parser.add_argument("--out", type=Path, metavar="FILE", help="(MODEL/model.onnx)")

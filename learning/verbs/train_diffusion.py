@@ -60,21 +60,21 @@ def add_to(verbs: Verbs) -> None:
         "--full-size-check",
         type=Path,
         metavar="JSON",
-        help="instead: measure memory, speed and a falling loss of the full-size networks with "
-        "random weights, and write it here; needs no archive and no weights",
+        help=argparse.SUPPRESS,
     )
-    parser.add_argument(
-        "--batches", default="4,8,16", metavar="N,...", help="for that check (%(default)s)"
-    )
+    parser.add_argument("--batches", default="4,8,16", help=argparse.SUPPRESS)
     parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     if options.full_size_check is not None:
-        return _check(options)
+        raise LearningError(
+            "--full-size-check: it has moved; run, from the repository: python -m benchmarks "
+            f"diffusion-full-size {options.full_size_check}"
+        )
     for name in ("archive", "split", "out"):
         if getattr(options, name) is None:
-            raise LearningError(f"{name}: missing; allowed: a path, or --full-size-check")
+            raise LearningError(f"{name}: missing; allowed: a path")
     if options.marker_vae is not None and options.start_from is not None:
         raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
 
@@ -191,20 +191,3 @@ def _settings(options: argparse.Namespace) -> TranslatorSettings:
     return read_settings(
         TranslatorSettings, TRANSLATOR_PRESETS, options.preset, [*options.set, *given]
     )
-
-
-def _check(options: argparse.Namespace) -> int:
-    from learning.translation.diffusion.full_size_check import check, table
-
-    try:
-        batches = [int(text) for text in options.batches.split(",")]
-    except ValueError:
-        raise LearningError(f"--batches: found {options.batches!r}; allowed: N,...") from None
-    steps = Progress("steps", sys.stderr)
-    try:
-        found = check(batches, options.full_size_check, overrides=options.set, progress=steps)
-    finally:
-        steps.close()
-    print(table(found))
-    print(f"{options.full_size_check}: written")
-    return 0

@@ -7,13 +7,7 @@ from recorder.archive.check import check_archive
 from recorder.archive.info import describe_archive
 from recorder.archive.marker_counts import marker_flags
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
-from recorder.archive.plan import (
-    FORMAT,
-    FORMAT_VERSION,
-    ArchivePlan,
-    MarkerCount,
-    SensorPlan,
-)
+from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
 from recorder.archive.reader import ArchivedSensor, MarkerArchive
 from recorder.archive.table import COLUMNS, GIVEN, NO_PHASE
 from recorder.archive.writer import ArchiveWriter, SensorWriter

@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.importing.units import (
-    AXES,
-    FORCE_UNITS,
-    TORQUE_UNITS,
-    parse_header,
-    parse_unit,
-)
+from recorder.importing.units import AXES, FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
 
 Floats = NDArray[np.float64]
 

@@ -27,14 +27,7 @@ from rig.collect.control import Control
 from rig.collect.interrupt import Interrupted, InterruptFlag
 from rig.collect.live import LiveLine
 from rig.collect.order import Order
-from rig.collect.preflight import (
-    Found,
-    Tare,
-    check_clear,
-    check_devices,
-    take_tare,
-    tip_position,
-)
+from rig.collect.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
 from rig.collect.progress import first_open_target
 from rig.collect.sentinels import Sentinels
 from rig.collect.streams import Streams

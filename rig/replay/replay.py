@@ -28,15 +28,7 @@ from rig.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
 from rig.mock import free_loopback
 from rig.replay.bench import replay_bench
 from rig.replay.progress import ReadingProgress
-from rig.replay.result import (
-    Retiming,
-    compared,
-    covered_ns,
-    retiming,
-    span,
-    timing,
-    timing_line,
-)
+from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
 from rig.replay.run import ReplayedRun
 from rig.replay.wire import replayable
 

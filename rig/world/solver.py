@@ -26,13 +26,7 @@ from rig.latest import ARM_TRUTH, PRESS_STATE, surface_state
 from rig.realtime import SOLVER_PRIORITY
 from rig.shared import LatestRecord
 from rig.world import read_file
-from rig.world.simulated import (
-    PRESS_FILE,
-    SURFACE_FILE,
-    ContactFrame,
-    SimulatedSpec,
-    live_sensor,
-)
+from rig.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, SimulatedSpec, live_sensor
 
 if TYPE_CHECKING:
     from rig.world.simulated import LiveSensor

@@ -8,8 +8,8 @@ from sim.archives.plan import Plan, code
 from sim.archives.press import NO_PHASE, Press, Recording
 from sim.effects import Friction
 from sim.motion import press
+from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
-from sim.speed.work import DEPTHS_MM, FRICTION, PLACES_MM
 
 PLACES = tuple((x, y) for x in PLACES_MM for y in PLACES_MM)
 """Where the tip goes down, x and y [mm]; the target is the number of the place."""

@@ -17,13 +17,7 @@ from sim.fem.columns import Columns
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, element_kernels
 from sim.fem.mesh import Mesh
-from sim.fem.nodes import (
-    RUN,
-    SUMS,
-    push_kernel,
-    reduce_kernel,
-    residual_kernel,
-)
+from sim.fem.nodes import RUN, SUMS, push_kernel, reduce_kernel, residual_kernel
 from sim.fem.numerics import Numerics
 from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.fem.state import State

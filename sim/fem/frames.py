@@ -11,13 +11,7 @@ import numpy as np
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh
 from sim.fem.newton import FORCE_FLOOR
-from sim.fem.readings import (
-    Snapshot,
-    body_force,
-    contact_points,
-    stored_energy,
-    surface_traction,
-)
+from sim.fem.readings import Snapshot, body_force, contact_points, stored_energy, surface_traction
 from sim.result import Quality, Result
 from sim.scene import Scene
 

@@ -3,9 +3,9 @@
 """A row of the stencil in a CPU's wide registers: times a vector, and rounded.
 
 A row is 27 blocks of 3x3 in a piece, 243 numbers. Compiled block by block, a product takes twice as
-long (docs/speed.md), and float16 is converted bit by bit. So rows are written here as the lanes of
-eight that Clang offers for every CPU. Three neighbours in a line are next to each other in memory:
-nine times three blocks make a row.
+long (docs/results/speed.md), and float16 is converted bit by bit. So rows are written here as the
+lanes of eight that Clang offers for every CPU. Three neighbours in a line are next to each other in
+memory: nine times three blocks make a row.
 """
 
 import functools

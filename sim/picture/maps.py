@@ -10,14 +10,7 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion
 
 from recorder.plot import INK, PANEL, SOFT, font
-from sim.picture.colours import (
-    HEIGHT,
-    PRESSURE,
-    Scale,
-    coloured,
-    round_below,
-    round_numbers,
-)
+from sim.picture.colours import HEIGHT, PRESSURE, Scale, coloured, round_below, round_numbers
 from sim.picture.sample import Surface
 
 Array = NDArray[np.float64]

@@ -12,11 +12,10 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.accuracy.measure import WEAK, marker_pixels
-from sim.accuracy.outcome import Outcome, outcome_of
 from sim.errors import SceneError
 from sim.fem.path import path_of, sharpest
 from sim.layer import simulate_layer
+from sim.metrics import WEAK, Outcome, marker_pixels, outcome_of
 from sim.planner.tolerance import Kind
 from sim.result import Result
 from sim.scene import Scene

@@ -210,5 +210,8 @@ def _bars(rows: Sequence[CostRow]) -> dict[tuple[str, str, Kind], float]:
 
 
 def _without_precision(choice: Choice) -> Choice:
-    """float32 is as exact as float64 here (docs/cost-table.md), and goes on in it where it must."""
+    """float32 is as exact as float64 here (docs/results/cost-table.md).
+
+    And goes on in it where it must.
+    """
     return Choice(choice.tier, choice.cells)

@@ -8,15 +8,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim.errors import SceneError
+from sim.fem.numerics import Numerics
 from sim.planner import seconds as seconds_file
 from sim.planner import table as table_file
 from sim.planner.choices import Choice, all_choices
 from sim.planner.features import WHAT, Probe, probe
-from sim.planner.measure import conditions_text
 from sim.planner.model import PROMISED, Model, fit
 from sim.planner.seconds import SecondsModel, fit_seconds
 from sim.planner.tolerance import Kind, Tolerance, said, tolerance_of
 from sim.scene import Scene
+
+
+def conditions_text() -> str:
+    """The settings of `fem` that errors depend on, as they are now."""
+    return repr(Numerics())
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +165,7 @@ def stored() -> Planner:
         if not path.exists():
             raise SceneError(
                 f"tolerance: no cost table to plan with, {path} is not there; allowed: once "
-                "`python -m sim cost-table` has made it"
+                "`python -m benchmarks cost-table` has made it"
             )
     table = table_file.read(table_file.TRAINING)
     return Planner(

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from sim.accuracy.outcome import outcome_of
 from sim.errors import SceneError, SimulationDiverged
+from sim.metrics import outcome_of, worst_errors
 from sim.planner.choices import COARSER_BY, LADDER, LAYER_COMPANION, Choice
 from sim.planner.features import probe
-from sim.planner.measure import worst_errors
 from sim.planner.model import BAR_FLOOR, PROMISED
 from sim.planner.plan import Plan, Planner, plan, stored
 from sim.planner.tolerance import KINDS
@@ -98,7 +97,7 @@ def with_error_bar(
     numerics = numerics or Numerics()
     spacing = _coarser(result, numerics.spacing)
     second = simulate(scene, "fem", numerics=replace(numerics, spacing=spacing), device=device)
-    difference = worst_errors(outcome_of(result), outcome_of(second), scene)
+    difference = worst_errors(outcome_of(result), outcome_of(second), scene.body)
     factor = {kind: planner.errors.bars[result.tier, looked.features.group, kind] for kind in KINDS}
     least = {kind: BAR_FLOOR[kind] * scale for kind, scale in looked.scales.items()}
     names = dict(zip(KINDS, ("force_share", "force", "marker_rms"), strict=True))

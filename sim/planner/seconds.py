@@ -10,34 +10,25 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from sim.accuracy.spent import spent_by
-from sim.errors import SceneError, SimulationDiverged
-from sim.motion import press
-from sim.planner.choices import LADDER, Choice
-from sim.planner.features import Features, probe
-from sim.planner.measure import work_of
+from sim.errors import SceneError
+from sim.planner.choices import Choice
+from sim.planner.features import Features
 from sim.planner.model import Fit, inputs, ridge
-from sim.planner.scenes import TRAINING, batch
 from sim.planner.table import Table
-from sim.scene import Scene
-from sim.simulate import simulate
 
 Array = NDArray[np.float64]
 
 STORED = Path(__file__).parent / "seconds.csv"
 """Presses timed one by one, on each device."""
-SEED = 77
-WARM = 1 / 200
-"""Depth over thickness of the press that loads the kernels before one is timed."""
-_COLUMNS = ("device", "machine", "tier", "cells", "precision", "elements", "newton", "cg",
+COLUMNS = ("device", "machine", "tier", "cells", "precision", "elements", "newton", "cg",
             "frames", "seconds")  # fmt: skip
 
 
@@ -77,7 +68,7 @@ class SecondsModel:
             known = sorted({one for one, _tier, _precision in self.shares})
             raise SceneError(
                 f"device: {device!r} with a tolerance; allowed: {', '.join(known)} (others once "
-                "`python -m sim cost-table --seconds` has timed them)"
+                "`python -m benchmarks cost-table --seconds` has timed them)"
             )
         work = self.predicted_work(features, choice)
         return float(_terms(work["elements"], work["newton"], work["cg"], choice.tier) @ shares)
@@ -119,32 +110,6 @@ def fit_seconds(table: Table, timed: Sequence[Timed]) -> SecondsModel:
     return SecondsModel(work, shares)
 
 
-def time_presses(
-    device: str, machine: str, batches: int, seconds_max: float, say: Callable[[str], None]
-) -> list[Timed]:
-    """Presses timed one by one, `batches` scenes on every mesh, coarse to fine.
-
-    A mesh is left out where it is expected to take more than `seconds_max`.
-    """
-    found: list[Timed] = []
-    for index in range(batches):
-        scene = batch(SEED, index, TRAINING)[0]
-        looked = probe(scene)
-        say(f"[{index + 1}/{batches}] {scene.indenter.name}, {looked.features.group}")
-        if device == "cpu":
-            found += _timed(scene, Choice("layer"), device, machine)
-        for precision in ("float32", "float64"):
-            last = 0.0
-            for before, cells in zip((LADDER[0], *LADDER), LADDER, strict=False):
-                if last * (cells / before) ** 4 > seconds_max:
-                    break
-                choice = Choice("fem", cells, precision)
-                now = _timed(scene, choice, device, machine)
-                found += now
-                last = now[0].seconds if now else last
-    return found
-
-
 def read(path: Path | None = None) -> list[Timed]:
     """The presses that `write` wrote; the stored ones unless a file is named."""
     with (path or STORED).open(encoding="utf-8", newline="") as file:
@@ -161,40 +126,6 @@ def read(path: Path | None = None) -> list[Timed]:
             )
             for line in csv.DictReader(file)
         ]
-
-
-def write(path: Path, timed: Sequence[Timed]) -> None:
-    """Write timed presses."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        for one in timed:
-            choice = one.choice
-            writer.writerow(
-                (one.device, one.machine, choice.tier, choice.cells, choice.precision,
-                 f"{one.elements:.0f}", f"{one.newton:.0f}", f"{one.cg:.0f}", one.frames,
-                 f"{one.seconds:.4g}")
-            )  # fmt: skip
-
-
-def _timed(scene: Scene, choice: Choice, device: str, machine: str) -> list[Timed]:
-    """The timed press; empty where it has no solution."""
-    numerics = choice.numerics(scene.body)
-    shallow = replace(scene, motion=press([WARM * scene.body.thickness]))
-    coarse = Choice(choice.tier, LADDER[0] if choice.tier == "fem" else 0, choice.precision)
-    try:
-        simulate(shallow, choice.tier, numerics=coarse.numerics(scene.body), device=device)
-        result, spent = spent_by(
-            lambda: simulate(scene, choice.tier, numerics=numerics, device=device), device
-        )
-    except SimulationDiverged:
-        return []
-    seconds = spent.cpu if device == "cpu" else spent.wall
-    work = work_of(result)
-    frames = len(scene.motion)
-    kind = device_kind(device)
-    return [Timed(kind, machine, choice, **work, frames=frames, seconds=seconds)]
 
 
 def _work_inputs(features: Features, choice: Choice) -> Array:

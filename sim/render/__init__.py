@@ -1,6 +1,5 @@
 """From deformed surfaces to images of markers, and the displacement field that keeps them all."""
 
-from sim.render.compare import iou, mismatch
 from sim.render.renderer import Renderer
 from sim.render.textures import Textures, textures_of
 from sim.render.view import View
@@ -9,7 +8,5 @@ __all__ = [
     "Renderer",
     "Textures",
     "View",
-    "iou",
-    "mismatch",
     "textures_of",
 ]

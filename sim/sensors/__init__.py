@@ -8,14 +8,7 @@ One deformation serves them all: a signal is made from the displacement of the t
 assume, and where from: docs/sensors.md.
 """
 
-from sim.sensors.catalogue import (
-    HETEROGENEOUS,
-    HOMOGENEOUS,
-    MATERIAL,
-    NAMES,
-    read_sensor,
-    sensor,
-)
+from sim.sensors.catalogue import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, NAMES, read_sensor, sensor
 from sim.sensors.field import SurfaceField
 from sim.sensors.life import Drift, Framing, Grip, Life, Mount, Placement
 from sim.sensors.pins import Pins

@@ -31,12 +31,7 @@ from learning.translation.diffusion.pairs import ImagePairs, unit
 from learning.translation.diffusion.perceptual import PerceptualDistance
 from learning.translation.diffusion.settings import Optimiser, TranslatorSettings
 from learning.translation.diffusion.updates import Batch, Judges, Side, merged, two_pass
-from learning.translation.diffusion.weights import (
-    read_clip,
-    read_perceptual,
-    read_unet,
-    read_vae,
-)
+from learning.translation.diffusion.weights import read_clip, read_perceptual, read_unet, read_vae
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

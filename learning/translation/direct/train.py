@@ -25,12 +25,7 @@ from learning.training.schedules import set_rate
 from learning.translation.autoencoder.overlap import soft_dice
 from learning.translation.direct.aligned import AlignedImages
 from learning.translation.direct.discriminator import PatchDiscriminator, fooling, telling
-from learning.translation.direct.examples import (
-    Pair,
-    all_pairs,
-    draw_examples,
-    examples_at,
-)
+from learning.translation.direct.examples import Pair, all_pairs, draw_examples, examples_at
 from learning.translation.direct.losses import reconstruction
 from learning.translation.direct.network import DirectNetwork
 from learning.translation.direct.settings import DirectSettings

@@ -29,12 +29,7 @@ from learning.training.schedules import Cosine, set_rate
 from learning.translation.field.deformation import render
 from learning.translation.field.examples import Bank, Examples, draw_examples
 from learning.translation.field.frames import Frames
-from learning.translation.field.losses import (
-    LossWeights,
-    image_loss,
-    regularity_loss,
-    truth_error,
-)
+from learning.translation.field.losses import LossWeights, image_loss, regularity_loss, truth_error
 from learning.translation.field.model import FieldModel
 from learning.translation.field.settings import FieldSettings, StageSettings
 from learning.translation.field.validation import Found, found_in_sources, map_scores, net_scores

@@ -4,12 +4,7 @@ No training. It is exact as far as both sensors' skins move alike and markers ar
 each other to say how: a field between them is a smooth guess.
 """
 
-from learning.translation.flow.fields import (
-    LATTICE,
-    MAP_SIDE,
-    FieldReader,
-    marker_fields,
-)
+from learning.translation.flow.fields import LATTICE, MAP_SIDE, FieldReader, marker_fields
 from learning.translation.flow.translator import FlowTranslator
 
 __all__ = [

@@ -1,0 +1,97 @@
+"""Command line of the benchmarks: `python -m benchmarks NAME [options]`, from the repository."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """One program that measures."""
+
+    module: str
+    """Below `benchmarks`; has either `add_to(parsers)` or `main(arguments)`."""
+    package: str
+    """Whose errors and exit codes it ends with: `rig`, `sim` or `learning`."""
+    help: str
+
+
+BENCHMARKS = {
+    # Recording
+    "recording": Benchmark("recording.command", "rig", "what recording costs, beside other stores"),
+    "faults": Benchmark("faults.command", "rig", "break a mock bench in every way"),
+    "endurance": Benchmark("endurance.command", "rig", "half an hour on the mock bench"),
+    # The simulator
+    "hard-cases": Benchmark("sim.stability.command", "sim", "cases that break simulators"),
+    "refine": Benchmark("sim.refinement.command", "sim", "force from coarse to fine meshes"),
+    "accuracy": Benchmark("sim.accuracy.command", "sim", "error against time and memory"),
+    "cost-table": Benchmark("sim.cost_table.command", "sim", "what errors cost, for the planner"),
+    "speed": Benchmark("sim.speed.command", "sim", "the paper's 162 presses timed"),
+    "effects": Benchmark("sim.effects.command", "sim", "what an effect costs, on and off"),
+    "layer": Benchmark("sim.tiers.layer", "sim", "the `layer` tier, error and time"),
+    "mpm": Benchmark("sim.tiers.mpm", "sim", "the `mpm` tier beside `fem`"),
+    "render-check": Benchmark("sim.render.check", "sim", "marker images against ray casting"),
+    "render-speed": Benchmark("sim.render.timing", "sim", "marker images per second"),
+    "render-picture": Benchmark("sim.render.picture", "sim", "draw markers before and after"),
+    "blender": Benchmark("sim.render.blender", "sim", "the same images by Blender"),
+    "sensor-fit": Benchmark("sim.sensors.fit", "sim", "find the fitted numbers of the sensors"),
+    "sensor-speed": Benchmark("sim.sensors.timing", "sim", "time a frame of each sensor"),
+    "sensor-picture": Benchmark("sim.sensors.picture", "sim", "draw one press on every sensor"),
+    "live-forces": Benchmark("sim.sensors.accuracy", "sim", "live forces beside `layer` and `fem`"),
+    "live-session": Benchmark("sim.sensors.stream_accuracy", "sim", "a session solved again"),
+    "patterns": Benchmark("sim.pictures.patterns", "sim", "draw all marker patterns"),
+    "indenters": Benchmark("sim.pictures.indenters", "sim", "draw all indenters"),
+    # Learning
+    "latency": Benchmark("learning.latency.command", "learning", "error against time and size"),
+    "field-speed": Benchmark("learning.field_rate", "learning", "field translator, frames/s"),
+    "diffusion-full-size": Benchmark(
+        "learning.diffusion_full_size", "learning", "diffusion at the paper's size, on a GPU"
+    ),
+    "learning-tables": Benchmark("learning.tables.command", "learning", "the paper's tables"),
+    "learning-on-gpus": Benchmark(
+        "learning.tables.on_gpus", "learning", "all tables and ablations, on all GPUs"
+    ),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one benchmark; the exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_listing())
+        return 0
+    name = arguments[0]
+    known = BENCHMARKS.get(name)
+    if known is None:
+        print(f"wrong input: {name!r}; allowed: {', '.join(BENCHMARKS)}", file=sys.stderr)
+        return 2
+    module = import_module(f"benchmarks.{known.module}")
+    if hasattr(module, "main"):
+        return int(module.main(arguments[1:]) or 0)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks")
+    parsers = parser.add_subparsers(dest="verb", required=True)
+    module.add_to(parsers)
+    return int(_run(known.package, parser, [name, *arguments[1:]]))
+
+
+def _run(package: str, parser: argparse.ArgumentParser, arguments: list[str]) -> int:
+    """Run a verb as its package would: its errors, its exit codes."""
+    front: Any = import_module(f"{package}.__main__")
+    return int(front.run(parser, arguments))
+
+
+def _listing() -> str:
+    width = max(map(len, BENCHMARKS))
+    rows = [f"  {name:{width}}  {known.help}" for name, known in BENCHMARKS.items()]
+    return "\n".join(
+        ["usage: python -m benchmarks NAME [options]; NAME --help has them", "", *rows]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,70 @@
+"""`python -m benchmarks endurance`: a long mock collection, its memory and what was lost."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import ConfigError
+from rig.verbs.options import bench_options, bench_path
+
+if TYPE_CHECKING:
+    from rig.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "endurance",
+        parents=[bench_options()],
+        help="a long mock collection: is memory flat, is nothing dropped",
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=30.0, help="least length of the plan [min] (%(default)s)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results/endurance.md"),
+        help="page to write (%(default)s)",
+    )
+    parser.add_argument("--session", type=Path, help="keep the session here (default: thrown away)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run, write the page; the collection's exit code.
+
+    Raises:
+        ConfigError: No mock bench, or more minutes than a plan can have.
+    """
+    from benchmarks.endurance.long_run import long_bench, run_long
+    from benchmarks.endurance.report import page
+
+    if not options.minutes > 0:
+        raise ConfigError(f"--minutes: found {options.minutes:g}; allowed: above 0")
+    seconds = 60 * options.minutes
+    with tempfile.TemporaryDirectory(prefix="tactile-rig-") as scratch:
+        folder = Path(scratch)
+        bench_file, targets = long_bench(bench_path(options), seconds, folder)
+        session = options.session or folder / "long.zarr"
+
+        def progress(so_far: float) -> None:
+            if sys.stderr.isatty():
+                left = max(seconds - so_far, 0)
+                print(
+                    f"\r{so_far / 60:.1f} min, about {left / 60:.0f} min left ",
+                    end="",
+                    file=sys.stderr,
+                )
+
+        print(f"{targets} targets, at least {options.minutes:g} minutes", flush=True)
+        found = run_long(bench_file, session, targets, progress)
+        print(found.output)
+        if found.exit_code == 0:
+            options.out.write_text(page(found))
+            print(f"{options.out}: written")
+        return found.exit_code

@@ -1,0 +1,117 @@
+"""What the long run showed, as figures and as a page."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.endurance.long_run import LongRun
+from benchmarks.endurance.processes import Track
+from recorder import Session, check
+
+_WARM_UP = 120.0
+# Buffers, caches and the first shards fill up to here [s].
+_MIB = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How the memory of one process went, after the warm-up."""
+
+    role: str
+    first: float
+    """Median of the first minute [bytes]."""
+    last: float
+    """Median of the last minute [bytes]."""
+    slope: float
+    """Straight line through all of it [bytes per hour]."""
+    spread: float
+    """Standard deviation around that line [bytes]."""
+    files: tuple[int, int]
+    """Open files at the first and the last look."""
+    cpu_share: float
+    """CPU time over wall time."""
+
+
+def growth_of(
+    track: Track, seconds: float, warm_up: float = _WARM_UP, until: float = np.inf
+) -> Growth | None:
+    """Growth of one process; None for one that was not there long enough to say.
+
+    Args:
+        track: The process.
+        seconds: Length of the whole run [s].
+        warm_up: What came before is left out [s].
+        until: And what came later, as the closing of the session [s].
+    """
+    times = np.array(track.seconds)
+    late = (times >= warm_up) & (times <= until)
+    if late.sum() < 3:
+        return None
+    first, last = np.flatnonzero(late)[[0, -1]].tolist()
+    times, memory = times[late], np.array(track.memory)[late]
+    line = np.polyfit(times, memory, 1)
+    return Growth(
+        track.role,
+        float(np.median(memory[times <= times[0] + 60])),
+        float(np.median(memory[times >= times[-1] - 60])),
+        float(line[0]) * 3600,
+        float(np.std(memory - np.polyval(line, times))),
+        (track.files[first], track.files[last]),
+        track.cpu / seconds,
+    )
+
+
+def page(run: LongRun) -> str:
+    """The page, Markdown."""
+    session = Session(run.session)
+    findings = check(run.session)
+    # Afterwards the session is closed and its frames are built, which takes memory of its own.
+    end = min(track.seconds[-1] for track in run.tracks if track.role.endswith("stream"))
+    growths = [
+        found
+        for track in run.tracks
+        if (found := growth_of(track, run.seconds, until=end)) is not None
+    ]
+    growths.sort(key=lambda growth: growth.role)
+    dropped = {name: int(facts["dropped"]) for name, facts in session.attrs["summary"].items()}
+    rows = {name: len(stream.t_ns) for name, stream in session.streams.items()}
+    total = sum(growth.slope for growth in growths)
+    size = sum(path.stat().st_size for path in run.session.rglob("*") if path.is_file())
+    lines = [
+        "# Half an hour and more",
+        "",
+        f"One mock collection of {run.targets} targets in {run.seconds / 60:.1f} minutes, watched "
+        "from outside every 5 s. Made by `make endurance`.",
+        "",
+        f"Python {platform.python_version()}, {os.cpu_count()} cores. The session ended "
+        f"`{session.attrs['status']}`, exit code {run.exit_code}, {size / 1e6:.0f} MB.",
+        "",
+        "| stream | rows | dropped | longest gap |",
+        "|---|---|---|---|",
+        *(
+            f"| {name} | {count} | {dropped.get(name, '?')} | "
+            f"{1e3 * session.attrs['summary'][name]['longest_gap']:.1f} ms |"
+            for name, count in rows.items()
+        ),
+        "",
+        f"`recorder check`: {'nothing found' if not findings else ''}",
+        *(f"- {finding}" for finding in findings),
+        "",
+        f"Memory each process has of its own, from {_WARM_UP / 60:.0f} minutes after the start to "
+        f"the end of recording. All together grow by {total / _MIB:+.2f} MiB an hour.",
+        "",
+        "| process | first minute | last minute | slope | around it | open files | CPU |",
+        "|---|---|---|---|---|---|---|",
+        *(
+            f"| {growth.role} | {growth.first / _MIB:.1f} MiB | {growth.last / _MIB:.1f} MiB | "
+            f"{growth.slope / _MIB:+.2f} MiB/h | {growth.spread / _MIB:.2f} MiB | "
+            f"{growth.files[0]} to {growth.files[1]} | {growth.cpu_share:.0%} |"
+            for growth in growths
+        ),
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,85 @@
+"""Put every fault into a mock collection and write what the rig did.
+
+`python -m benchmarks faults`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "faults",
+        help="disturb mock collections in every way; write what was lost",
+        description="Puts faults into short mock collections, one after the other, and judges "
+        "each by the session it leaves. Exit 1 when any row loses samples, hangs or leaves the "
+        "arm moving. About half an hour; with --quick, and fewer kills, about ten minutes.",
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="ROW",
+        help="run this row only (may be repeated); no page is written unless --out is given; "
+        "--list names them",
+    )
+    parser.add_argument("--list", action="store_true", help="name the rows and end")
+    parser.add_argument(
+        "--kills", type=int, help="number of kill -9s (default: 100; 10 with --quick)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="each row once, 10 kills in place of 100"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the kills (%(default)s)")
+    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    parser.add_argument(
+        "--out", type=Path, help="page to write (default: docs/results/reliability.md)"
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="keep sessions and logs of bad rows here"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the rows, write the page; 0, or 1 when a row is not as it should be.
+
+    Raises:
+        ConfigError: No such row, or no such folder of benches.
+    """
+    from benchmarks.faults.rows import SENSORS
+    from benchmarks.faults.run import Campaign, names
+    from rig.bench import load_bench
+
+    if options.list:
+        print("\n".join(names()))
+        return 0
+    unknown = sorted(set(options.only or ()) - set(names()))
+    if unknown:
+        raise ConfigError(f"--only: found {unknown}; known: {', '.join(names())}")
+    for sensor in SENSORS:
+        path = options.benches / f"{sensor}.yaml"
+        if not load_bench(path)[0].mock:
+            raise ConfigError(
+                f"{path}: mock: found false; allowed: true: no arm is broken on purpose"
+            )
+    kills = options.kills if options.kills is not None else 10 if options.quick else 100
+    if kills < 0:
+        raise ConfigError(f"--kills: found {kills}; allowed: 0 or more")
+    out = options.out or (None if options.only else Path("docs/results/reliability.md"))
+    campaign = Campaign(
+        options.benches,
+        only=tuple(options.only or names()),
+        kills=kills,
+        seed=options.seed,
+        keep=options.keep,
+    )
+    return 0 if campaign.run(out) else 1

@@ -1,0 +1,91 @@
+"""A disk that fills up in the middle of a recording: a small tmpfs, which only root can mount."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks.faults.judge import Judgement
+from benchmarks.faults.one_row import judge
+from benchmarks.faults.quick import quick_bench
+from benchmarks.faults.rows import Row
+from benchmarks.faults.trial import Hangs, Trial
+from rig.clock import SECOND_NS, SystemClock
+from rig.errors import EXIT_DEVICE_LOST
+
+ROW = Row("disk", "full", (EXIT_DEVICE_LOST,), None, targets=20, needs_recover=True)
+"""Of the table of faults, as far as it is like the others."""
+
+_SIZE_MB = 12
+_FULL = 1 << 16
+# Less than this is free: the next record does not fit [bytes].
+_FILLING = 60.0
+
+
+class CannotMount(Exception):
+    """No tmpfs can be had, with the reason."""
+
+
+def fill_disk(folder: Path, benches: Path) -> Judgement:
+    """Record onto a tmpfs until it is full, and judge what is left once there is room again.
+
+    Args:
+        folder: Empty; the disk is mounted here.
+        benches: Folder of the bench files.
+
+    Raises:
+        CannotMount: Not root, or no tmpfs.
+    """
+    disk = folder / "disk"
+    disk.mkdir()
+    bench = quick_bench(folder, ROW.sensor, benches)
+    with _tmpfs(disk), Trial(disk / "s.zarr", *_arguments(bench)) as trial:
+        try:
+            trial.until_pressing()
+            trial.until(lambda: shutil.disk_usage(disk).free < _FULL, "a full disk", _FILLING)
+            trial.injected_ns = SystemClock().now_ns()
+            code = trial.wait()
+        except Hangs as error:
+            if trial.process.poll() is None:
+                words = ("did not come to its end", *str(error).splitlines()[-3:])
+                return Judgement(None, trial.last_line, None, None, 0, 0, "not known", words)
+            code = trial.wait()
+        trial.seen()
+        # What a technician does: make room, then recover.
+        roomy = folder / "s.zarr"
+        shutil.copytree(trial.session, roomy)
+        trial.session = roomy
+        return judge(ROW, trial, code)
+
+
+def _arguments(bench: Path) -> tuple[str, ...]:
+    return ("--bench", str(bench), "--targets", str(ROW.targets))
+
+
+@contextlib.contextmanager
+def _tmpfs(folder: Path) -> Iterator[None]:
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={_SIZE_MB}m", "tmpfs", str(folder)]
+    try:
+        done = subprocess.run(mount, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise CannotMount(str(error)) from error
+    if done.returncode != 0:
+        raise CannotMount(done.stderr.strip() or f"mount ended with {done.returncode}")
+    try:
+        yield
+    finally:
+        _unmount(folder)
+
+
+def _unmount(folder: Path) -> None:
+    """Unmount, waiting a little for files that are still open."""
+    clock = SystemClock()
+    for _ in range(20):
+        if subprocess.run(["umount", str(folder)], capture_output=True, check=False).returncode:
+            clock.sleep_until(clock.now_ns() + SECOND_NS // 10)
+        else:
+            return
+    subprocess.run(["umount", "-l", str(folder)], capture_output=True, check=False)

@@ -1,0 +1,224 @@
+"""SIGKILL of random processes at random moments, recovery after each, a whole session in the end.
+
+Sessions are killed over and over and gone on with: each chain is one session that is killed,
+recovered and resumed several times and then brought to its end.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.faults.judge import arm_in_words, complaints, left_in, losses
+from benchmarks.faults.processes import kill, wait_gone
+from benchmarks.faults.quick import quick_bench
+from benchmarks.faults.trial import EMULATORS, Hangs, Trial
+from recorder import Session, SessionError
+from recorder.recover import recover
+from rig.clock import SECOND_NS, SystemClock
+
+_SENSOR = "tacpalm"
+_STREAMS = ("force", "pose", "camera")
+VICTIMS = (
+    "everything",
+    "the collecting process",
+    *(f"the {name} stream" for name in _STREAMS),
+    "the arm's process",
+    *(f"the {name} emulator" for name in ("arm", "force", "camera")),
+)
+"""Who is killed, with equal chances."""
+_BENCH_GOES_TOO = VICTIMS[:2]
+_TARGETS = 6
+_LONGEST = 3.0
+# From the begin of recording to the kill [s].
+_ENDING = 30.0
+# A collection that lost a process has to retract, seal and end within this [s].
+_WHOLE = 240.0
+
+
+@dataclass(slots=True)
+class Kills:
+    """What came of them."""
+
+    victims: Counter[str] = field(default_factory=Counter)
+    """Who was killed how often."""
+    compared: int = 0
+    """Samples seen while recording that were looked for."""
+    lost: int = 0
+    """Those that were not there."""
+    resumed: int = 0
+    """Runs that went on with a killed session."""
+    completed: int = 0
+    """Sessions that came to their end afterwards."""
+    wrong: list[str] = field(default_factory=list)
+    """What must not be."""
+
+
+Report = Callable[[str], None]
+
+
+def kill_often(
+    folder: Path,
+    benches: Path,
+    *,
+    kills: int,
+    sessions: int,
+    seed: int,
+    report: Report,
+    targets: int = _TARGETS,
+) -> Kills:
+    """Kill `kills` times, over `sessions` sessions, and bring each of them to its end.
+
+    Args:
+        folder: Empty; sessions are made here.
+        benches: Folder of the bench files.
+        kills: How many.
+        sessions: Over how many sessions.
+        seed: Of victims and moments.
+        report: Told a line after each kill and each session.
+        targets: Of each session.
+    """
+    rng = random.Random(seed)
+    found = Kills()
+    for number in range(sessions):
+        share = (kills - found.victims.total()) // (sessions - number)
+        place = folder / f"chain-{number}"
+        place.mkdir()
+        _chain(_Place(place, benches, targets), share, rng, found, report)
+        if not found.wrong:
+            shutil.rmtree(place)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where one session is recorded, and how much of it."""
+
+    folder: Path
+    benches: Path
+    targets: int
+
+
+def _chain(place: _Place, kills: int, rng: random.Random, found: Kills, report: Report) -> None:
+    bench = quick_bench(place.folder, _SENSOR, place.benches)
+    session = place.folder / "s.zarr"
+    for _ in range(kills):
+        if session.exists() and Session(session).status == "complete":
+            # It came to its end between two kills: the rest go to another session.
+            session.rename(place.folder / f"done-{found.completed}.zarr")
+            found.completed += 1
+        begun = session.exists()
+        arguments = ("--resume", str(session)) if begun else ("--targets", str(place.targets))
+        try:
+            with Trial(session, "--bench", str(bench), *arguments) as trial:
+                report(_killed(trial, rng, found))
+                found.resumed += begun
+        except (Hangs, LookupError, SessionError, OSError) as error:
+            found.wrong.append(f"kill {found.victims.total()}: {error}")
+            report(found.wrong[-1])
+            return
+    report(_brought_to_its_end(session, bench, found))
+
+
+def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
+    """Kill somebody, see what is left, recover it."""
+    trial.until_recording()
+    # Only of sealed rows is anything known that later runs could have damaged.
+    before = _times(trial.session)
+    clock = SystemClock()
+    wait = rng.uniform(0.0, _LONGEST)
+    clock.sleep_until(clock.now_ns() + round(wait * SECOND_NS))
+    victim = rng.choice(VICTIMS)
+    everybody = trial.processes()
+    trial.kill(*_pids(trial, victim))
+    code = trial.wait(_ENDING)
+    left = wait_gone(everybody, _ENDING)
+    kill(left)
+    found.victims[victim] += 1
+    where = f"kill {found.victims.total()}, {victim}, {wait:.1f} s into recording"
+    if left:
+        commands = "; ".join(everybody[pid].strip()[-60:] for pid in left)
+        found.wrong.append(f"{where}: did not end within {_ENDING:g} s: {commands}")
+    if victim not in _BENCH_GOES_TOO:
+        gone = victim == "the arm emulator"
+        arm, standing = arm_in_words(trial.seen().arm, trial.ended_ns, gone)
+        if not standing:
+            found.wrong.append(f"{where}: the arm: {arm}")
+    if trial.folder is not None:
+        shutil.rmtree(trial.folder, ignore_errors=True)
+    recover(trial.session)
+    compared, lost = losses(trial.session, trial.seen())
+    after = _times(trial.session)
+    lost += sum(
+        int(not np.array_equal(after[name][: len(times)], times)) for name, times in before.items()
+    )
+    found.compared += compared
+    found.lost += lost
+    if lost:
+        found.wrong.append(f"{where}: {lost} accepted samples are not there")
+    found.wrong += [
+        f"{where}: {what}" for what in complaints(trial.session, left_in(trial.session))
+    ]
+    return f"{where}: exit {code}, {compared} samples looked for, {lost} lost"
+
+
+def _pids(trial: Trial, victim: str) -> tuple[int, ...]:
+    """Who that is.
+
+    Raises:
+        LookupError: It does not run.
+    """
+    processes = trial.processes()
+    main = trial.process.pid
+    if victim == VICTIMS[0]:
+        return (*(pid for pid in processes if pid != main), main)
+    if victim == VICTIMS[1]:
+        return (main,)
+    name = victim.split()[1].removesuffix("'s")
+    if victim.endswith("stream"):
+        return (trial.stream(name),)
+    if name in EMULATORS and victim.endswith("emulator"):
+        return (trial.emulator(name),)
+    streams = {trial.stream(stream) for stream in _STREAMS}
+    spawned = {pid for pid, command in processes.items() if "multiprocessing.spawn" in command}
+    return tuple(spawned - streams)
+
+
+def _times(path: Path) -> dict[str, np.ndarray]:
+    """t_ns of every row that can be read, by stream."""
+    return {name: np.array(stream.t_ns) for name, stream in Session(path).streams.items()}
+
+
+def _brought_to_its_end(session: Path, bench: Path, found: Kills) -> str:
+    """Resume a session until its plan is done."""
+    if Session(session).status != "complete":
+        before = _times(session)
+        with Trial(session, "--bench", str(bench), "--resume", str(session)) as trial:
+            try:
+                code = trial.wait(_WHOLE)
+            except Hangs as error:
+                found.wrong.append(str(error))
+                return found.wrong[-1]
+            if code != 0:
+                found.wrong.append(f"resume: exit {code}: {trial.last_line}")
+        found.resumed += 1
+        after = _times(session)
+        for name, times in before.items():
+            if not np.array_equal(after[name][: len(times)], times):
+                found.wrong.append(f"resume: {name}: rows recorded before are not the same")
+    left = left_in(session)
+    found.wrong += [f"resumed session: {what}" for what in complaints(session, left)]
+    if left.status == "complete":
+        found.completed += 1
+    else:
+        found.wrong.append(f"resumed session: status {left.status}; right: complete")
+    rows = ", ".join(f"{count} {name}" for name, count in left.rows.items())
+    return (
+        f"session {found.completed}: {left.status} after {len(Session(session).runs)} runs, {rows}"
+    )

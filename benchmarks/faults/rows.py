@@ -1,0 +1,222 @@
+"""The table of faults: one row each, by name, with what the rig shall do."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from benchmarks.faults.trial import Trial
+from rig.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_SAFETY_STOP
+
+_STOPS = (EXIT_DEVICE_LOST,)
+_GOES_ON = (EXIT_DONE,)
+_SHORT = 1.0
+# How long a fault lasts that shall not end the session: over before the session is [s].
+
+_LONG = 4
+# Targets of a session that must not be over before a slow line is found too slow.
+
+SENSOR_OF = {"arm": "tacpalm", "force": "tacpalm", "camera": "tacpalm", "taxels": "uskin"}
+"""The mock bench on which each device is disturbed."""
+SENSORS = tuple(sorted(set(SENSOR_OF.values())))
+"""The benches that must be there."""
+
+OVERLOAD = {
+    "force_rating_n": [12.0, 12.0, 0.3],
+    "soft_fraction": 0.8,
+    "hard_fraction": 0.8,
+    "horizon_ms": 0.001,
+    "stiffness_n_per_mm": 0.001,
+}
+"""Limits that a press of the mock bench exceeds: the hard one at once, without the soft one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One fault."""
+
+    device: str
+    """What it happens to."""
+    fault: str
+    """What happens."""
+    codes: tuple[int, ...]
+    """Exit codes that are right."""
+    act: Callable[[Trial], None] | None
+    """Puts the fault into a collection that presses; None: it is in from the start."""
+    sensor: str = "tacpalm"
+    """Bench it happens on."""
+    limits: str = "{}"
+    """YAML of limits that differ from the bench's."""
+    more: str = ""
+    """YAML to add to the bench; BENCHES stands for the folder of the bench files."""
+    before: Callable[[Trial], None] | None = None
+    """What a person does once it records, without which nothing is pressed."""
+    pedal: bool = False
+    """Whether the bench has a foot pedal, for which the hidraw shim is preloaded."""
+    targets: int = 2
+    counts: tuple[str, str] | None = None
+    """Stream, and reason for which it must have left out all that was injected."""
+    did: str = ""
+    """What the rig does where it goes on, in words, when it is more than counting."""
+    disorder: str = ""
+    """Why rows may be stored in disorder; empty: they must not."""
+    needs_recover: bool = False
+    """Whether the session needs `recorder recover` afterwards, as after any SIGKILL of ours."""
+    controller_gone: bool = False
+    """Whether nobody is left to ask where the arm is."""
+
+    @property
+    def name(self) -> str:
+        """What --only takes."""
+        return f"{self.device} {self.fault}".replace(" ", "-")
+
+
+def _line(fault: str, **values: float) -> Callable[[str], Callable[[Trial], None]]:
+    def of_device(device: str) -> Callable[[Trial], None]:
+        return lambda trial: _inject(trial, device, fault, values)
+
+    return of_device
+
+
+def _inject(trial: Trial, device: str, fault: str, values: dict[str, float]) -> None:
+    trial.inject(device, fault, **values)
+
+
+def _killed(device: str) -> Callable[[Trial], None]:
+    return lambda trial: trial.kill(trial.emulator(device))
+
+
+_FAULTS: tuple[
+    tuple[str, Callable[[str], Callable[[Trial], None]], tuple[int, ...], str | None], ...
+] = (
+    ("killed", _killed, _STOPS, None),
+    ("unplugged", _line("unplug"), _STOPS, None),
+    ("frozen 3 s", _line("freeze", seconds=3.0), _STOPS, None),
+    ("slow", _line("slow", fraction=0.25), _STOPS, None),
+    ("garbage", _line("garbage", seconds=3.0), _STOPS, None),
+    ("wrong units", _line("wrong_units"), _STOPS, None),
+    ("reordered", _line("reorder", seconds=_SHORT, every=10), _GOES_ON, "late"),
+    ("duplicated", _line("duplicate", seconds=_SHORT, every=10), _GOES_ON, "repeated"),
+)
+_STREAM_OF = {"arm": "pose"}
+_UNNUMBERED = "MJPEG over HTTP numbers no frames; TCP keeps their order, so only a camera could"
+
+
+def _matrix() -> list[Row]:
+    rows = []
+    for device, sensor in SENSOR_OF.items():
+        for fault, act, codes, reason in _FAULTS:
+            unnumbered = device == "camera" and reason == "late"
+            rows.append(
+                Row(
+                    device,
+                    fault,
+                    codes,
+                    act(device),
+                    sensor=sensor,
+                    targets=_LONG if fault == "slow" else 2,
+                    # Of the arm's line several clients have each a part: none is counted alone.
+                    counts=None
+                    if reason is None or unnumbered
+                    else (_STREAM_OF.get(device, device), reason),
+                    disorder=_UNNUMBERED if unnumbered else "",
+                    controller_gone=device == "arm" and fault == "killed",
+                )
+            )
+        if device != "arm":
+            # A single bad package of TCP means that its framing is lost: an arm's row is above.
+            act3 = _line("garbage", messages=3)(device)
+            rows.append(
+                Row(
+                    device,
+                    "3 bad messages",
+                    _GOES_ON,
+                    act3,
+                    sensor=sensor,
+                    counts=(device, "spoilt"),
+                )
+            )
+    return rows
+
+
+def _arm(fault: str) -> Callable[[Trial], None]:
+    return lambda trial: _inject(trial, "arm", fault, {})
+
+
+NIDAQ = "force: {kind: nidaq, grpc: 'loopback:31763', calibration: BENCHES/mock-nano17.cal}"
+ATI_SERIAL = (
+    "force: {kind: ati_serial, address: runfolder/force, counts_per_n: 1280.0, "
+    "counts_per_n_mm: 256.0, rate_hz: 200.0}"
+)
+GRIPPER = "gripper: {kind: robotiq_2f, port: runfolder/gripper.tty}"
+PEDAL = "pedal: {kind: hid_pedal, device: runfolder/pedal.hidraw, mode: dead_man}"
+_WAITS = "waiting: press and hold the foot pedal"
+_HALTED = "halted: the foot pedal was released"
+
+
+def _other_force() -> list[Row]:
+    """The faults of F/T sensors on other wires, as far as they can have them."""
+    possible = ("killed", "unplugged", "frozen 3 s", "slow", "garbage")
+    return [
+        Row(
+            device,
+            fault,
+            # Garbage of a converter is a voltage: what the guard thinks of it may come first.
+            (*codes, EXIT_SAFETY_STOP) if fault == "garbage" else codes,
+            act(device),
+            more=more,
+            targets=_LONG if fault == "slow" else 2,
+        )
+        for device, more in (("NI-DAQ", NIDAQ), ("RS-232", ATI_SERIAL))
+        for fault, act, codes, _ in _FAULTS
+        if fault in possible
+    ]
+
+
+def _hold(trial: Trial) -> None:
+    trial.until_said(_WAITS)
+    trial.tell("pedal", "press")
+
+
+def _let_go_and_press_again(trial: Trial) -> None:
+    trial.inject("pedal", "release")
+    trial.until_said(_WAITS, after=_HALTED)
+    trial.tell("pedal", "press")
+
+
+ROWS: tuple[Row, ...] = (
+    *_matrix(),
+    *_other_force(),
+    *(
+        Row("gripper", name, codes, act, more=GRIPPER)
+        for name, codes, act in (
+            ("grip lost", (EXIT_SAFETY_STOP,), _line("lose_grip")("gripper")),
+            ("killed", (EXIT_DEVICE_LOST, EXIT_SAFETY_STOP), _killed("gripper")),
+            ("unplugged", (EXIT_DEVICE_LOST, EXIT_SAFETY_STOP), _line("unplug")("gripper")),
+        )
+    ),
+    Row(
+        "pedal",
+        "released in mid-shear",
+        _GOES_ON,
+        _let_go_and_press_again,
+        more=PEDAL,
+        before=_hold,
+        pedal=True,
+        did="halted, retracted, waited for the pedal, pressed that target again from its start",
+    ),
+    Row("arm", "protective stop", (EXIT_SAFETY_STOP,), _arm("protective_stop")),
+    Row("arm", "emergency stop", (EXIT_SAFETY_STOP,), _arm("emergency_stop")),
+    Row("force", "overload", (EXIT_SAFETY_STOP,), None, limits=json.dumps(OVERLOAD)),
+    Row("operator", "Ctrl-C", (EXIT_INTERRUPTED,), lambda trial: trial.signal(signal.SIGINT)),
+    Row(
+        "rig",
+        "stream process killed",
+        _STOPS,
+        lambda trial: trial.kill(trial.stream("camera")),
+        needs_recover=True,
+    ),
+)
+"""Every row that is one collection; kills by the hundred and the full disk are beside it."""

@@ -1,0 +1,272 @@
+"""One collection on a mock bench, run as a technician runs it, to put a fault into."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.faults.observer import Observer, Seen
+from benchmarks.faults.processes import family, kill, stream_process, wait_gone
+from recorder import OUTCOMES, Session
+from rig import faultport
+from rig.clock import SECOND_NS, SystemClock
+
+EMULATORS = {
+    "arm": "rig.arm.emulator",
+    "force": "rig.force.netft_emulator",
+    "camera": "rig.camera.mjpeg_emulator",
+    "taxels": "rig.taxels.xela_emulator",
+    "NI-DAQ": "rig.force.nidaq_emulator",
+    "RS-232": "rig.force.ati_serial_emulator",
+    "gripper": "rig.gripper.emulator",
+    "pedal": "rig.hid.emulator",
+    "world": "rig.world.host",
+}
+"""The module each device's emulator runs as."""
+_LINES = {"NI-DAQ": "force", "RS-232": "force"}
+# Whose fault port stands for the device.
+
+_STARTING = 60.0
+# Interpreters start one after the other on a small machine [s].
+_POLL_NS = SECOND_NS // 50
+
+
+class Hangs(Exception):
+    """A collection that came to no end, or did not come so far, with what it had printed."""
+
+
+class Trial:
+    """A running collection, as a context manager: nothing of it is left afterwards.
+
+    Args:
+        session: Where it records.
+        *arguments: Of `python -m rig collect`.
+        preload: Library to preload, for devices that need a node of the kernel's.
+    """
+
+    def __init__(self, session: Path, *arguments: str, preload: Path | None = None) -> None:
+        self.session = session
+        self.lines: list[tuple[int, str]] = []
+        """Everything it printed, with the time it came [ns]."""
+        self.injected_ns: int | None = None
+        """When the fault was put in [ns]."""
+        self.ended_ns = 0
+        """When the process had ended [ns]."""
+        self._clock = SystemClock()
+        self._observer: Observer | None = None
+        self._known: dict[int, str] = {}
+        self.host = ""
+        """Address of its mock bench, once it runs."""
+        self.folder: Path | None = None
+        """Its run folder, once the bench runs."""
+        where = [] if "--resume" in arguments else ["--out", str(session)]
+        # What was measured of a bench has no part in how it is broken.
+        where += ["--calibrations", str(session.parent / "none-measured")]
+        self.process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+            env=None if preload is None else {**os.environ, "LD_PRELOAD": str(preload)},
+        )
+        self._reader = threading.Thread(target=self._read, name="trial-output", daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> Trial:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill_all()
+        if self._observer is not None:
+            self._observer.close()
+        self.process.wait()
+        self._reader.join()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+    def _read(self) -> None:
+        if self.process.stdout is not None:
+            for line in self.process.stdout:
+                self.lines.append((self._clock.now_ns(), line.rstrip("\n")))
+
+    @property
+    def text(self) -> str:
+        """Everything it printed."""
+        return "\n".join(line for _, line in self.lines)
+
+    @property
+    def last_line(self) -> str:
+        """The last line it printed."""
+        return self.lines[-1][1] if self.lines else ""
+
+    def until(self, condition: Callable[[], bool], what: str, timeout: float = _STARTING) -> None:
+        """Wait for `condition`, with the collection still running.
+
+        Raises:
+            Hangs: It ended, or `timeout` [s] passed.
+        """
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        while not condition():
+            ended = self.process.poll() is not None
+            if ended or self._clock.now_ns() > deadline_ns:
+                if ended:
+                    self._reader.join(2.0)
+                raise Hangs(f"{what}: it did not come so far:\n{self.text}")
+            self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
+
+    def until_recording(self) -> None:
+        """Wait until every stream of this run has stored something, and watch it from then on.
+
+        Raises:
+            Hangs: It did not come so far.
+        """
+        self.until(self._find_bench, "the mock bench")
+        if self.folder is None:
+            raise Hangs(f"no run folder:\n{self.text}")
+        observer = self._observer = Observer(self.folder, self.host)
+        self.until(lambda: min(observer.rows(name) for name in ("force", "pose")) > 0, "recording")
+
+    def until_pressing(self, before: Callable[[Trial], None] | None = None) -> None:
+        """Wait until the first phase of this session is over and the next one under way.
+
+        Args:
+            before: What a person does once it records, without which nothing is pressed.
+
+        Raises:
+            Hangs: It did not come so far.
+        """
+        self.until_recording()
+        if before is not None:
+            before(self)
+        self.until(lambda: self._segment_bytes() > 0, "the first phase")
+
+    def rows(self, name: str) -> int:
+        """Rows that the stream says it has stored in this run; 0 before `until_recording`."""
+        return 0 if self._observer is None else self._observer.rows(name)
+
+    def _segment_bytes(self) -> int:
+        return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
+
+    def _find_bench(self) -> bool:
+        for command in self.processes().values():
+            if found := re.search(r"--host (\S+) --world (\S+)/world.state", command):
+                self.host, self.folder = found[1], Path(found[2])
+                return (self.folder / "world.json").exists()
+        return False
+
+    def processes(self) -> dict[int, str]:
+        """Command lines of its processes, the main one among them, by pid."""
+        found = family(self.process.pid)
+        self._known |= found
+        return found
+
+    def emulator(self, device: str) -> int:
+        """The pid of a device's emulator.
+
+        Raises:
+            LookupError: It does not run.
+        """
+        for pid, command in self.processes().items():
+            if f"-m {EMULATORS[device]} " in command:
+                return pid
+        raise LookupError(f"no emulator of the {device} runs")
+
+    def stream(self, name: str) -> int:
+        """The pid of the process that writes a stream.
+
+        Raises:
+            LookupError: It does not run, or does not record.
+        """
+        return stream_process(self.processes(), self.session, name)
+
+    def kill(self, *pids: int) -> None:
+        """SIGKILL as the fault of this trial."""
+        self.processes()
+        self.injected_ns = self._clock.now_ns()
+        kill(pids)
+
+    def signal(self, number: signal.Signals) -> None:
+        """A signal to the main process as the fault of this trial."""
+        self.injected_ns = self._clock.now_ns()
+        os.kill(self.process.pid, number)
+
+    def inject(self, device: str, fault: str, **values: Any) -> dict[str, Any]:
+        """A fault through the device's fault port; how the device is.
+
+        Raises:
+            OSError, ValueError: See `rig.faultport.inject`.
+        """
+        self.injected_ns = self._clock.now_ns()
+        return self.tell(device, fault, **values)
+
+    def tell(self, device: str, what: str, **values: Any) -> dict[str, Any]:
+        """Through the device's fault port, what is no fault; how the device is.
+
+        Raises:
+            OSError, ValueError: See `rig.faultport.inject`.
+        """
+        port = faultport.PORTS[_LINES.get(device, device)]
+        return faultport.inject(self.host, port, what, **values)
+
+    def until_said(self, words: str, after: str = "") -> None:
+        """Wait until it has printed `words`, after the first `after`.
+
+        Raises:
+            Hangs: It did not.
+        """
+        self.until(
+            lambda: words in self.text[self.text.find(after) :] and after in self.text, words
+        )
+
+    def wait(self, timeout: float = 60.0) -> int:
+        """Wait for its end; the exit code.
+
+        Raises:
+            Hangs: It did not end within `timeout` [s].
+        """
+        try:
+            code = self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise Hangs(f"no end within {timeout:g} s:\n{self.text}") from None
+        self.ended_ns = self._clock.now_ns()
+        self._reader.join(5.0)
+        return code
+
+    def seen(self) -> Seen:
+        """What was observed; ends the observation."""
+        return Seen() if self._observer is None else self._observer.close()
+
+    def noticed(self) -> float | None:
+        """Time from the fault to the end of the phase it ended, as the session has it [s].
+
+        Where it ended no phase, to the line that says why it stops; None without either.
+        """
+        if self.injected_ns is None:
+            return None
+        segments = Session(self.session).segments
+        ended = [OUTCOMES.index(outcome) for outcome in ("stopped", "interrupted")]
+        stopped = segments["end_ns"][np.isin(segments["outcome"], ended)]
+        said = [t_ns for t_ns, line in self.lines if "stopping: " in line]
+        after = [int(t_ns) for t_ns in (*stopped, *said) if t_ns >= self.injected_ns]
+        return (min(after) - self.injected_ns) / SECOND_NS if after else None
+
+    def kill_all(self) -> None:
+        """SIGKILL to every process, main last, and wait for their end."""
+        self.processes()
+        pids = sorted(self.left(), key=lambda pid: pid == self.process.pid)
+        kill(pids)
+        wait_gone((pid for pid in pids if pid != self.process.pid), 10.0)
+
+    def left(self) -> list[int]:
+        """Processes it ever had, as far as they were seen, that still run."""
+        return [pid for pid, command in self._known.items() if family(pid).get(pid) == command]

@@ -1,0 +1,1 @@
+"""The paper's tables, and what models cost in time and memory."""

@@ -1,0 +1,347 @@
+"""The networks at their full size, with random weights: memory, speed, and a loss that falls.
+
+    python -m benchmarks diffusion-full-size full-size.json
+
+Everything is as in training on published weights but their values: SD-2.1-base's UNet and
+autoencoder (SD-Turbo is those), CLIP ViT-B/32 and VGG16. Networks of random weights learn
+nothing of use; that their loss falls on a few images says that gradients pass through all parts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from learning.data.images import SIDE, enlarge_images
+from learning.data.procedural import before, random_fields, sample_patterns, untouched
+from learning.errors import LearningError
+from learning.progress import Progress
+from learning.settings import read_settings, settings_to_dict
+from learning.training.launch import accelerator as launched
+from learning.training.launch import described
+from learning.training.run_folder import METRICS, RunFolder
+from learning.training.sampling import generator
+from learning.translation.diffusion.adapters import fuse
+from learning.translation.diffusion.loading import KIND
+from learning.translation.diffusion.network import MarkerToMarker
+from learning.translation.diffusion.pairs import ImagePairs
+from learning.translation.diffusion.perceptual import WIDTHS, PerceptualDistance
+from learning.translation.diffusion.settings import (
+    TRANSLATOR_PRESETS,
+    LossWeights,
+    TranslatorSettings,
+)
+from learning.translation.diffusion.train import Pretrained, train
+from learning.translation.diffusion.translator import DiffusionTranslator
+from learning.translation.diffusion.weights import vendor
+from recorder.durable import replace_file
+
+if TYPE_CHECKING:
+    from accelerate import Accelerator
+
+STEPS = 50
+"""Steps of training of each batch size."""
+RATE = 1e-3
+"""Learning rate: high, as there is nothing in the weights to lose."""
+SAME = 4
+"""Pairs that are learned again and again."""
+WARM = 5
+"""Steps that are not timed."""
+TRANSLATED = 64
+"""Frames whose translation is timed."""
+
+UNET = {
+    "sample_size": 64,
+    "in_channels": 4,
+    "out_channels": 4,
+    "down_block_types": ["CrossAttnDownBlock2D"] * 3 + ["DownBlock2D"],
+    "up_block_types": ["UpBlock2D"] + ["CrossAttnUpBlock2D"] * 3,
+    "block_out_channels": [320, 640, 1280, 1280],
+    "layers_per_block": 2,
+    "attention_head_dim": [5, 10, 20, 20],
+    "cross_attention_dim": 1024,
+    "use_linear_projection": True,
+    "norm_eps": 1e-5,
+}
+"""Stable Diffusion 2.1's UNet (865.9 M parameters)."""
+VAE = {
+    "in_channels": 3,
+    "out_channels": 3,
+    "down_block_types": ["DownEncoderBlock2D"] * 4,
+    "up_block_types": ["UpDecoderBlock2D"] * 4,
+    "block_out_channels": [128, 256, 512, 512],
+    "layers_per_block": 2,
+    "latent_channels": 4,
+    "sample_size": 768,
+    "scaling_factor": 0.18215,
+}
+"""Its autoencoder (83.7 M parameters)."""
+CLIP = {
+    "hidden_size": 768,
+    "intermediate_size": 3072,
+    "num_hidden_layers": 12,
+    "num_attention_heads": 12,
+    "image_size": 224,
+    "patch_size": 32,
+    "projection_dim": 512,
+}
+"""CLIP ViT-B/32's image half."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What one batch size needed, with all losses."""
+
+    batch: int
+    """Pairs in a step."""
+    training_images_per_s: float
+    """Pairs learned from in a second."""
+    inference_images_per_s: float
+    """Frames translated in a second, from mask to mask, in batches of this size."""
+    memory_gib: float | None
+    """Most memory of the device during training; None on a CPU."""
+    learning: int
+    """Parameters that learn, without the discriminator's."""
+    whole: int
+    """Parameters in all, without those of what judges."""
+
+
+def random_pretrained(
+    unet: dict[str, Any],
+    vae: dict[str, Any],
+    clip: dict[str, Any],
+    widths: Sequence[int],
+    device: torch.device | str = "cpu",
+) -> Pretrained:
+    """Return networks of the given configurations with random weights, the same ones each time."""
+    diffusers, transformers = vendor("diffusers"), vendor("transformers")
+    with torch.random.fork_rng(), torch.device(device):
+        torch.manual_seed(0)
+        return Pretrained(
+            diffusers.UNet2DConditionModel.from_config(unet),
+            diffusers.AutoencoderKL.from_config(vae),
+            transformers.CLIPVisionModelWithProjection(transformers.CLIPVisionConfig(**clip)),
+            PerceptualDistance(widths),
+        )
+
+
+def check(
+    batches: Sequence[int],
+    out: Path,
+    *,
+    steps: int = STEPS,
+    overrides: Sequence[str] = (),
+    networks: Callable[[torch.device], Pretrained] | None = None,
+    side: int = SIDE,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Return what training and translation at full size needed; written to a file as JSON.
+
+    Args:
+        batches: Pairs in a step, one measurement each.
+        out: The file; what is there so far is written after each measurement.
+        steps: Of each training.
+        overrides: Settings over the preset `ours` and over what this check sets itself.
+        networks: Makes the networks on a device; None: the full-size ones.
+        side: Of the images that are trained on [px].
+        progress: Called with the steps done and their number.
+
+    Raises:
+        LearningError: A batch or number of steps that is none.
+    """
+    if not batches or min(batches) < 1 or steps <= WARM:
+        raise LearningError(
+            f"batches: found {list(batches)}, {steps} steps; allowed: 1 and more, above {WARM}"
+        )
+    own = [
+        f"steps={steps}",
+        f"checkpoint_every={steps}",
+        "log_every=10",
+        f"optimiser.rate={{kind: constant, rate: {RATE}}}",
+        # The posterior of a random encoder is all noise.
+        "sample_latents=false",
+    ]
+    settings = read_settings(TranslatorSettings, TRANSLATOR_PRESETS, "ours", [*own, *overrides])
+    made = networks or _full_size
+    total = steps * (len(batches) + 1)
+    measured: list[dict[str, Any]] = []
+    found: dict[str, Any] = {
+        "device": described(launched(settings.launch)),
+        "torch": torch.__version__,
+        "diffusers": vendor("diffusers").__version__,
+        "python": platform.python_version(),
+        "settings": settings_to_dict(settings),
+        "measured": measured,
+    }
+    for number, batch in enumerate(batches):
+
+        def advance(done: int, _: int, earlier: int = number * steps) -> None:
+            progress(earlier + done, total)
+
+        measured.append(asdict(_measured(made, replace(settings, batch=batch), side, advance)))
+        replace_file(out, json.dumps(found, indent=2).encode() + b"\n")
+    found["square"] = _falling(
+        made,
+        replace(settings, batch=SAME, losses=LossWeights(adversarial=0, perceptual=0)),
+        side,
+        lambda done, _: progress(total - steps + done, total),
+    )
+    replace_file(out, json.dumps(found, indent=2).encode() + b"\n")
+    return found
+
+
+def table(found: dict[str, Any]) -> str:
+    """Return what was measured as a table."""
+    lines = [found["device"], "batch   training  inference   memory"]
+    lines.append("        images/s   images/s      GiB")
+    for row in found["measured"]:
+        memory = "-" if row["memory_gib"] is None else f"{row['memory_gib']:.1f}"
+        lines.append(
+            f"{row['batch']:>5} {row['training_images_per_s']:>10.1f} "
+            f"{row['inference_images_per_s']:>10.1f} {memory:>8}"
+        )
+    said = ", ".join(f"{step}: {square:.3f}" for step, square in found["square"].items())
+    return "\n".join([*lines, f"mean square on {SAME} pairs, alone, by step: {said}"])
+
+
+def _full_size(device: torch.device) -> Pretrained:
+    return random_pretrained(UNET, VAE, CLIP, WIDTHS, device)
+
+
+def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
+    """Return pairs of random patterns that move alike: images of a side [px] on a device."""
+    chance = generator(0, "full-size-check")
+    patterns = sample_patterns(2 * count, chance, device)
+    field = random_fields(count, chance, device)
+    moved = patterns.draw(before(torch.cat((field, field)), None, side))
+    still = patterns.draw(untouched(side, device))
+    images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
+    every = torch.arange(2 * count, device=device)
+    return ImagePairs(images, every, references, every[:count], every[count:])
+
+
+def _measured(
+    networks: Callable[[torch.device], Pretrained],
+    settings: TranslatorSettings,
+    side: int,
+    progress: Callable[[int, int], None],
+) -> Measured:
+    """Train with all losses, then translate, and tell what it took."""
+    # An accelerator keeps what it has prepared: each training has its own.
+    runs_on = launched(settings.launch)
+    device = runs_on.device
+    on_gpu = device.type == "cuda"
+    if on_gpu:
+        gc.collect()
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats(device)
+    times: dict[int, float] = {}
+
+    def stamp(done: int, total: int) -> None:
+        if done in (WARM, total):
+            times[done] = _now(device)
+        progress(done, total)
+
+    pairs = overfitted_pairs(SAME, side, device)
+    network = train(pairs, networks(device), settings, accelerator=runs_on, progress=stamp)
+    seconds = times[settings.steps] - times[WARM]
+    memory = torch.cuda.max_memory_allocated(device) / 2**30 if on_gpu else None
+    learning = sum(each.numel() for each in network.learning().values())
+    return Measured(
+        batch=settings.batch,
+        training_images_per_s=settings.batch * (settings.steps - WARM) / seconds,
+        memory_gib=memory,
+        learning=learning,
+        whole=sum(each.numel() for each in network.parameters()),
+        inference_images_per_s=_translated_per_s(network, settings, runs_on),
+    )
+
+
+def _falling(
+    networks: Callable[[torch.device], Pretrained],
+    settings: TranslatorSettings,
+    side: int,
+    progress: Callable[[int, int], None],
+) -> dict[str, float]:
+    """Return the mean square of steps of a training that follows it alone, by their number."""
+    runs_on = launched(settings.launch)
+    with (
+        TemporaryDirectory() as folder,
+        RunFolder.open(Path(folder) / "run", KIND, settings, "random patterns") as run,
+    ):
+        pairs = overfitted_pairs(SAME, side, runs_on.device)
+        made = networks(runs_on.device)
+        train(pairs, made, settings, run=run, accelerator=runs_on, progress=progress)
+        lines = map(json.loads, (run.path / METRICS).read_text().splitlines())
+        return {str(line["step"]): line["train/square"] for line in lines}
+
+
+def _translated_per_s(
+    network: MarkerToMarker, settings: TranslatorSettings, runs_on: Accelerator
+) -> float:
+    """Return frames a second from masks to masks, with fused adapters, as `translate` has them."""
+    fuse(network.unet)
+    fuse(network.vae)
+    lower = runs_on.device.type == "cuda" and settings.launch.mixed_precision != "no"
+    translator = DiffusionTranslator(
+        network,
+        "random weights",
+        batch=settings.batch,
+        precision=torch.bfloat16 if lower else torch.float32,
+    )
+    frames = overfitted_pairs(SAME, SIDE, runs_on.device).images
+    masks = enlarge_images(frames)
+    few, many = masks[:1], masks[torch.arange(TRANSLATED) % len(masks)]
+    if runs_on.device.type == "cpu":
+        many = masks
+    translator.translate(many[: settings.batch], few[0], few[0])
+    begun = _now(runs_on.device)
+    translator.translate(many, few[0], few[0])
+    return len(many) / (_now(runs_on.device) - begun)
+
+
+def _now(device: torch.device) -> float:
+    """Return the time [s] at which the device has done what it was told."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, write, print; the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks diffusion-full-size",
+        description="Measures memory, speed and a falling loss of the full-size networks with "
+        "random weights; needs no archive and no weights, but a GPU.",
+    )
+    parser.add_argument("out", type=Path, metavar="JSON", help="file to write")
+    parser.add_argument(
+        "--batches", default="4,8,16", metavar="N,...", help="batch sizes (%(default)s)"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="over the preset `ours`"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        batches = [int(text) for text in options.batches.split(",")]
+    except ValueError:
+        parser.error(f"--batches: found {options.batches!r}; allowed: N,...")
+    steps = Progress("steps", sys.stderr)
+    try:
+        found = check(batches, options.out, overrides=options.set, progress=steps)
+    finally:
+        steps.close()
+    print(table(found))
+    print(f"{options.out}: written")
+    return 0

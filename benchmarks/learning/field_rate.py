@@ -1,0 +1,121 @@
+"""How fast the field translator is, with untrained weights.
+
+    python -m benchmarks field-speed --device cuda --batch 128
+
+Frames a second of the networks alone (256 x 256 in memory), of translating (masks of 480 x 640 in
+and out), and of training both stages; and the memory of a GPU that training takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+from learning.data.images import shrink_masks
+from learning.settings import read_settings
+from learning.training.launch import accelerator
+from learning.training.sampling import generator
+from learning.translation.field.examples import random_shifts
+from learning.translation.field.frames import Frames, distances_of
+from learning.translation.field.model import FieldModel
+from learning.translation.field.settings import PRESETS, FieldSettings
+from learning.translation.field.train import train_field
+from learning.translation.field.translator import FieldTranslator
+from recorder.markers import HEIGHT, WIDTH
+
+_SECONDS = 3.0
+_PITCH_PX, _RADIUS_PX = 64, 14
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="Frames a second of the field translator.")
+    parser.add_argument("--preset", default="ours", help="of the networks (%(default)s)")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda (%(default)s)")
+    parser.add_argument("--batch", type=int, default=64, help="frames at once (%(default)s)")
+    parser.add_argument("--steps", type=int, default=30, help="of each stage (%(default)s)")
+    options = parser.parse_args(argv)
+    sets = [
+        f"launch.device={options.device}",
+        *(
+            f"{stage}.{key}={value}"
+            for stage in ("field_stage", "map_stage")
+            for key, value in (("steps", options.steps), ("batch", options.batch))
+        ),
+    ]
+    settings = read_settings(FieldSettings, PRESETS, options.preset, sets)
+    device = torch.device(options.device)
+    frames = _frames(options.batch, device)
+    model = FieldModel(settings).to(device).eval()
+    sizes = [sum(each.numel() for each in net.parameters()) for net in (model.net, model.map)]
+    print(f"{options.preset}: field net {sizes[0] / 1e6:.2f} M, map {sizes[1] / 1e6:.2f} M weights")
+    rows = torch.arange(options.batch, device=device)
+    seen, distance, scale = frames.seen(rows), frames.distance(rows), frames.scale(rows)
+    with torch.no_grad():
+        rate = _rate(lambda: model(seen, distance, distance, scale, scale), options.batch, device)
+    print(f"networks: {rate:,.0f} frames/s")
+    translator, mask = FieldTranslator("untrained", model), _reference(device)
+    masks = mask.expand(options.batch, -1, -1).contiguous()
+    rate = _rate(lambda: translator.translate(masks, mask, mask), options.batch, device)
+    print(f"translate: {rate:,.0f} frames/s")
+    began: dict[int, float] = {}
+
+    def note(done: int, total: int) -> None:
+        _wait(device)
+        began[done] = time.perf_counter()
+
+    train_field(frames, settings, accelerator=accelerator(settings.launch), progress=note)
+    for stage, first in (("field", 0), ("map", options.steps)):
+        # The first steps choose kernels.
+        early, last = first + max(1, options.steps // 3), first + options.steps
+        rate = (last - early) * options.batch / (began[last] - began[early])
+        print(f"training, {stage} stage: {rate:,.0f} frames/s")
+    if device.type == "cuda":
+        print(f"memory: {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB")
+
+
+def _frames(count: int, device: torch.device) -> Frames:
+    """Return frames of two equal sensors that show nothing but their reference."""
+    mask = _reference(device)
+    every = torch.arange(count, device=device)
+    return Frames(
+        images=shrink_masks(mask[None]).expand(count, -1, -1).contiguous(),
+        sensor=every % 2,
+        reference=every % 2,
+        distances=distances_of(mask.cpu().numpy()[None], device).expand(2, -1, -1, -1),
+        scales=torch.full((2, 2), 0.03, device=device),
+        pairs=torch.stack([every, every.flip(0)], dim=1),
+        shift=random_shifts(count, generator(0, "rate"), device).half(),
+    )
+
+
+def _reference(device: torch.device) -> torch.Tensor:
+    """Return a mask (480, 640) of discs on a lattice."""
+    rows = torch.arange(HEIGHT, device=device)[:, None] % _PITCH_PX - _PITCH_PX // 2
+    columns = torch.arange(WIDTH, device=device)[None] % _PITCH_PX - _PITCH_PX // 2
+    return rows**2 + columns**2 < _RADIUS_PX**2
+
+
+def _rate(work: Callable[[], Any], count: int, device: torch.device) -> float:
+    """Return frames a second."""
+    work()
+    _wait(device)
+    began, done = time.perf_counter(), 0
+    while time.perf_counter() - began < _SECONDS:
+        work()
+        _wait(device)
+        done += count
+    return done / (time.perf_counter() - began)
+
+
+def _wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+if __name__ == "__main__":
+    main()

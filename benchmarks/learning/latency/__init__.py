@@ -1,0 +1,1 @@
+"""Error against latency and size of force models."""

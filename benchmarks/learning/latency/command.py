@@ -1,0 +1,130 @@
+"""`python -m benchmarks latency`: what accuracy costs in time, by size, precision and runtime."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from benchmarks.learning.latency.costs import Cost, Sample
+    from learning.force.predictor import ForcePredictor
+    from learning.verbs.options import Verbs
+
+PRESETS = "paper,half,quarter,tiny,displacement"
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "latency",
+        help="time force models, a frame at a time",
+        description="Steps through frames as a live sensor gives them and tells how long one "
+        "takes, and how far forces are off: from labels with --archive, else from torch in fp32. "
+        "Models are trained ones, or presets with random weights, whose time is the same.",
+    )
+    parser.add_argument(
+        "--model", action="append", type=Path, metavar="MODEL", help="a force model; again for more"
+    )
+    parser.add_argument(
+        "--presets",
+        metavar="NAME,...",
+        help=f"random weights of these, without --model ({PRESETS})",
+    )
+    parser.add_argument("--archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, for MAE")
+    parser.add_argument("--sensor", metavar="NAME", help="its sensor that is looked at")
+    parser.add_argument("--split", type=Path, metavar="FILE", help="split.json")
+    parser.add_argument(
+        "--role", default="new_indenter", metavar="NAME", help="presses of the split (new_indenter)"
+    )
+    parser.add_argument("--presses", type=int, default=10, help="how many presses are shown (10)")
+    parser.add_argument("--frames", type=int, default=100, help="how many frames are timed (100)")
+    parser.add_argument("--threads", type=int, default=2, help="threads of a step on a CPU (2)")
+    parser.add_argument("--device", default="cpu", help="where torch runs, e.g. cuda (cpu)")
+    parser.add_argument(
+        "--runtimes", metavar="NAME,...", help="torch, torch.compile, onnxruntime, openvino (all)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="bench.csv, bench.md and bench.png go here"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
+    from benchmarks.learning.latency.costs import VARIANTS, costs
+
+    known = {variant.runtime for variant in VARIANTS}
+    wanted = set(options.runtimes.split(",")) if options.runtimes else known
+    if not wanted <= known:
+        allowed = ", ".join(sorted(known))
+        raise LearningError(f"--runtimes: found {options.runtimes}; allowed: {allowed}")
+    for name, least in (("presses", 1), ("frames", 1), ("threads", 1)):
+        if getattr(options, name) < least:
+            raise LearningError(f"--{name}: found {getattr(options, name)}; allowed: 1 and more")
+    variants = [variant for variant in VARIANTS if variant.runtime in wanted]
+    rows: list[Cost] = []
+    progress = Progress("ways to run it", sys.stderr)
+    for name, predictor in _models(options).items():
+        with tempfile.TemporaryDirectory() as folder:
+            rows += costs(
+                name,
+                predictor,
+                _sample(options, predictor),
+                Path(folder),
+                threads=options.threads,
+                least_frames=options.frames,
+                variants=variants,
+                progress=progress,
+            )
+        progress.close()
+    print(markdown(rows), end="")
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        write_csv(rows, options.out / "bench.csv")
+        (options.out / "bench.md").write_text(markdown(rows), encoding="utf-8")
+        draw(rows, options.out / "bench.png")
+        print(f"{options.out}: bench.csv, bench.md and bench.png written")
+    return 0
+
+
+def _models(options: argparse.Namespace) -> dict[str, ForcePredictor]:
+    from learning.force import load_force_model
+    from learning.force.predictor import untrained
+
+    if options.model:
+        if options.presets:
+            raise LearningError("--presets: found beside --model; allowed: one of them")
+        return {path.name: load_force_model(path, options.device) for path in options.model}
+    names = (options.presets or PRESETS).split(",")
+    return {name: untrained(name, options.device) for name in names}
+
+
+def _sample(options: argparse.Namespace, predictor: ForcePredictor) -> Sample:
+    from benchmarks.learning.latency.costs import sample_of, sample_of_noise
+
+    if options.archive is None:
+        return sample_of_noise(predictor, options.presses)
+    from learning.data.presses import load_presses
+    from learning.data.splits import read_split
+    from recorder import MarkerArchive
+
+    if options.sensor is None or options.split is None:
+        raise LearningError("--sensor, --split: missing; allowed: both, with --archive")
+    archive = MarkerArchive(options.archive)
+    split = read_split(options.split)
+    split.check(archive)
+    table = archive[options.sensor].table
+    rows = split.rows(table, options.role)
+    form = predictor.settings.input.stored_form
+    locations = sorted(set(table["location"][rows].tolist()))
+    # Evenly spread, so that a few presses are not all of one indenter.
+    step = max(1, len(locations) // options.presses)
+    chosen = locations[::step][: options.presses]
+    few = [row for row in rows.tolist() if table["location"][row] in set(chosen)]
+    return sample_of(load_presses(archive[options.sensor], few, form=form), predictor)

@@ -1,0 +1,73 @@
+"""The table of what a step costs, and its picture: accuracy against time."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from benchmarks.learning.latency.costs import Cost
+
+LIVE_HZ = 60
+"""What a live model should reach."""
+
+
+def markdown(rows: Sequence[Cost]) -> str:
+    """Return the table in Markdown."""
+    lines = [
+        "| model | weights | runtime | precision | threads | p50 [ms] | p99 [ms] | rate [Hz] "
+        "| MAE [N] | from fp32 [N] |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        about = f"| {row.model} | {row.weights / 1e6:.2f} M | {row.runtime} | {row.precision} "
+        if row.p50_ms is None or row.difference_n is None:
+            lines.append(f"{about}| {row.threads} | {row.remark} | | | | |")
+            continue
+        mae = "" if row.mae_n is None else f"{row.mae_n:.3f}"
+        lines.append(
+            f"{about}| {row.threads} | {row.p50_ms:.1f} | {row.p99_ms:.1f} | {row.rate_hz:.0f} "
+            f"| {mae} | {row.difference_n:.1e} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(rows: Sequence[Cost], path: Path) -> None:
+    """Write the table as CSV; what is not known is empty."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [column.name for column in fields(Cost)])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+def draw(rows: Sequence[Cost], path: Path) -> None:
+    """Draw accuracy against time; without labels, the difference from fp32 against time."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    labelled = any(row.mae_n is not None for row in rows)
+    figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    markers = dict(zip(("fp32", "bf16", "int8"), "os^", strict=True))
+    runtimes = sorted({row.runtime for row in rows})
+    for row in rows:
+        height = row.mae_n if labelled else row.difference_n
+        if row.p50_ms is None or height is None:
+            continue
+        colour = f"C{runtimes.index(row.runtime)}"
+        axes.plot(row.p50_ms, height, markers[row.precision], color=colour)
+        axes.annotate(f" {row.model}", (row.p50_ms, height), fontsize=7, va="bottom", color=colour)
+    for number, runtime in enumerate(runtimes):
+        axes.plot([], [], "o", color=f"C{number}", label=runtime)
+    for precision, marker in markers.items():
+        axes.plot([], [], marker, color="grey", label=precision)
+    axes.axvline(1e3 / LIVE_HZ, color="grey", linestyle=":", linewidth=1)
+    axes.text(1e3 / LIVE_HZ, axes.get_ylim()[1], f"{LIVE_HZ} Hz ", ha="right", va="top", fontsize=8)
+    axes.set_xscale("log")
+    axes.set_xlabel("time of a frame, median [ms]")
+    axes.set_ylabel("mean absolute error [N]" if labelled else "largest difference from fp32 [N]")
+    axes.legend(fontsize=8)
+    figure.savefig(path, dpi=150)
+    pyplot.close(figure)

@@ -1,0 +1,60 @@
+"""The paper's tables from experiments with groups of sensors.
+
+`python -m benchmarks learning-tables`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+
+if TYPE_CHECKING:
+    from learning.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "learning-tables",
+        help="write the paper's tables, from experiments",
+        description="Gathers experiments, whole or not, in one page: what was hoped for, means "
+        "over pairs, all pairs, the paper's figures beside ours; forces in N and over the labels' "
+        "standard deviation. CSV files and pictures go to the folder of the page's name.",
+    )
+    parser.add_argument(
+        "experiments",
+        nargs="+",
+        metavar="[NAME=]EXPERIMENT",
+        help="folders of `experiment`; NAME in place of the folder's",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="PAGE.md", help="the page")
+    parser.add_argument(
+        "--intro", type=Path, metavar="FILE", help="text above the tables, Markdown"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from benchmarks.learning.tables.group_results import read_group
+    from benchmarks.learning.tables.page import write_tables
+
+    if options.out.suffix != ".md":
+        raise LearningError(f"--out: found {options.out}; allowed: a name that ends in .md")
+    intro = ""
+    if options.intro is not None:
+        if not options.intro.is_file():
+            raise LearningError(f"--intro: found no {options.intro}; allowed: a file of text")
+        intro = options.intro.read_text(encoding="utf-8")
+    groups = []
+    for said in options.experiments:
+        name, found, folder = said.partition("=")
+        path = Path(folder if found else said)
+        groups.append(read_group(name if found else path.name, path))
+    if len({group.name for group in groups}) < len(groups):
+        raise LearningError(f"experiments: found {options.experiments}; allowed: different names")
+    for path in write_tables(groups, options.out, intro):
+        print(path)
+    return 0

@@ -1,0 +1,266 @@
+#!/usr/bin/env python3
+"""All tables and ablations side by side, on as many GPUs as there are.
+
+    python benchmarks/learning/tables/on_gpus.py OUT [--only NAME,...] [--gpus 0,1] [--jobs 8]
+
+What run.sh and ablations.sh do one after the other, each piece as soon as what it needs is done:
+presses are simulated on the cores, two archives at a time and behind everything else; each table
+and each ablation takes a share of a GPU. The pages are written at the end, what each piece took
+into OUT/times.csv, what it said into OUT/log. What fails takes along only what needs it. Stopped
+by Ctrl-C, the same command goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+HERE = Path(__file__).parent
+GROUPS = ("heterogeneous", "material", "homogeneous")
+FULL = tuple(f"{group}-full" for group in ("material", "heterogeneous", "homogeneous"))
+CLEAN = "heterogeneous-clean"
+ABLATIONS = ("whole", "half", "quarter", "single-frame", "direct", "direct-blind", "clean")
+ABLATION = "ablation "
+ARCHIVES_AT_ONCE = 2
+JOB_BYTES = 7 * 2**30
+"""Memory of a GPU that each of the models trained side by side takes, at most."""
+LOOK_EVERY = 0.5
+"""Time between two looks at what runs [s]."""
+SAID_LINES = 15
+"""Of what a piece said before it failed."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A table, an ablation or an archive."""
+
+    name: str
+    command: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    """Names of those that must be done before."""
+    environment: tuple[tuple[str, str], ...] = ()
+    """Variables beside those that are set."""
+    jobs: int = 0
+    """Models that it trains side by side on a GPU; 0: it keeps the cores busy."""
+
+    def can_begin(self, done: Iterable[str]) -> bool:
+        """Whether all that it needs is among those that are done."""
+        return {*self.needs} <= {*done}
+
+
+@dataclass
+class Running:
+    """A piece that runs."""
+
+    piece: Piece
+    gpu: int
+    """Which of the GPUs, from 0."""
+    process: subprocess.Popen[bytes]
+    since: float
+
+
+@dataclass
+class Machine:
+    """What pieces share."""
+
+    gpus: Sequence[str]
+    """Names that CUDA knows them by."""
+    room: int
+    """How many models a GPU has memory for."""
+    running: list[Running] = field(default_factory=list)
+
+    def place_for(self, piece: Piece) -> int | None:
+        """Return the GPU that trains the fewest models; None: there is no room."""
+
+        def held(gpu: int) -> tuple[int, int]:
+            jobs = [run.piece.jobs for run in self.running if run.gpu == gpu]
+            return sum(jobs), len(jobs)
+
+        gpu = min(range(len(self.gpus)), key=held)
+        if piece.jobs == 0:
+            archives = sum(run.piece.jobs == 0 for run in self.running)
+            return gpu if archives < ARCHIVES_AT_ONCE else None
+        models, _ = held(gpu)
+        return gpu if models == 0 or models + piece.jobs <= self.room else None
+
+
+def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
+    """Return all pieces, the most urgent first.
+
+    Args:
+        out: Where the tables go.
+        jobs: Models that a table trains side by side; an ablation, of fewer pairs, half as many.
+        cores: How many there are.
+    """
+
+    def archive(name: str) -> Piece:
+        made = (("ONLY", "archive"), ("PROCESSES", str(max(1, cores // ARCHIVES_AT_ONCE))))
+        return Piece(f"archive {name}", ("bash", str(HERE / "run.sh"), str(out), name), (), made)
+
+    def trained(name: str, script: str, needs: str, at_once: int) -> Piece:
+        command = ("bash", str(HERE / script), str(out), name.removeprefix(ABLATION))
+        said = (
+            ("ONLY", "experiment"),  # pages are written at the end, of all
+            ("JOBS", str(at_once)),
+            ("PROCESSES", str(max(at_once, cores // 4))),
+        )
+        return Piece(name, command, (needs,), said, at_once)
+
+    def table(name: str) -> Piece:
+        return trained(name, "run.sh", f"archive {name}", jobs)
+
+    def ablation(name: str, needs: str) -> Piece:
+        return trained(ABLATION + name, "ablations.sh", needs, max(1, jobs // 2))
+
+    return [
+        *map(archive, (*GROUPS[:2], CLEAN, GROUPS[2], *FULL)),
+        *map(table, GROUPS),
+        # Trains translators of its own; the others take those of the table.
+        ablation("clean", f"archive {CLEAN}"),
+        *map(table, FULL),
+        *(ablation(name, GROUPS[0]) for name in ABLATIONS if name != "clean"),
+    ]
+
+
+def run_all(
+    due: Iterable[Piece], machine: Machine, out: Path, say: Callable[[str], None]
+) -> dict[str, float]:
+    """Run pieces, each once what it needs is done; return the seconds of those that succeeded.
+
+    Args:
+        due: The most urgent first.
+        machine: What they share.
+        out: Logs and times go here.
+        say: Called with a line for each beginning and end.
+
+    Raises:
+        KeyboardInterrupt: It was stopped; what ran was told to, and has ended.
+    """
+    waiting, took, began = list(due), dict[str, float](), time.monotonic()
+    (out / "log").mkdir(parents=True, exist_ok=True)
+
+    def now() -> str:
+        return f"{time.monotonic() - began:6.0f} s  "
+
+    try:
+        while waiting or machine.running:
+            for piece in [piece for piece in waiting if piece.can_begin(took)]:
+                gpu = machine.place_for(piece)
+                if gpu is not None:
+                    waiting.remove(piece)
+                    machine.running.append(_start(piece, gpu, machine, out))
+                    say(f"{now()}{piece.name}: begins, GPU {machine.gpus[gpu]}")
+            ended = [run for run in machine.running if run.process.poll() is not None]
+            for run in ended:
+                machine.running.remove(run)
+                seconds = time.monotonic() - run.since
+                if run.process.returncode == 0:
+                    took[run.piece.name] = seconds
+                    _write(out / "times.csv", took)
+                    say(f"{now()}{run.piece.name}: done in {seconds:.0f} s")
+                    continue
+                say(f"{now()}{run.piece.name}: failed after {seconds:.0f} s, it said:")
+                said = _log(out, run.piece).read_text(errors="replace").splitlines()
+                for line in said[-SAID_LINES:]:
+                    say(f"    {line}")
+            if not machine.running and not any(piece.can_begin(took) for piece in waiting):
+                for piece in waiting:
+                    say(f"{now()}{piece.name}: left out, it needs {', '.join(piece.needs)}")
+                break
+            if not ended:
+                time.sleep(LOOK_EVERY)
+    except KeyboardInterrupt:
+        for run in machine.running:  # a terminal has told them too; twice does no harm
+            run.process.send_signal(signal.SIGINT)
+        for run in machine.running:
+            run.process.wait()
+        raise
+    return took
+
+
+def _start(piece: Piece, gpu: int, machine: Machine, out: Path) -> Running:
+    environment = os.environ | dict(piece.environment)
+    environment |= {"CUDA_VISIBLE_DEVICES": machine.gpus[gpu], "DEVICE": "cuda:0"}
+    environment.setdefault("PYTHON", sys.executable)
+    behind = () if piece.jobs else ("nice", "-n", "10")
+    with _log(out, piece).open("wb") as log:
+        process = subprocess.Popen(
+            [*behind, *piece.command], stdout=log, stderr=subprocess.STDOUT, env=environment
+        )
+    return Running(piece, gpu, process, time.monotonic())
+
+
+def _log(out: Path, piece: Piece) -> Path:
+    return out / "log" / f"{piece.name.replace(' ', '-')}.log"
+
+
+def _write(path: Path, took: dict[str, float]) -> None:
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([("piece", "seconds"), *took.items()])
+
+
+def _gpus() -> tuple[list[str], int]:
+    """Return the GPUs of this machine by number, and the memory of the smallest [B]."""
+    asked = ["nvidia-smi", "--query-gpu=index,memory.total", "--format=csv,noheader,nounits"]
+    try:
+        said = subprocess.run(asked, check=True, capture_output=True, text=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        sys.exit("no GPU: nvidia-smi does not answer; run.sh makes tables on a CPU, in days")
+    found = [line.split(", ") for line in said.splitlines()]
+    return [index for index, _ in found], min(int(mebibytes) for _, mebibytes in found) * 2**20
+
+
+def _page(out: Path, page: str, made: Sequence[Path], *options: str) -> None:
+    if made:
+        learning = [os.environ.get("PYTHON", sys.executable), "-m", "benchmarks", "learning-tables"]
+        subprocess.run([*learning, *map(str, made), "--out", str(out / page), *options], check=True)
+
+
+def main() -> int:
+    """Run what is asked for; 0, or 1 when a piece failed."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("out", type=Path, help="folder of everything that is made")
+    parser.add_argument("--only", help="tables and ablations by name, and what they need (all)")
+    parser.add_argument("--gpus", help="numbers of GPUs, 0,1 for instance (all)")
+    parser.add_argument("--jobs", type=int, default=8, help="models that a table trains at once")
+    options = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    gpus, memory = _gpus()
+    gpus = options.gpus.split(",") if options.gpus else gpus
+    cores = len(os.sched_getaffinity(0))
+    due = chosen(pieces(options.out, options.jobs, cores), options.only)
+    machine = Machine(gpus, memory // JOB_BYTES)
+    took = run_all(due, machine, options.out, lambda line: print(line, flush=True))
+    tables = [options.out / name for name in (*GROUPS, *FULL) if name in took]
+    _page(options.out, "learning-tables.md", tables, "--intro", str(HERE / "tables.md"))
+    made = [options.out / "ablations" / name for name in ABLATIONS if ABLATION + name in took]
+    _page(options.out, "learning-ablations.md", made, "--intro", str(HERE / "ablations.md"))
+    return int(len(took) < len(due))
+
+
+def chosen(known: Sequence[Piece], only: str | None) -> list[Piece]:
+    """Return the pieces of these names and all that they need; None: all."""
+    if only is None:
+        return list(known)
+    by_name = {piece.name: piece for piece in known}
+    named = [ABLATION + name if name in ABLATIONS else name for name in only.split(",")]
+    wrong = [name for name in named if name not in by_name]
+    if wrong:
+        sys.exit(f"--only: found {', '.join(wrong)}; allowed: {', '.join(by_name)}")
+    kept: set[str] = set()
+    while named:
+        kept.add(name := named.pop())
+        named += by_name[name].needs
+    return [piece for piece in known if piece.name in kept]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

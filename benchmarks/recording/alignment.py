@@ -1,0 +1,303 @@
+"""Part 6: what each way to align costs in time, and its error against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.recording.measure import Scale
+from benchmarks.recording.motion import (
+    EXPOSURE,
+    LATENCY,
+    VIEW_HZ,
+    Motion,
+    Recorded,
+    record_motion,
+    ticks,
+)
+from benchmarks.recording.progress import Progress
+from recorder import Session, Window, align
+from recorder.sources import Sources
+from recorder.window import align_window, ticks_before
+from rig.arm.rotation import rotation_between
+from rig.clock import SECOND_NS, SystemClock
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+WINDOW = 16
+FORCE = ("held", "nearest", "linear", "mean_exposure")
+POSE = ("held", "nearest", "slerp")
+IMAGE = ("held", "nearest")
+UNCORRECTED = (0.008, 0.055)
+"""Camera latencies that nobody calibrated [s]."""
+_REPEATS = 200
+_WINDOWS_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """Errors of one quantity over all valid rows."""
+
+    rms: float
+    most: float
+
+    @classmethod
+    def of(cls, values: Floats) -> Error:
+        """Of magnitudes (n,); NaN of none."""
+        if not len(values):
+            return cls(float("nan"), float("nan"))
+        return cls(float(np.sqrt(np.mean(values**2))), float(values.max()))
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One way to align one stream."""
+
+    stream: str
+    method: str
+    rows: int
+    """Valid rows it was found from."""
+    errors: dict[str, Error]
+    """By unit: N, mm, deg or px."""
+    per_window: float
+    """Time for a window of 16 rows of this stream alone, images not decoded [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """What a camera's latency costs the labels."""
+
+    uncorrected: float
+    """Latency that the session does not know of [s]; 0 for a calibrated camera."""
+    force: Error
+    """Best force method [N]."""
+    position: Error
+    """Best pose method [mm]."""
+    angle: Error
+    """Best pose method [deg]."""
+    marker: Error
+    """Marker that moves most, between believed and true capture [px]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Everything of part 6."""
+
+    methods: tuple[Method, ...]
+    latencies: tuple[Latency, ...]
+    windows: float
+    """`Session.window` of 16 rows with decoded images and all streams [s]."""
+    windows_align: float
+    """The same without images [s]."""
+    mock: tuple[Method, ...] = ()
+    """Of a session collected on the mock bench against its World's truth."""
+    mock_missing: str = ""
+    """Why there is none."""
+
+
+def estimate(scale: Scale) -> float:
+    """How long `alignment` should take [s]."""
+    return 0.25 * scale.alignment + 4.0 + _WINDOWS_SECONDS + _mock_seconds(scale)
+
+
+def alignment(
+    scale: Scale, place: Path, progress: Progress, collect: Callable[[int, Path], tuple[Path, Path]]
+) -> Alignment:
+    """Errors and times of all methods.
+
+    Args:
+        scale: How long.
+        place: Folder for sessions.
+        progress: Progress.
+        collect: Collects so many targets on the mock bench into a folder; session and truth.
+    """
+    progress.step("alignment: a motion of known truth", 0.2 * scale.alignment + 2.0)
+    motion = Motion(scale.alignment)
+    recorded = record_motion(motion, scale.alignment, place / "motion.zarr")
+    session = Session(recorded.path)
+    progress.step("alignment: methods", 0.05 * scale.alignment + 2.0 + _WINDOWS_SECONDS)
+    methods = measure_methods(session, motion, recorded)
+    latencies = tuple(
+        measure_latency(session, motion, recorded, late) for late in (0.0, *UNCORRECTED)
+    )
+    with_images, without = _time_windows(session, recorded)
+    mock: tuple[Method, ...] = ()
+    missing = "left out of quick runs"
+    if scale.targets:
+        from benchmarks.recording.mock_session import compare_mock
+
+        progress.step("alignment: a session on the mock bench", _mock_seconds(scale))
+        mock, missing = compare_mock(collect, scale.targets, place)
+    return Alignment(methods, latencies, with_images, without, mock, missing)
+
+
+def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tuple[Method, ...]:
+    """Every method of every stream."""
+    sources, when = session.sources(0), ticks(recorded)
+    found = []
+    for method in FORCE:
+        window = align_window(when, sources, force=method)
+        error = force_error(window, motion, recorded)
+        found.append(_method("force", method, error, _alone(sources, "force"), force=method))
+    found.append(_read_with_frame(when, sources, motion, recorded))
+    for method in POSE:
+        window = align_window(when, sources, pose=method)
+        error = pose_errors(window, window.pose, motion, recorded)
+        found.append(_method("pose", method, error, _alone(sources, "pose"), pose=method))
+    found.append(_componentwise(when, sources, motion, recorded))
+    for method in IMAGE:
+        window = align_window(when, sources, image=method)
+        shown = image_error(window, motion, recorded)
+        found.append(_method("image", method, shown, _alone(sources, ""), image=method))
+    return tuple(found)
+
+
+def measure_latency(
+    session: Session, motion: Motion, recorded: Recorded, uncorrected: float
+) -> Latency:
+    """Errors of the best methods when the session knows nothing of `uncorrected` seconds."""
+    sources = session.sources(0)
+    camera = sources.camera
+    if camera is not None and uncorrected:
+        # The session would subtract LATENCY; nobody told it, and the camera may be later still.
+        extra = round(uncorrected * 1e9)
+        sources = replace(sources, camera=replace(camera, times=camera.times + extra))
+    window = align_window(ticks(recorded), sources)
+    pose = pose_errors(window, window.pose, motion, recorded)
+    true, rows = _true_capture(window, recorded)
+    believed = (window.capture_ns[rows] - recorded.origin_ns) / SECOND_NS
+    return Latency(
+        uncorrected,
+        Error.of(force_error(window, motion, recorded)["N"]),
+        Error.of(pose["mm"]),
+        Error.of(pose["deg"]),
+        Error.of(_marker_motion(motion, believed, true)),
+    )
+
+
+def force_error(window: Window, motion: Motion, recorded: Recorded) -> dict[str, Floats]:
+    """Distance (n,) from the mean true force over the true exposure [N]."""
+    true, rows = _true_capture(window, recorded)
+    if window.wrench is None or window.wrench_valid is None:
+        return {"N": np.zeros(0)}
+    truth = motion.mean_wrench(true - EXPOSURE, true)
+    off = np.linalg.norm(window.wrench[rows, :3] - truth[:, :3], axis=1)
+    return {"N": off[window.wrench_valid[rows]]}
+
+
+def pose_errors(
+    window: Window, poses: Floats | None, motion: Motion, recorded: Recorded
+) -> dict[str, Floats]:
+    """Distance [mm] and angle [deg] (n,) from the true pose at the true capture."""
+    true, rows = _true_capture(window, recorded)
+    if poses is None or window.pose_valid is None:
+        return {"mm": np.zeros(0), "deg": np.zeros(0)}
+    truth, valid = motion.pose(true), window.pose_valid[rows]
+    off = 1e3 * np.linalg.norm(poses[rows, :3] - truth[:, :3], axis=1)
+    angle = np.degrees(np.linalg.norm(rotation_between(truth, poses[rows]), axis=1))
+    return {"mm": off[valid], "deg": angle[valid]}
+
+
+def image_error(window: Window, motion: Motion, recorded: Recorded) -> dict[str, Floats]:
+    """How far the marker that moves most went between the image's capture and the tick [px]."""
+    true, rows = _true_capture(window, recorded)
+    tick = (window.t_ns[rows] - recorded.origin_ns) / SECOND_NS
+    return {"px": _marker_motion(motion, tick, true)}
+
+
+def _true_capture(window: Window, recorded: Recorded) -> tuple[Floats, NDArray[np.intp]]:
+    """True capture [s] of the rows that have an image, and those rows."""
+    rows = np.flatnonzero(window.signal_row >= 0)
+    return recorded.captured[window.signal_row[rows]], rows
+
+
+def _marker_motion(motion: Motion, first: Floats, second: Floats) -> Floats:
+    apart = np.linalg.norm(motion.pixels(first) - motion.pixels(second), axis=2)
+    return np.asarray(apart.max(axis=1))
+
+
+def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
+    """The force as a loop has it that reads it once, whenever a frame has arrived."""
+    name, force = "read with the frame", sources.force
+    window = align_window(when, sources)
+    if force is None or force.values is None or window.wrench is None:
+        return Method("force", name, 0, {}, float("nan"))
+    late, times, values = round(LATENCY * 1e9), force.times, force.values
+
+    def once(some: Times) -> Floats:
+        return np.asarray(values[align.held(times, some + late).index])
+
+    error = force_error(replace(window, wrench=once(window.capture_ns)), motion, recorded)
+    errors = {"N": Error.of(error["N"])}
+    return Method("force", name, len(error["N"]), errors, _timed(sources, once))
+
+
+def _componentwise(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
+    """The pose as six numbers interpolated each by itself: what not to do."""
+    pose = sources.pose
+    window = align_window(when, sources)
+    if pose is None or pose.values is None:
+        return Method("pose", "component-wise linear", 0, {}, float("nan"))
+    linear = align.linear(pose.times, pose.values, window.capture_ns, max_age=pose.max_age)
+    error = pose_errors(window, linear.value, motion, recorded)
+
+    values, times = pose.values, pose.times
+
+    def once(some: Times) -> None:
+        align.linear(times, values, some, max_age=pose.max_age)
+
+    rows = len(error["mm"])
+    errors = {unit: Error.of(values) for unit, values in error.items()}
+    return Method("pose", "component-wise linear", rows, errors, _timed(sources, once))
+
+
+def _alone(sources: Sources, name: str) -> Sources:
+    kept = {"camera": sources.camera, "force": None, "pose": None, "taxels": None}
+    if name:
+        kept[name] = getattr(sources, name)
+    return Sources(**kept)
+
+
+def _method(
+    stream: str, method: str, error: dict[str, Floats], sources: Sources, **chosen: str
+) -> Method:
+    def once(some: Times) -> None:
+        align_window(some, sources, **chosen)
+
+    rows = min(len(values) for values in error.values())
+    errors = {unit: Error.of(values) for unit, values in error.items()}
+    return Method(stream, method, rows, errors, _timed(sources, once))
+
+
+def _timed(sources: Sources, once: Callable[[Times], object]) -> float:
+    """Median time of `once` over windows at random places [s]."""
+    span = sources.span or (0, 0)
+    clock, rng = SystemClock(), np.random.default_rng(0)
+    took = []
+    for end in rng.integers(span[0] + SECOND_NS, span[1], _REPEATS).tolist():
+        some = ticks_before(end, WINDOW, VIEW_HZ)
+        before = clock.now_ns()
+        once(some)
+        took.append(clock.now_ns() - before)
+    return float(np.median(took)) * 1e-9
+
+
+def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float]:
+    """Mean time of `Session.window` with images, and of its alignment alone [s]."""
+    clock, rng, when = SystemClock(), np.random.default_rng(0), ticks(recorded)
+    sources = session.sources(0)
+    aligned = _timed(sources, lambda some: align_window(some, sources))
+    done, start = 0, clock.now_ns()
+    while clock.now_ns() - start < _WINDOWS_SECONDS * SECOND_NS:
+        session.window(int(rng.choice(when)), WINDOW)
+        done += 1
+    return (clock.now_ns() - start) / SECOND_NS / done, aligned
+
+
+def _mock_seconds(scale: Scale) -> float:
+    return 25.0 + 4.0 * scale.targets if scale.targets else 0.0

@@ -1,0 +1,123 @@
+"""What was set out to be reached, and whether this run reached it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from benchmarks.recording.alignment import Alignment
+from benchmarks.recording.feed import Fed
+from benchmarks.recording.load import Cameras
+from benchmarks.recording.store_race import StoreRow
+
+APPEND_P99 = 5e-3
+"""Longest append of a frame, p99 [s]."""
+CORE = 0.60
+"""CPU of two lossless cameras and every other stream, of one core."""
+WINDOW_IMAGES = 2500.0
+"""Images per second in random windows, lossless, two processes."""
+LOST = 1
+"""Frames lost to a kill -9."""
+_KINDS = {
+    "ours-jpeg": "camera's JPEG",
+    "ours-zstd": "lossless",
+    "ours-decoded": "lossless of decoded JPEG",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One line of the verdict."""
+
+    text: str
+    measured: str
+    met: bool
+
+
+def of_stores(rows: Sequence[StoreRow]) -> list[Claim]:
+    """Kills and window reads of our own rows."""
+    ours = {row.key: row for row in rows if row.key.startswith("ours")}
+    claims = []
+    kills = [kill for row in ours.values() for kill in row.kills]
+    if kills:
+        lost = [kill.accepted - (kill.repaired or 0) for kill in kills]
+        wrong = sum(kill.wrong for kill in kills)
+        claims.append(
+            Claim(
+                f"kill -9: at most {LOST} frame lost, none invented",
+                f"{max(lost)} lost at most, {wrong} invented, in {len(kills)} kills",
+                max(lost) <= LOST and not wrong,
+            )
+        )
+    for row in ours.values():
+        if row.read_two:
+            claims.append(
+                Claim(
+                    f"random windows of 16, {_KINDS[row.key]}, warm: {WINDOW_IMAGES:,.0f} images/s "
+                    "or more with two processes",
+                    f"{row.read_two:,.0f} images/s ({row.read:,.0f} with one)",
+                    row.read_two >= WINDOW_IMAGES,
+                )
+            )
+    return claims
+
+
+def of_full_load(fed: Sequence[Fed]) -> list[Claim]:
+    """Drops, append and CPU of everything at once."""
+    dropped = sum(one.dropped for one in fed)
+    failed = [one.failure for one in fed if one.failure]
+    p99 = max(one.append.p99 for one in fed)
+    share = sum(one.share for one in fed)
+    return [
+        Claim(
+            "two lossless cameras at 60 Hz, force 1 kHz, pose 500 Hz, uSkin 60 Hz: nothing dropped",
+            f"{dropped} dropped" + (f"; {failed[0]}" if failed else ""),
+            not dropped and not failed,
+        ),
+        Claim(
+            f"the same: append p99 below {1e3 * APPEND_P99:g} ms",
+            f"{1e3 * p99:.2f} ms (worst stream)",
+            p99 < APPEND_P99,
+        ),
+        Claim(
+            f"the same: less than {100 * CORE:.0f} % of one core",
+            f"{100 * share:.0f} % of one core, all processes together",
+            share < CORE,
+        ),
+    ]
+
+
+def of_cameras(found: Sequence[Cameras]) -> list[Claim]:
+    """Whether the two cameras of the full load fit with room to spare."""
+    return [
+        Claim(
+            "two lossless 640x480 cameras at 60 Hz without a drop",
+            f"{one.held} hold" if one.held < one.most else f"{one.held} or more hold",
+            one.held >= 2,
+        )
+        for one in found
+        if one.codec == "zstd"
+    ]
+
+
+def of_alignment(found: Alignment) -> list[Claim]:
+    """Whether the default methods are the most accurate ones."""
+    claims = []
+    for stream, default, unit in (("force", "mean_exposure", "N"), ("pose", "slerp", "deg")):
+        errors = {
+            one.method: one.errors[unit].rms
+            for one in found.methods
+            if one.stream == stream and unit in one.errors
+        }
+        if default not in errors:
+            continue
+        best = min(errors, key=lambda name: errors[name])
+        claims.append(
+            Claim(
+                f"the default for {stream} (`{default}`) is as accurate as any",
+                f"{errors[default]:.3g} {unit} rms; best: {best}, {errors[best]:.3g} {unit}",
+                # Methods that differ by less than a twentieth are equally good.
+                errors[default] <= 1.05 * errors[best],
+            )
+        )
+    return claims

@@ -1,0 +1,75 @@
+"""`python -m benchmarks recording`: what recording costs on this machine, as a page."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.bench import find_bench
+from rig.errors import EXIT_DONE, ConfigError
+
+if TYPE_CHECKING:
+    from rig.verbs.options import Verbs
+
+_PARTS = ("stores", "share", "lateness", "cameras", "full", "alignment")
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "recording",
+        help="measure what recording costs and write docs/results/recording.md (about 12 minutes)",
+        description="Measures frames/s, MB/s, CPU share [% of a core], lateness [ms] and the error "
+        "of alignment [N, mm, deg, px]. Needs about 16 GB of disk for a while. Others' stores come "
+        "with the extra `bench`; LeRobot runs in the Python that LEROBOT_PYTHON names.",
+    )
+    parser.add_argument("--quick", action="store_true", help="a minute or two; figures mean little")
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=_PARTS,
+        help="measure this part (may be repeated); the page goes to the terminal unless --out",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="page to write (default: docs/results/recording.md); charts in images/",
+    )
+    parser.add_argument(
+        "--scratch",
+        type=Path,
+        default=Path("sessions"),
+        help="folder on the disk to measure; what is written there is removed again",
+    )
+    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and write; the exit code.
+
+    Raises:
+        ConfigError: No room on the disk, or no bench to collect on.
+    """
+    from benchmarks.recording import run as cost
+    from benchmarks.recording.measure import FULL, QUICK
+    from benchmarks.recording.page import render, verdict
+
+    scale = QUICK if options.quick else FULL
+    bench = find_bench("tacpalm", options.benches) if scale.targets else options.benches
+    try:
+        options.scratch.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--scratch {options.scratch}: {error.strerror}") from error
+    only = options.only or cost.PARTS
+    results = cost.measure(scale, options.scratch, bench, only, quick=options.quick)
+    for claim in verdict(results):
+        print(f"{'reached' if claim.met else 'MISSED ':<8} {claim.text}: {claim.measured}")
+    # A part of the page must not take the place of the whole; nor a quick run that of a full one.
+    if options.out is None and (options.only or options.quick):
+        print(render(results))
+        return EXIT_DONE
+    for path in cost.write_page(results, options.out or Path("docs/results/recording.md")):
+        print(f"written: {path}")
+    return EXIT_DONE

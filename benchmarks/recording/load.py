@@ -1,0 +1,170 @@
+"""Parts 2, 4 and 5: CPU share of each stream, cameras that fit, and everything at once."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.recording.feed import Fed, Feed, record
+from benchmarks.recording.measure import Scale
+from benchmarks.recording.progress import Progress
+from rig.errors import ConfigError
+
+_START = 1.5
+# Starting one process and closing it [s].
+SINGLE = (
+    Feed("camera", 60.0, "jpeg"),
+    Feed("camera", 60.0, "zstd"),
+    Feed("force", 1000.0),
+    Feed("pose", 500.0),
+    Feed("taxels", 60.0),
+)
+"""Measured one at a time."""
+TOGETHER = (
+    Feed("camera", 60.0, "zstd"),
+    Feed("camera", 60.0, "zstd"),
+    Feed("force", 1000.0),
+    Feed("pose", 500.0),
+    Feed("taxels", 60.0),
+)
+"""Measured at the same time."""
+CODECS = ("zstd", "jpeg")
+_TRIALS = 7
+# Doubling up to the first drop and halving the rest takes about so many.
+_FREE = 1.5
+# Room on the disk for this much more than will be written.
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """So many cameras at once."""
+
+    cameras: int
+    dropped: int
+    """Frames lost, all cameras together."""
+    late: int
+    """Appends that began after the next frame was due."""
+    share: float
+    """CPU of all of them: 1 is a whole core."""
+    append_p99: float
+    """The worst camera's [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cameras:
+    """How many cameras fit."""
+
+    codec: str
+    held: int
+    """Largest number that lost nothing."""
+    most: int
+    """Largest number that was allowed to be tried."""
+    trials: tuple[Trial, ...]
+
+
+def estimate_share(scale: Scale) -> float:
+    """How long `share` should take [s]."""
+    return len(SINGLE) * (scale.share + _START)
+
+
+def share(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
+    """Each stream by itself at its real rate."""
+    found: list[Fed] = []
+    for number, feed in enumerate(SINGLE):
+        progress.step(f"CPU share: {feed.title}", scale.share + _START)
+        found += record([feed], scale.share, place / f"share-{number}")
+    return tuple(found)
+
+
+def estimate_cameras(scale: Scale) -> float:
+    """How long `cameras` should take [s]."""
+    return len(CODECS) * _trials(scale) * (scale.cameras + 4 * _START)
+
+
+def cameras(scale: Scale, place: Path, progress: Progress) -> tuple[Cameras, ...]:
+    """More and more 640x480 cameras at 60 Hz until a frame is lost, lossless and as JPEG."""
+    found = []
+    for codec in CODECS:
+        trials: list[Trial] = []
+
+        def attempt(count: int, codec: str = codec, trials: list[Trial] = trials) -> bool:
+            progress.step(f"cameras: {count} at 60 Hz, {codec}", scale.cameras + 4 * _START)
+            need = count * scale.cameras * 60.0 * (1.0e6 if codec == "zstd" else 1.0e5)
+            _require_room(place, need)
+            fed = record(
+                [Feed("camera", 60.0, codec)] * count,
+                scale.cameras,
+                place / f"cameras-{codec}-{count}",
+            )
+            trials.append(trial_of(fed))
+            return trials[-1].dropped == 0
+
+        held = largest(attempt, scale.cameras_most)
+        ordered = tuple(sorted(trials, key=lambda trial: trial.cameras))
+        found.append(Cameras(codec, held, scale.cameras_most, ordered))
+    return tuple(found)
+
+
+def trial_of(fed: tuple[Fed, ...]) -> Trial:
+    """What cameras that were recorded together make."""
+    return Trial(
+        cameras=len(fed),
+        dropped=sum(one.dropped for one in fed) + sum(bool(one.failure) for one in fed),
+        late=sum(one.late for one in fed),
+        share=sum(one.share for one in fed),
+        append_p99=max(one.append.p99 for one in fed),
+    )
+
+
+def largest(holds: Callable[[int], bool], most: int) -> int:
+    """Largest count from 1 to `most` that holds: doubled up to the first failure, then halved.
+
+    0 when not even one does. Taken for granted is that fewer hold where more do.
+    """
+    good, bad, count = 0, most + 1, 1
+    while count <= most:
+        if not holds(count):
+            bad = count
+            break
+        good = count
+        if count == most:
+            break
+        count = min(2 * count, most)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if holds(middle):
+            good = middle
+        else:
+            bad = middle
+    return good
+
+
+def estimate_full(scale: Scale) -> float:
+    """How long `full_load` should take [s]."""
+    return scale.full_load + len(TOGETHER) * _START
+
+
+def full_load(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
+    """Two lossless cameras and every other stream at the same time.
+
+    Raises:
+        ConfigError: Too little room on the disk.
+    """
+    progress.step("everything at once", estimate_full(scale))
+    _require_room(place, scale.full_load * 2 * 60 * 0.8e6)
+    return record(TOGETHER, scale.full_load, place / "full")
+
+
+def _trials(scale: Scale) -> int:
+    return min(_TRIALS, 2 * scale.cameras_most)
+
+
+def _require_room(place: Path, nbytes: float) -> None:
+    free = shutil.disk_usage(place).free
+    if free < _FREE * nbytes:
+        raise ConfigError(
+            f"--scratch {place}: found {free / 1e9:.1f} GB free; "
+            f"allowed: {_FREE * nbytes / 1e9:.1f} GB or more"
+        )

@@ -1,0 +1,138 @@
+"""Measures the parts that were asked for and writes the page with its charts."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks.recording import alignment, charts, lateness, load, mock_session, store_race
+from benchmarks.recording.alignment import Alignment
+from benchmarks.recording.measure import Scale
+from benchmarks.recording.page import Results, machine, render
+from benchmarks.recording.page_alignment import ALIGNMENT_CHART
+from benchmarks.recording.page_stores import STORES_CHART
+from benchmarks.recording.progress import Progress
+from benchmarks.recording.store_race import StoreRow
+from recorder.errors import SessionError
+from rig.clock import SECOND_NS, SystemClock
+from rig.errors import ConfigError
+
+_COLORS = {"force": (46, 125, 180), "pose": (214, 120, 60), "image": (90, 160, 90)}
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of the run."""
+
+    name: str
+    """What `--only` calls it, and the field of `Results`."""
+    estimate: Callable[[Scale], float]
+    """How long it should take [s]."""
+    measure: Callable[[Scale, Path, Progress], Any]
+    """Measures it in a folder."""
+
+
+def parts(bench: Path) -> tuple[Part, ...]:
+    """All parts, in the order of the page.
+
+    Args:
+        bench: Bench file of the collection that part `alignment` makes.
+    """
+    collect = partial(mock_session.collect, bench)
+    return (
+        Part("stores", store_race.estimate, store_race.race),
+        Part("share", load.estimate_share, load.share),
+        Part("lateness", lateness.estimate, lambda scale, _, told: lateness.lateness(scale, told)),
+        Part("cameras", load.estimate_cameras, load.cameras),
+        Part("full", load.estimate_full, load.full_load),
+        Part(
+            "alignment",
+            alignment.estimate,
+            lambda scale, place, told: alignment.alignment(scale, place, told, collect),
+        ),
+    )
+
+
+PARTS = tuple(part.name for part in parts(Path()))
+"""Names of the parts."""
+
+
+def measure(
+    scale: Scale, scratch: Path, bench: Path, only: Sequence[str] = PARTS, *, quick: bool = False
+) -> Results:
+    """Run the parts that were asked for, in a folder of their own below `scratch`.
+
+    Raises:
+        ConfigError: No room, no folder, or a measuring process that does not start.
+    """
+    chosen = [part for part in parts(bench) if part.name in only]
+    clock = SystemClock()
+    start = clock.now_ns()
+    progress = Progress(clock, sum(part.estimate(scale) for part in chosen))
+    found: dict[str, Any] = {}
+    try:
+        with tempfile.TemporaryDirectory(prefix="bench-recorder-", dir=scratch) as folder:
+            for part in chosen:
+                found[part.name] = part.measure(scale, Path(folder), progress)
+    except (OSError, SessionError) as error:
+        raise ConfigError(f"--scratch {scratch}: {error}") from error
+    progress.finish()
+    return Results(
+        machine=machine(os.cpu_count() or 1),
+        quick=quick,
+        full_seconds=scale.full_load,
+        seconds=(clock.now_ns() - start) / SECOND_NS,
+        **found,
+    )
+
+
+def write_page(results: Results, path: Path) -> list[Path]:
+    """Write the page to `path` and its charts to `images/` beside it; all that was written."""
+    written = [path]
+    images = path.parent / "images"
+    images.mkdir(parents=True, exist_ok=True)
+    if results.stores is not None:
+        written.append(images / STORES_CHART)
+        stores_chart(results.stores).save(written[-1], optimize=True)
+    if results.alignment is not None:
+        written.append(images / ALIGNMENT_CHART)
+        alignment_chart(results.alignment).save(written[-1], optimize=True)
+    path.write_text(render(results))
+    return written
+
+
+def stores_chart(rows: Sequence[StoreRow]) -> Any:
+    """Frames per second written and read, a bar each."""
+    bars = []
+    for row in rows:
+        written = float("nan") if row.write is None else row.write.frames / row.write.seconds
+        ours = row.key.startswith("ours")
+        name = row.title.replace("*", "").replace("`", "")
+        bars.append(charts.Bar(name, (written, row.read_two or float("nan")), ours))
+    titles = ("written and closed [frames/s]", "random windows of 16, two processes [images/s]")
+    return charts.bars(bars, titles)
+
+
+def alignment_chart(found: Alignment) -> Any:
+    """Error against time per window: force in N, and pose in degrees."""
+    pictures = []
+    for stream, unit, title in (
+        ("force", "N", "Force label"),
+        ("pose", "deg", "Orientation label"),
+    ):
+        points = [
+            charts.Point(one.method, 1e6 * one.per_window, one.errors[unit].rms, _COLORS[stream])
+            for one in found.methods
+            if one.stream == stream and unit in one.errors
+        ]
+        pictures.append(
+            charts.scatter(
+                points, title=title, x_label="us per window of 16", y_label=f"error rms [{unit}]"
+            )
+        )
+    return charts.beside(pictures)

@@ -1,0 +1,111 @@
+"""The process that writes or reads one store: `python -m benchmarks.recording.store_child JOB`.
+
+A process of its own, so that CPU time, memory and a kill are that store's alone, and so that it may
+run in another interpreter. The job comes as JSON, the answer goes as one line of JSON to stdout.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.recording import stores
+from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
+from benchmarks.recording.measure import cpu_seconds, sync_tree, tree_bytes, warm
+from rig.clock import SECOND_NS, SystemClock
+
+WINDOW = 16
+"""Images of a window."""
+FEWEST = 20
+"""Frames that are written however long they take."""
+RESULT = "RESULT "
+"""What the line with the answer begins with."""
+
+
+def write(entry: stores.Entry, path: Path, *, seconds: float, most_bytes: int) -> dict[str, Any]:
+    """Append frames for `seconds` or until `most_bytes`, close durably; what it took."""
+    clock, frames = SystemClock(), GelFrames(decoded=entry.takes == "decoded")
+    make = frames.jpeg if entry.takes == "jpeg" else frames.pixels
+    nbytes = len(frames.jpeg(0)) if entry.takes == "jpeg" else HEIGHT * WIDTH * 3
+    store = entry.make()
+    took: list[int] = []
+    cpu, start = cpu_seconds(), clock.now_ns()
+    appender = store.create(path)
+    end = clock.now_ns() + round(seconds * SECOND_NS)
+    while len(took) < FEWEST or (len(took) * nbytes < most_bytes and clock.now_ns() < end):
+        frame = make(len(took))
+        before = clock.now_ns()
+        appender.append(frame, before)
+        took.append(clock.now_ns() - before)
+    appender.close()
+    sync_tree(path)
+    return {
+        "seconds": (clock.now_ns() - start) / SECOND_NS,
+        "cpu": cpu_seconds() - cpu,
+        "took_ns": took,
+        "bytes": tree_bytes(path),
+        "frame_bytes": nbytes,
+    }
+
+
+def read(entry: stores.Entry, path: Path, *, seconds: float, seed: int) -> dict[str, Any]:
+    """Read windows of 16 images at random places for `seconds`, the files in the page cache."""
+    clock, rng = SystemClock(), np.random.default_rng(seed)
+    warm(path)
+    with entry.make().reader(path) as (count, images):
+        window = min(WINDOW, count)
+        images(0, window)
+        done, start = 0, clock.now_ns()
+        while clock.now_ns() - start < seconds * SECOND_NS:
+            first = int(rng.integers(0, count - window + 1))
+            done += len(images(first, window))
+        return {"frames": done, "seconds": (clock.now_ns() - start) / SECOND_NS}
+
+
+def append_until_killed(entry: stores.Entry, path: Path, *, accepted: str) -> dict[str, Any]:
+    """Append as fast as it goes, and after each accepted frame write how many into `accepted`."""
+    frames = GelFrames()
+    make = frames.jpeg if entry.takes == "jpeg" else frames.pixels
+    fd = os.open(accepted, os.O_WRONLY | os.O_CREAT)
+    appender, clock, number = entry.make().create(path), SystemClock(), 0
+    while True:
+        appender.append(make(number), clock.now_ns())
+        number += 1
+        os.pwrite(fd, number.to_bytes(8, "little"), 0)
+
+
+def inspect(entry: stores.Entry, path: Path) -> dict[str, Any]:
+    """What can be read of a store whose writer was killed, before and after its repair."""
+    store = entry.make()
+    answer: dict[str, Any] = {"left": None, "error": "", "repaired": None}
+    try:
+        answer["left"] = store.left(path)
+    except Exception as error:
+        # Whatever its reader raises is the finding: it does not open.
+        answer["error"] = f"{type(error).__name__}: {error}"[:200]
+    answer["repaired"] = store.repaired(path)
+    return answer
+
+
+_ACTIONS = {"write": write, "read": read, "kill": append_until_killed, "inspect": inspect}
+
+
+def main(argv: list[str]) -> int:
+    """Do the job; 0, or 1 with the reason when the store's library is missing or fails."""
+    job = json.loads(argv[1])
+    entry = stores.entry(job["store"])
+    try:
+        answer = _ACTIONS[job["action"]](entry, Path(job["path"]), **job["options"])  # type: ignore[operator]
+    except ImportError as error:
+        answer = {"missing": error.name or str(error)}
+    print(RESULT + json.dumps(answer), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv))

@@ -1,0 +1,257 @@
+"""Part 1: our recorder and others' stores, written, read and killed one after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rig
+from benchmarks.recording.measure import Scale, Spread
+from benchmarks.recording.progress import Progress
+from benchmarks.recording.store_child import RESULT
+from benchmarks.recording.stores import STORES, Entry
+from rig.clock import SECOND_NS, SystemClock
+
+INTERPRETER = "LEROBOT_PYTHON"
+"""Environment variable: a Python that has LeRobot and torch."""
+_START = 1.5
+# Starting an interpreter and importing [s].
+_TIMEOUT = 180.0
+_KILL_AFTER = (70, 150)
+# Frames accepted before the kill: past a sealed shard of ours, into the next.
+_KILL_TIMEOUT = 60.0
+_POLL = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Write:
+    """What writing took."""
+
+    frames: int
+    seconds: float
+    """Creating, appending and closing durably [s]."""
+    cpu: float
+    """CPU time of it [s]."""
+    append: Spread
+    """Duration of one append [s]."""
+    nbytes: int
+    """Size of the store."""
+    frame_bytes: int
+    """Size of a frame as it was handed over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """What a kill -9 left."""
+
+    accepted: int
+    """Frames whose append had returned."""
+    left: int | None
+    """Right frames the ordinary reader finds; None when it does not open."""
+    wrong: int
+    """Frames it finds that nobody wrote: zeros, torn."""
+    repaired: int | None
+    """Right frames after the store's own repair; None without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoreRow:
+    """One store."""
+
+    key: str
+    title: str
+    missing: str = ""
+    """Why it was not measured."""
+    write: Write | None = None
+    read: float = 0.0
+    """Images per second in random windows of 16, one process."""
+    read_two: float = 0.0
+    """The same, two processes together."""
+    read_failure: str = ""
+    """Why it could not be read."""
+    kills: tuple[Kill, ...] = ()
+
+
+class ChildFailed(RuntimeError):
+    """A measuring process did not answer; its last words."""
+
+
+def estimate(scale: Scale, entries: Sequence[Entry] = STORES) -> float:
+    """How long `race` should take [s]."""
+    return len(entries) * _row_seconds(scale)
+
+
+def race(
+    scale: Scale, place: Path, progress: Progress, entries: Sequence[Entry] = STORES
+) -> tuple[StoreRow, ...]:
+    """Measure every store in a folder of its own below `place`, which is removed again."""
+    rows = []
+    for entry in entries:
+        progress.step(f"stores: {entry.title.replace('*', '')}", _row_seconds(scale))
+        folder = place / entry.key
+        folder.mkdir(parents=True)
+        try:
+            rows.append(measure(entry, scale, folder))
+        finally:
+            shutil.rmtree(folder)
+    return tuple(rows)
+
+
+def measure(entry: Entry, scale: Scale, folder: Path) -> StoreRow:
+    """One store: written, read by one process and by two, killed."""
+    python = interpreter(entry)
+    if python is None:
+        return StoreRow(entry.key, entry.title, f"{INTERPRETER} is not set")
+    path = folder / "store"
+    try:
+        options = {"seconds": scale.write, "most_bytes": scale.write_bytes}
+        written = ask(python, entry, "write", path, options)
+        if "missing" in written:
+            extra = "not installed" if entry.foreign else "not installed: extra bench"
+            return StoreRow(entry.key, entry.title, f"{written['missing']} {extra}")
+        took = written["took_ns"]
+        write = Write(
+            frames=len(took),
+            seconds=written["seconds"],
+            cpu=written["cpu"],
+            append=Spread.of(took),
+            nbytes=written["bytes"],
+            frame_bytes=written["frame_bytes"],
+        )
+        kills: tuple[Kill, ...] = ()
+        if not entry.lossy:
+            kills = tuple(kill(python, entry, folder, seed) for seed in range(scale.kills))
+    except ChildFailed as error:
+        return StoreRow(entry.key, entry.title, f"failed: {error}")
+    try:
+        read = _read(python, entry, path, scale.read, processes=1)
+        read_two = _read(python, entry, path, scale.read, processes=2)
+    except ChildFailed as error:
+        failure = str(error)
+        return StoreRow(entry.key, entry.title, write=write, kills=kills, read_failure=failure)
+    return StoreRow(entry.key, entry.title, "", write, read, read_two, "", kills)
+
+
+def interpreter(entry: Entry) -> str | None:
+    """The Python that measures a store; None when it needs another and none is named."""
+    return os.environ.get(INTERPRETER) or None if entry.foreign else sys.executable
+
+
+def kill(python: str, entry: Entry, folder: Path, seed: int) -> Kill:
+    """Kill a writer with SIGKILL at a random moment and count what is left.
+
+    Raises:
+        ChildFailed: It ended by itself, or what it left could not be looked at.
+    """
+    clock, rng = SystemClock(), np.random.default_rng(seed)
+    path, count = folder / f"killed-{seed}", folder / f"accepted-{seed}"
+    count.write_bytes(bytes(8))
+    wanted = int(rng.integers(*_KILL_AFTER))
+    child = _start(python, entry, "kill", path, {"accepted": str(count)})
+    deadline = clock.now_ns() + round(_KILL_TIMEOUT * SECOND_NS)
+    try:
+        while _accepted(count) < wanted and child.poll() is None and clock.now_ns() < deadline:
+            clock.sleep_until(clock.now_ns() + round(_POLL * SECOND_NS))
+        if child.poll() is not None:
+            raise ChildFailed(_last_words(child.communicate()[1]))
+        clock.sleep_until(clock.now_ns() + int(rng.integers(0, SECOND_NS // 200)))
+    finally:
+        child.kill()
+        child.communicate()
+    accepted = _accepted(count)
+    found = ask(python, entry, "inspect", path, {})
+    left, repaired = found["left"], found["repaired"]
+    return Kill(
+        accepted=accepted,
+        left=None if left is None else len(_right(left, accepted)),
+        wrong=0 if left is None else _wrong(left),
+        repaired=None if repaired is None else len(_right(repaired, accepted)),
+    )
+
+
+def ask(
+    python: str, entry: Entry, action: str, path: Path, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Let a measuring process do something and return its answer.
+
+    Raises:
+        ChildFailed: It did not answer.
+    """
+    return _answer(_start(python, entry, action, path, options))
+
+
+def _right(numbers: list[int | None], accepted: int) -> list[int]:
+    """Frames that stand where they were written and whose append had returned."""
+    return [n for place, n in enumerate(numbers) if n == place and place < accepted]
+
+
+def _wrong(numbers: list[int | None]) -> int:
+    return sum(n != place for place, n in enumerate(numbers))
+
+
+def _accepted(count: Path) -> int:
+    return int.from_bytes(count.read_bytes(), "little")
+
+
+def _read(python: str, entry: Entry, path: Path, seconds: float, *, processes: int) -> float:
+    children = []
+    try:
+        for seed in range(processes):
+            options = {"seconds": seconds, "seed": seed}
+            children.append(_start(python, entry, "read", path, options))
+        answers = [_answer(child) for child in children]
+    finally:
+        for child in children:
+            child.kill()
+            child.communicate()
+    return float(sum(answer["frames"] / answer["seconds"] for answer in answers))
+
+
+def _start(
+    python: str, entry: Entry, action: str, path: Path, options: dict[str, Any]
+) -> subprocess.Popen[str]:
+    job = {"store": entry.key, "action": action, "path": str(path), "options": options}
+    # Another interpreter has LeRobot but not us: it finds this package by path.
+    source = str(Path(rig.__file__).parent.parent)
+    environment = {**os.environ, "PYTHONPATH": source, "HF_HUB_OFFLINE": "1"}
+    return subprocess.Popen(
+        [python, "-m", "benchmarks.recording.store_child", json.dumps(job)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+
+
+def _answer(child: subprocess.Popen[str]) -> dict[str, Any]:
+    with contextlib.ExitStack() as stack:
+        stack.callback(child.kill)
+        try:
+            out, err = child.communicate(timeout=_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            raise ChildFailed(f"no answer within {_TIMEOUT:.0f} s") from None
+    lines = [line for line in out.splitlines() if line.startswith(RESULT)]
+    if not lines:
+        raise ChildFailed(_last_words(err))
+    answer: dict[str, Any] = json.loads(lines[-1].removeprefix(RESULT))
+    return answer
+
+
+def _last_words(stderr: str) -> str:
+    lines = [line for line in stderr.splitlines() if line.strip()]
+    return lines[-1][:160] if lines else "it said nothing"
+
+
+def _row_seconds(scale: Scale) -> float:
+    kills = scale.kills * (2 * _START + 1.0)
+    return 2 * _START + scale.write + 1.0 + 2 * scale.read + kills

@@ -1,0 +1,86 @@
+"""HDF5 through h5py, default settings: one chunk a frame, or the JPEG as bytes of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import hdf5plugin
+import numpy as np
+import simplejpeg
+
+from benchmarks.recording.frames import HEIGHT, WIDTH, number_in_jpeg, number_in_pixels
+from benchmarks.recording.stores import Image, Numbers, Opened
+
+_NAME = "frames"
+
+
+class _Appender:
+    def __init__(self, path: Path, profile: str) -> None:
+        self._file = h5py.File(path, "w")
+        self._count = 0
+        if profile == "jpeg":
+            kind = h5py.vlen_dtype(np.uint8)
+            self._data = self._file.create_dataset(_NAME, (0,), kind, maxshape=(None,))
+            return
+        filters: dict[str, Any] = {"compression": "gzip", "compression_opts": 1}
+        if profile == "blosc":
+            filters = dict(hdf5plugin.Blosc("lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE))
+        shape = (HEIGHT, WIDTH, 3)
+        self._data = self._file.create_dataset(
+            _NAME, (0, *shape), np.uint8, maxshape=(None, *shape), chunks=(1, *shape), **filters
+        )
+
+    def append(self, frame: Image | bytes, t_ns: int) -> None:
+        self._count += 1
+        self._data.resize(self._count, axis=0)
+        value = np.frombuffer(frame, np.uint8) if isinstance(frame, bytes) else frame
+        self._data[self._count - 1] = value
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Hdf5:
+    """One file.
+
+    Args:
+        profile: `blosc`, `gzip` or `jpeg`.
+    """
+
+    def __init__(self, profile: str) -> None:
+        self._profile = profile
+
+    def create(self, path: Path) -> _Appender:
+        """A new file."""
+        return _Appender(path, self._profile)
+
+    @contextmanager
+    def reader(self, path: Path) -> Iterator[Opened]:
+        """Frames, and what reads them."""
+        with h5py.File(path, "r") as file:
+            data = file[_NAME]
+
+            def read(first: int, count: int) -> Image:
+                return np.asarray(data[first : first + count])
+
+            def read_jpeg(first: int, count: int) -> Image:
+                rows = data[first : first + count]
+                return np.stack([simplejpeg.decode_jpeg(row.tobytes()) for row in rows])
+
+            yield len(data), read_jpeg if self._profile == "jpeg" else read
+
+    def left(self, path: Path) -> Numbers:
+        """What h5py finds; it refuses a file that was not closed and flushed."""
+        with h5py.File(path, "r") as file:
+            data = file[_NAME]
+            if self._profile == "jpeg":
+                return [number_in_jpeg(row.tobytes()) for row in data]
+            return [number_in_pixels(row) for row in data]
+
+    def repaired(self, path: Path) -> None:
+        """`h5clear` only clears the flag; there is no repair."""
+        return

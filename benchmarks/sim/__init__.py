@@ -1,0 +1,1 @@
+"""Accuracy, speed and stability of the simulator."""

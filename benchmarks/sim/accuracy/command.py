@@ -1,0 +1,128 @@
+"""Error, time and memory of every way to an answer.
+
+`python -m benchmarks accuracy` writes docs/results/accuracy.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.errors import SceneError
+from sim.verbs.numbers import metres
+
+if TYPE_CHECKING:
+    from benchmarks.sim.accuracy.competitors import Competitor
+    from sim.verbs.options import Verbs
+
+SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem float32 1.25 mm", "fem float32 1 mm")
+SMOKE_REFERENCE = 0.8
+"""Element of the reference with --smoke [mm]."""
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "accuracy",
+        help="error, time and memory of every tier, mesh and precision; writes a page",
+        description="Measures into one file a device, goes on where it was stopped, and draws the "
+        "page from all files there are. On a machine with a GPU: --device cuda:0 --only measure "
+        "--out DIR; the file comes home and --only page draws it too.",
+    )
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    parser.add_argument(
+        "--only", choices=("measure", "page"), help="leave the other step out (both)"
+    )
+    parser.add_argument(
+        "--case", action="append", default=[], metavar="NAME", help="this case only (repeatable)"
+    )
+    parser.add_argument(
+        "--reference",
+        type=float,
+        default=0.3333,
+        metavar="MM",
+        help="elements of the reference [mm] (%(default)s); computed once, then read",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=20.0,
+        metavar="S",
+        help="leave out meshes that are expected to take longer [s] (%(default)s)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results/accuracy"),
+        metavar="DIR",
+        help="folder of the measurements; the page is DIR.md (%(default)s)",
+    )
+    parser.add_argument(
+        "--references",
+        type=Path,
+        default=Path("build/accuracy"),
+        metavar="DIR",
+        help="folder that keeps the references (%(default)s)",
+    )
+    parser.add_argument(
+        "--smoke", action="store_true", help="one case on coarse meshes: seconds, not minutes"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure what is missing, draw the page; the exit code.
+
+    Raises:
+        SceneError: A case or a device that is not there, or nothing to draw.
+    """
+    if options.only != "page":
+        _measure(options)
+    if options.only != "measure":
+        _draw(options.out)
+    return 0
+
+
+def _measure(options: argparse.Namespace) -> None:
+    from benchmarks.sim.accuracy.campaign import Plan, measure
+    from benchmarks.sim.accuracy.cases import chosen
+    from benchmarks.sim.accuracy.competitors import competitors
+    from sim.verbs.device import ready_device
+
+    ready_device(options.device)
+    if not options.reference > 0:
+        raise SceneError(f"--reference: {options.reference!r} mm; allowed: above 0")
+    names = tuple(options.case) or (SMOKE_CASES if options.smoke else ())
+    try:
+        cases = chosen(names)
+    except ValueError as error:
+        raise SceneError(f"--case: {error}") from error
+    chosen_competitors: list[Competitor] = competitors()
+    spacing = metres(options.reference)
+    if options.smoke:
+        chosen_competitors = [one for one in chosen_competitors if one.name in SMOKE_COMPETITORS]
+        spacing = metres(SMOKE_REFERENCE)
+    plan = Plan(
+        device=options.device,
+        cases=cases,
+        competitors=tuple(chosen_competitors),
+        spacing=spacing,
+        seconds_max=options.seconds,
+        cache=options.references,
+    )
+    path = options.out / f"{options.device.replace(':', '-')}.jsonl"
+    measure(plan, path, lambda line: print(line, flush=True))
+    print(f"{path}: written")
+
+
+def _draw(folder: Path) -> None:
+    from benchmarks.sim.accuracy.page import write_page
+    from benchmarks.sim.accuracy.row import read
+
+    files = sorted(folder.glob("*.jsonl"))
+    if not files:
+        raise SceneError(f"--out: no measurements in {folder}; allowed: a folder that has some")
+    page = folder.with_suffix(".md")
+    write_page(page, folder, [read(path) for path in files])
+    print(f"{page}: written")

@@ -1,0 +1,257 @@
+"""docs/results/accuracy.md and its charts, from the measurements of every device."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.sim.accuracy.campaign import CLOSED_FORM
+from benchmarks.sim.accuracy.cases import CASES, Case
+from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
+from benchmarks.sim.accuracy.reference import COARSER
+from benchmarks.sim.accuracy.row import Measured, Row
+
+COLOURS: dict[str, Colour] = {
+    CLOSED_FORM: (128, 132, 142),
+    "layer": (52, 148, 96),
+    "fem float32": (50, 112, 196),
+    "fem float64": (30, 52, 110),
+    "mpm": (232, 150, 44),
+    "mpm as published": (200, 62, 54),
+}
+"""Colour of each ladder; the mark tells the device."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """One picture of the page."""
+
+    file: str
+    title: str
+    measure: str
+    """Of `Row.mean`, or `memory`."""
+    unit: float
+    """What the measure is multiplied by."""
+    label: str
+
+
+CHARTS = (
+    Chart("accuracy.png", "Error of the force", "force_share", 100, "error of the force [%]"),
+    Chart(
+        "accuracy-surface.png",
+        "Error of the surface's displacement",
+        "surface_rms",
+        1e6,
+        "error of the surface, rms [um]",
+    ),
+    Chart("accuracy-markers.png", "Error of the markers", "marker_rms", 1, "markers, rms [px]"),
+    Chart("accuracy-memory.png", "Memory", "memory", 1 / 2**20, "memory [MiB]"),
+)
+GOALS = (0.1, 0.03, 0.01, 0.003)
+"""Errors of the force that the first table looks for."""
+
+_INTRO = """# What accuracy costs
+
+Every way to an answer on seven presses: what it misses, and what it takes. Lines join the meshes
+of one solver, coarse to fine; discs were measured on a CPU, diamonds on a GPU; below the grey line
+the reference cannot tell. Made by `make accuracy`; measurements are in `{folder}`, one file a
+device, and `python -m benchmarks accuracy --only page` draws them again.
+
+{machines}
+
+![Error of the force against time]({images}/accuracy.png)
+"""
+
+_METHOD = """
+## What is compared
+
+The body is the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45. Plain presses have frames at 0.5,
+1.0 and 1.5 mm (the 18 indenters: 0.5 and 1.0), the loop goes 1 mm down and 1 mm aside, the viscous
+press goes 1 mm down in 0.1 s and is held for 1 s while a branch of half the stiffness relaxes with
+0.2 s. Friction, where there is some, is 0.5: without it the skin under an edge slides until it
+creases, in one of many ways, and no answer is the answer.
+
+- **Force**: |F - Fref| along each axis over max(|Fref| of the frame, a tenth of the largest
+  |Fref|); the worst frame and axis, and the last frame.
+- **Surface**: distance between the two places of a material point of the top, cubic between the
+  points of either; rms and largest over 121 x 121 points, the worst frame; "beside" is the largest
+  where the reference is not touched.
+- **Markers**: 14 x 14 material points of the top as the paper's camera sees them: a pinhole 21.11
+  mm below the surface, 35 mm lens, 36 mm film, 640 px: p = 622.2 px (x, y) / (21.11 mm + z), 33.9
+  um a pixel.
+- **Seconds**: wall time of the press with kernels compiled; of the 18 indenters, solved one by one
+  on a CPU and in one launch on a GPU, all over 18. **Memory**: on a CPU the most that a process of
+  its own held, Python and libraries (about 220 MiB) included; on a GPU the most its arrays held.
+- **Reference**: {reference}; viscous motions in time steps a third as long. The grey line is its
+  difference from elements {coarser:g} times as large: errors below are not known. It is computed
+  once and kept in `build/accuracy`.
+- **Closed forms** (half-space): Hertz, Sneddon's punch and sharp cone, Lee and Radok, Cattaneo and
+  Mindlin; they take no time and stand at the left edge. Tube and the 18 have none in common use.
+- **mpm** has two particles a cell and dimension; **mpm as published** is the lattice, contact,
+  time step and mass of Tacchi and GenForce; on a CPU the sphere alone.
+"""
+
+
+def write_page(path: Path, folder: Path, measured: Sequence[Measured]) -> None:
+    """Write the page at `path` and its charts in `images` beside it; `folder` holds the files."""
+    images = path.parent / "images"
+    for chart in CHARTS:
+        panels = [_panel(case, chart, measured) for case in _cases(measured)]
+        note = "a point a mesh, finer to the right; discs: CPU, diamonds: GPU"
+        save_chart(images / chart.file, chart.title, panels, chart.label, note=note)
+    machines = " ".join(
+        f"{'GPU' if one.device != 'cpu' else 'CPU'}: {one.machine}." for one in measured
+    )
+    reference = "; ".join(dict.fromkeys(one.reference for one in measured))
+    lines = [_INTRO.format(folder=folder, machines=machines, images="images")]
+    lines += _goal_lines(measured)
+    for chart in CHARTS[1:]:
+        lines += ["", f"![{chart.title}](images/{chart.file})"]
+    lines.append(_METHOD.format(reference=reference, coarser=COARSER))
+    for case in _cases(measured):
+        lines += _case_lines(case, measured)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _cases(measured: Sequence[Measured]) -> list[Case]:
+    known = {row.case for one in measured for row in one.rows}
+    return [case for case in CASES if case.name in known]
+
+
+def _rows(case: Case, measured: Sequence[Measured]) -> list[Row]:
+    """Rows of a case from all devices; closed forms once."""
+    found: dict[tuple[str, str, str], Row] = {}
+    for one in measured:
+        for row in one.rows:
+            if row.case == case.name:
+                found.setdefault(row.key, row)
+    return list(found.values())
+
+
+def _panel(case: Case, chart: Chart, measured: Sequence[Measured]) -> Panel:
+    rows = _rows(case, measured)
+    series = []
+    for ladder, colour in COLOURS.items():
+        for gpu in (False, True):
+            chosen = [
+                row
+                for row in rows
+                if row.ladder == ladder and (row.device not in ("cpu", "none")) == gpu
+            ]
+            chosen = sorted(chosen, key=lambda row: row.fineness)
+            chosen = [row for row in chosen if math.isfinite(_value(row, chart))]
+            if not chosen:
+                continue
+            mark: Mark = "left" if ladder == CLOSED_FORM else "diamond" if gpu else "disc"
+            series.append(
+                Series(
+                    name=f"{ladder}, GPU" if gpu else ladder,
+                    colour=colour,
+                    mark=mark,
+                    points=tuple((row.wall, _value(row, chart)) for row in chosen),
+                    reach=tuple(_reach(row, chart) for row in chosen),
+                )
+            )
+    floors = [
+        one.floors[case.name].get(chart.measure, math.nan)
+        for one in measured
+        if case.name in one.floors
+    ]
+    known = [floor * chart.unit for floor in floors if math.isfinite(floor)]
+    return Panel(case.title, tuple(series), min(known, default=math.nan))
+
+
+def _value(row: Row, chart: Chart) -> float:
+    if chart.measure == "memory":
+        return row.memory * chart.unit if row.memory else math.nan
+    return row.mean.get(chart.measure, math.nan) * chart.unit
+
+
+def _reach(row: Row, chart: Chart) -> float:
+    """Where the worst scene of several lies."""
+    if chart.measure == "memory" or row.worst == row.mean:
+        return math.nan
+    return row.worst.get(chart.measure, math.nan) * chart.unit
+
+
+def _goal_lines(measured: Sequence[Measured]) -> list[str]:
+    head = " | ".join(f"{100 * goal:g} %" for goal in GOALS)
+    lines = [
+        "The least time that reaches an error of the force (worst frame and axis), and by what:",
+        "",
+        f"| press | device | {head} |",
+        "|---|---|" + "---|" * len(GOALS),
+    ]
+    for case in _cases(measured):
+        rows = [row for row in _rows(case, measured) if row.mean and not row.failed]
+        for device in dict.fromkeys(row.device for row in rows if row.device != "none"):
+            mine = [row for row in rows if row.device == device]
+            cells = [_cheapest(mine, goal) for goal in GOALS]
+            where = "CPU" if device == "cpu" else "GPU"
+            lines.append(f"| {case.title} | {where} | {' | '.join(cells)} |")
+    return lines
+
+
+def _cheapest(rows: Iterable[Row], goal: float) -> str:
+    good = [row for row in rows if row.mean["force_share"] <= goal]
+    if not good:
+        return "-"
+    best = min(good, key=lambda row: row.wall)
+    return f"{_seconds(best.wall)}, {best.name}"
+
+
+def _case_lines(case: Case, measured: Sequence[Measured]) -> list[str]:
+    several = len(case.scenes) > 1
+    lines = ["", f"## {case.title[0].upper()}{case.title[1:]}", ""]
+    lines += [
+        "| | device | elements | seconds | CPU s | memory [MiB] | force [%] | last [%] "
+        "| Fx, Fy, Fz [mN] | surface rms, largest, beside [um] | markers rms, largest [px] |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---|---|---|",
+    ]
+    order = list(COLOURS)
+    rows = sorted(
+        _rows(case, measured), key=lambda row: (order.index(row.ladder), row.device, row.fineness)
+    )
+    return lines + [_row_line(row, several=several) for row in rows]
+
+
+def _row_line(row: Row, *, several: bool) -> str:
+    if not row.mean:
+        return f"| {row.name} | {row.device} | | | | | {_escaped(row.note)} | | | | |"
+    mean, worst = row.mean, row.worst
+    force = _percent(mean["force_share"])
+    if several:
+        force += f" (worst {_percent(worst['force_share'])})"
+    failed = f"; {row.failed} without a solution" if row.failed else ""
+    axes = ", ".join(f"{1e3 * value:.2g}" for value in row.axes)
+    surface = ", ".join(
+        _number(1e6 * mean[name], ".1f") for name in ("surface_rms", "surface", "outside")
+    )
+    markers = ", ".join(_number(mean[name], ".3f") for name in ("marker_rms", "marker"))
+    memory = f"{row.memory / 2**20:.0f}" if row.memory else "-"
+    return (
+        f"| {row.name}{failed} | {row.device} | {row.elements or '-'} | {_seconds(row.wall)} "
+        f"| {_seconds(row.cpu)} | {memory} | {force} | {_percent(mean['force_last'])} | {axes} "
+        f"| {surface} | {markers} |"
+    )
+
+
+def _percent(value: float) -> str:
+    return _number(100 * value, ".2f" if value < 0.1 else ".0f")
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "-"
+
+
+def _seconds(value: float) -> str:
+    if value == 0:
+        return "0"
+    return f"{value:.3f}" if value < 0.1 else f"{value:.2f}" if value < 10 else f"{value:.0f}"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

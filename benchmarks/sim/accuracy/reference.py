@@ -1,0 +1,135 @@
+"""The truth that errors are measured from: `fem`, finer and tighter than anything that competes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from benchmarks.sim.launches import in_launches
+from sim.errors import SimulationDiverged
+from sim.metrics import Outcome, compare, load, outcome_of, save
+from sim.motion import Motion
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate_many
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+
+COARSER = 1.5
+"""Elements of the second reference over those of the first. Where errors fall with the square of
+the element, the first one's own error is 0.8 of the difference."""
+VISCOUS_PARTS = 3
+"""Parts that each piece of a viscous motion is cut into: its time steps are finer as well."""
+FORMAT = 1
+"""Of the file; another one is computed anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """The reference of one scene, and how much of it can be relied on."""
+
+    outcome: Outcome
+    uncertainty: dict[str, float]
+    """Of each error of `Errors.worst`: the difference of the two finest meshes."""
+
+
+def reference_numerics(
+    spacing: float, precision: Literal["auto", "float64"] = "float64"
+) -> Numerics:
+    """Finest mesh, contact without penetration, solved to a tenth; to half with `auto`.
+
+    `auto` takes half the time, for references of many scenes.
+    """
+    from sim.fem.numerics import Numerics
+
+    return Numerics(
+        spacing=spacing,
+        precision=precision,
+        tolerance=1e-5 if precision == "float64" else 5e-5,
+        path_tolerance=1e-3,
+        augmentations=5,
+    )
+
+
+def solve_references(
+    scenes: Sequence[Scene],
+    spacing: float,
+    device: str,
+    precision: Literal["auto", "float64"] = "float64",
+) -> list[Outcome | SimulationDiverged]:
+    """Outcomes of scenes that share a body, on one mesh; frames are those of each scene."""
+    parts = VISCOUS_PARTS if scenes[0].effects.viscosity is not None else 1
+    cut = [replace(scene, motion=finer(scene.motion, parts)) for scene in scenes]
+    numerics = reference_numerics(spacing, precision)
+    kept: list[Outcome | SimulationDiverged] = []
+
+    def solve(some: Sequence[Scene], where: str) -> list[Result | SimulationDiverged]:
+        return simulate_many(some, numerics=numerics, device=where)
+
+    for scene, one in zip(scenes, in_launches(solve, cut, device), strict=True):
+        if isinstance(one, SimulationDiverged):
+            kept.append(one)
+        else:
+            kept.append(outcome_of(one).frames(list(range(0, parts * len(scene.motion), parts))))
+    return kept
+
+
+def finer(motion: Motion, parts: int) -> Motion:
+    """The same motion with every piece cut into `parts`; its own waypoints are each `parts`-th."""
+    tip, time = [motion.tip[0]], [motion.time[0]]
+    pieces = pairwise(zip(motion.tip, motion.time, strict=True))
+    for (start, begin), (end, finish) in pieces:
+        for part in range(1, parts + 1):
+            share = part / parts
+            x, y, z = (a + (b - a) * share for a, b in zip(start, end, strict=True))
+            tip.append((x, y, z) if part < parts else end)
+            time.append(begin + (finish - begin) * share if part < parts else finish)
+    return Motion(tip=tuple(tip), time=tuple(time))
+
+
+def references(
+    name: str,
+    scenes: Sequence[Scene],
+    spacing: float,
+    device: str,
+    cache: Path,
+    say: Callable[[str], None],
+) -> list[Reference | None]:
+    """The references of a case's scenes; None where none was found. Computed once, then read.
+
+    Args:
+        name: Of the case.
+        scenes: Its scenes, which share a body.
+        spacing: Edge of an element of the finest mesh [m].
+        device: Where they are computed.
+        cache: Folder that keeps them.
+        say: Told what is computed.
+    """
+    path = cache / f"{name}-{spacing * 1e6:.0f}um-{FORMAT}.npz"
+    if not path.exists():
+        found: dict[str, Outcome] = {}
+        for label, size in (("fine", spacing), ("coarse", COARSER * spacing)):
+            say(f"reference of {name}: elements of {size * 1e3:.3g} mm")
+            for index, one in enumerate(solve_references(scenes, size, device)):
+                if isinstance(one, SimulationDiverged):
+                    say(f"  no reference of scene {index}: {one}")
+                else:
+                    found[f"{index}-{label}"] = one
+        save(path, found)
+    known = load(path)
+    references_: list[Reference | None] = []
+    for index, scene in enumerate(scenes):
+        fine, coarse = (known.get(f"{index}-{label}") for label in ("fine", "coarse"))
+        if fine is None:
+            references_.append(None)
+            continue
+        unknown = {"force": np.nan}
+        uncertainty = unknown if coarse is None else compare(coarse, fine, scene.body).worst()
+        references_.append(Reference(fine, uncertainty))
+    return references_

@@ -1,0 +1,1 @@
+"""What errors cost on random scenes: the table that the planner reads."""

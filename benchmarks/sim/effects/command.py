@@ -1,0 +1,83 @@
+"""What effects cost when off, and when on.
+
+`python -m benchmarks effects` writes docs/results/effects.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.errors import SceneError
+
+if TYPE_CHECKING:
+    from sim.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "effects",
+        help="prove that effects which are off cost nothing, measure what they cost when on; "
+        "writes a page (about 2 minutes)",
+    )
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        default=7,
+        metavar="N",
+        help="pairs of runs that times are the least of (%(default)s)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results/effects.md"),
+        help="page to write (%(default)s)",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, tell it as it comes, write the page; 1 if an effect that is off left a trace.
+
+    Raises:
+        SceneError: Fewer than one repeat.
+    """
+    if options.repeats < 1:
+        raise SceneError(f"--repeats: {options.repeats}; allowed: 1 or more")
+    with tempfile.TemporaryDirectory() as cache:
+        return _run(options, cache)
+
+
+def _run(options: argparse.Namespace, cache: str) -> int:
+    import warp as wp
+
+    from sim.verbs.device import ready_device
+
+    # A cache of its own, empty: what is read from the usual one would not be compiled.
+    wp.config.kernel_cache_dir = cache
+    ready_device("cpu")
+    from benchmarks.sim.effects.measure import combinations, cost
+    from benchmarks.sim.effects.page import render
+    from benchmarks.sim.effects.without import EFFECTS
+
+    sets = []
+    for one in combinations():
+        sets.append(one)
+        name = ", ".join(one.key) or "none"
+        print(f"{name}: {one.kernels} kernels, {one.own} its own", file=sys.stderr)
+    costs = []
+    for name in EFFECTS:
+        costs.append(cost(name, options.repeats))
+        found = costs[-1]
+        print(
+            f"{name}: off {'leaves no trace' if found.proven else 'LEAVES A TRACE'}, time off "
+            f"{found.off_ratio:.3f}, on {found.on_ratio:.2f}; weak: "
+            + ", ".join(f"{change:.2e}" for change in found.limits)
+        )
+    options.out.write_text(render(costs, sets, options.repeats))
+    print(f"{options.out}: written")
+    return int(not all(found.proven for found in costs))

@@ -1,0 +1,134 @@
+"""The page: `docs/results/effects.md`."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Sequence
+
+import warp as wp
+
+from benchmarks.sim.effects.measure import PARTS, Combination, Cost
+from benchmarks.sim.effects.scenes import TRIALS
+from benchmarks.sim.effects.without import EFFECTS
+
+_PREFACE = """# What effects cost
+
+Made by `python -m benchmarks effects`; run it again on another machine and the page is that
+machine's. {machine}.
+
+Friction, viscosity, inertia and gravity are one file each in `sim/effects`, and each declares what
+the `fem` tier keeps for it (`STATE`), in which kernels its lines stand (`KERNELS`), and what it
+tends to as it gets weaker (`LIMIT`). Its lines in a kernel are blocks `if wp.static(...):`, which
+are not compiled when it is off.
+
+## Off
+
+The claim is that an effect which is off costs nothing. It is compared with a build that never had
+it: the blocks are cut out of the kernels' source, and what is left is compiled.
+"""
+
+_OFF = """
+*Same machine code*: the instructions of every kernel the effect stands in, compiled with the effect
+off, and compiled from the source that was cut. *Same results*: force, surface, traction and quality
+of a press with the three other effects on, bit for bit. *Time*: CPU time of a press without
+effects, this build over the one that was cut, least of {repeats} pairs; it differs from 1 by what
+the machine's clock does.
+
+## On
+
+One press into {elements} elements in double precision; the viscosity has two branches. *Time* is
+that of the press with the effect over that without, least of {repeats}: more steps where friction
+or relaxation ask for them, more iterations, and the arithmetic itself.
+"""
+
+_LIMIT = """
+## Weaker and weaker
+
+What the force on the last frame changes by, over the force, when the effect is weak: a half gives a
+half and a tenth a tenth, so it vanishes with its parameter. Solved to a residual of 1e-10.
+"""
+
+_KERNELS = """
+## Kernels
+
+Kernels that a press launches, for every set of effects; those that are its own, which a press
+without effects does not launch; and the CPU time to compile them all. Each is compiled once for a
+machine and kept in Warp's cache; sets share what they can.
+"""
+
+
+def render(costs: Sequence[Cost], combinations: Sequence[Combination], repeats: int) -> str:
+    """The page as Markdown."""
+    elements = f"{12 * 12 * 4:,}"
+    machine = (
+        f"Warp {wp.config.version}, Python {platform.python_version()}, "
+        f"{platform.machine()}, one CPU core"
+    )
+    parts = (
+            _PREFACE.format(machine=machine),
+            _table(
+                ("effect", "kernels with lines of it", "same machine code", "same results",
+                 "numbers of state", "time"),
+                (_off(cost) for cost in costs),
+            ),
+            _OFF.format(repeats=repeats, elements=elements),
+            _table(
+                ("effect", "state", "numbers", "KiB", "time"),
+                (_on(cost) for cost in costs),
+            ),
+            _LIMIT,
+            _table(
+                ("effect", "full strength", "weak: share of it",
+                 *(f"change at {part:g} of that" for part in PARTS)),
+                (_limit(cost) for cost in costs),
+            ),
+            _KERNELS,
+            _table(
+                ("effects", "kernels", "own", "compile [s]"),
+                (_combination(one) for one in combinations),
+            ),
+    )  # fmt: skip
+    return "\n".join(parts) + "\n"
+
+
+def _off(cost: Cost) -> tuple[str, ...]:
+    snippets = EFFECTS[cost.name].KERNELS
+    places = ", ".join(f"`{one.module}.{one.factory}`" for one in snippets)
+    return (
+        cost.name,
+        places,
+        _yes(cost.same_code),
+        _yes(cost.same_results),
+        str(cost.numbers_off),
+        f"{cost.off_ratio:.3f}",
+    )
+
+
+def _on(cost: Cost) -> tuple[str, ...]:
+    state = "; ".join(
+        f"`{memory.name.rpartition('.')[2].lstrip('_')}` {memory.numbers} per {memory.per}"
+        for memory, _numbers in cost.memories
+    )
+    size = f"{cost.numbers_on * 8 / 1024:,.1f}"
+    return cost.name, state, f"{cost.numbers_on:,}", size, f"{cost.on_ratio:.2f}"
+
+
+def _limit(cost: Cost) -> tuple[str, ...]:
+    trial = TRIALS[cost.name]
+    changes = (f"{change:.3e}" for change in cost.limits)
+    limit = EFFECTS[cost.name].LIMIT
+    return f"{cost.name} ({limit})", trial.parameter, f"{trial.share:g}", *changes
+
+
+def _combination(one: Combination) -> tuple[str, ...]:
+    name = ", ".join(one.key) or "none"
+    return name, str(one.kernels), str(one.own), f"{one.compile_seconds:.1f}"
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "**no**"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [f"| {' | '.join(head)} |", "|---|" + "---:|" * (len(head) - 1)]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])

@@ -1,0 +1,1 @@
+"""Contact sheets of marker patterns and indenters for the docs."""

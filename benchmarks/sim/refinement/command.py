@@ -1,0 +1,79 @@
+"""Force and surface against the size of an element.
+
+`python -m benchmarks refine` writes docs/results/refinement.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.verbs.numbers import MM, numbers
+
+if TYPE_CHECKING:
+    from sim.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "refine", help="the bench problem and the 18 shapes on ever finer meshes; writes a page"
+    )
+    parser.add_argument(
+        "--bench",
+        type=numbers(),
+        default=(1.25, 1.0, 0.8, 0.6667, 0.5, 0.4),
+        metavar="MM,...",
+        help="sizes of an element for the bench problem [mm] (%(default)s); the finest takes "
+        "minutes on a CPU",
+    )
+    parser.add_argument(
+        "--shapes",
+        type=numbers(),
+        default=(1.0, 0.8, 0.6667),
+        metavar="MM,...",
+        help="sizes of an element for the 18 shapes [mm] (%(default)s); half an hour each on a CPU",
+    )
+    parser.add_argument("--only", choices=("bench", "shapes"), help="leave the other part out")
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results/refinement.md"),
+        help="page to write (%(default)s)",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Solve, tell what came out as it comes, write the page; the exit code.
+
+    Raises:
+        SceneError: A mesh that cannot be built, or a device that is not there.
+        SimulationDiverged: The bench problem was not solved.
+    """
+    from benchmarks.sim.refinement import bench_rows, shape_rows, write_page
+    from sim.verbs.device import ready_device
+
+    ready_device(options.device)
+    bench, shapes = [], []
+    if options.only != "shapes":
+        for row in bench_rows([size * MM for size in options.bench], options.device):
+            bench.append(row)
+            error = " ".join(f"{100 * value:+.2f}" for value in row.error)
+            print(f"{row.spacing / MM:.3g} mm: {error} %, {row.seconds:.1f} s", file=sys.stderr)
+    if options.only != "bench":
+        sizes = sorted((size * MM for size in options.shapes), reverse=True)
+        for spacing, seconds, rows in shape_rows(sizes, options.device):
+            shapes.append((spacing, seconds, rows))
+            failed = [shape.name for shape in rows if shape.diverged]
+            said = f"no solution for {', '.join(failed)}" if failed else "all solved"
+            print(f"{spacing / MM:.3g} mm, shapes: {said}, {seconds:.0f} s", file=sys.stderr)
+            for shape in rows:
+                if shape.diverged:
+                    print(f"  {shape.name}: {shape.diverged}", file=sys.stderr)
+    write_page(options.out, options.device, bench, shapes)
+    print(f"{options.out}: written")
+    return int(any(shape.diverged for _, _, rows in shapes for shape in rows))

@@ -1,0 +1,1 @@
+"""Rendered markers against ray casting and Blender, and images per second."""

@@ -1,0 +1,149 @@
+# mypy: ignore-errors
+# bpy, Blender as a module, has no types.
+"""The same images by Blender: `python -m benchmarks blender OUT` (extra `blender`).
+
+Each state's fine surface becomes a mesh whose texture coordinates are its material points, seen by
+the paper's camera (35 mm lens, 36 mm film) and lit by nothing: the texture emits. So Blender's
+renderer is compared, not its lighting. Cycles on a CPU takes half a minute an image.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.sim.render.compare import iou, mismatch
+from benchmarks.sim.render.raycast import smooth
+from benchmarks.sim.render.states import State, dent, solved
+from sim.camera import HEIGHT, WIDTH, Camera
+from sim.camera.camera import FILM, LENS
+from sim.patterns import named
+from sim.render.renderer import Renderer
+from sim.render.top import heights
+from sim.verbs.device import ready_device
+
+PATTERNS = ("Array1", "Circle1", "Diamond1")
+TEXTURE = 4096
+"""Side of the texture [px]: 4.9 um a pixel on the paper's gel."""
+SPACING = 0.1e-3
+"""Distance of the mesh's points [m]."""
+SAMPLES = 256
+"""Rays a pixel."""
+MM = 1e3
+"""Blender's clipping likes millimetres."""
+
+
+def render(state: State, texture: Path, out: Path) -> np.ndarray:
+    """The share (480, 640) of each pixel that is marker, by Blender, of a state with a texture."""
+    import bpy
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.collection.objects.link(_gel(state, texture))
+    lens = bpy.data.cameras.new("camera")
+    lens.lens, lens.sensor_width, lens.sensor_fit = LENS * MM, FILM * MM, "HORIZONTAL"
+    lens.clip_start, lens.clip_end = 0.1, 1e3
+    camera = bpy.data.objects.new("camera", lens)
+    # Blender's cameras look along -z with y up: turned about x it looks up, with y downwards.
+    camera.location, camera.rotation_euler = (0, 0, -Camera.paper().distance * MM), (math.pi, 0, 0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = SAMPLES, False
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.pixel_filter_type = "BOX"
+    scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
+    scene.render.resolution_percentage = 100
+    scene.view_settings.view_transform = "Raw"
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.image_settings.color_mode = "BW"
+    scene.render.image_settings.color_depth = "16"
+    scene.render.filepath = str(out)
+    bpy.ops.render.render(write_still=True)
+    with Image.open(out) as image:
+        grey = np.asarray(image).astype(float) / 65535
+    return grey[::-1]
+
+
+def _gel(state: State, texture: Path):
+    """Blender's object: the deformed top in mm, its texture by material points."""
+    import bpy
+
+    body = state.body
+    x, y = (
+        np.linspace(-size / 2, size / 2, round(size / SPACING) + 1)
+        for size in (body.size_x, body.size_y)
+    )
+    moved = smooth(state.x, state.y, state.surface.astype(float), x, y)
+    material = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    rest = heights(body, material[..., 0], material[..., 1])
+    place = (np.concatenate([material, rest[..., None]], axis=-1) + moved) * MM
+    number = np.arange(len(x) * len(y)).reshape(len(x), len(y))
+    cells = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
+    mesh = bpy.data.meshes.new("gel")
+    mesh.from_pydata(place.reshape(-1, 3).tolist(), [], cells.reshape(-1, 4).tolist())
+    share = (material / (body.size_x, body.size_y) + 0.5).reshape(-1, 2)
+    layer = mesh.uv_layers.new(name="material")
+    layer.data.foreach_set("uv", share[cells.ravel()].astype(np.float32).ravel())
+    shader = bpy.data.materials.new("markers")
+    if shader.node_tree is None:
+        shader.use_nodes = True
+    nodes, links = shader.node_tree.nodes, shader.node_tree.links
+    nodes.clear()
+    image = nodes.new("ShaderNodeTexImage")
+    image.image = bpy.data.images.load(str(texture))
+    image.image.colorspace_settings.name = "Non-Color"
+    image.extension = "CLIP"
+    emission, end = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeOutputMaterial")
+    links.new(image.outputs["Color"], emission.inputs["Color"])
+    links.new(emission.outputs["Emission"], end.inputs["Surface"])
+    mesh.materials.append(shader)
+    return bpy.data.objects.new("gel", mesh)
+
+
+def draw_texture(name: str, state: State, path: Path) -> None:
+    """Write a pattern over the whole gel as a PNG, markers white, edges anti-aliased."""
+    body, pattern = state.body, named(name)
+    pixels = [(np.arange(TEXTURE) + 0.5) / TEXTURE - 0.5] * 2
+    x, y = (share * size for share, size in zip(pixels, (body.size_x, body.size_y), strict=True))
+    pixel = body.size_x / TEXTURE
+    share = np.clip(0.5 - pattern.distance(x, y, 4 * pixel) / pixel, 0, 1)
+    Image.fromarray(np.round(share[::-1] * 255).astype(np.uint8)).save(path)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Render every state and pattern, write both images and print how alike they are."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks blender", description=__doc__)
+    parser.add_argument("out", type=Path, help="folder for the images")
+    parser.add_argument("--patterns", default=",".join(PATTERNS), help="default %(default)s")
+    parser.add_argument("--made-up", action="store_true", help="leave out the solved presses")
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    ready_device("cpu")
+    states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))]
+    if not options.made_up:
+        states += solved()
+    names = options.patterns.split(",")
+    print("| state | pattern | IoU | pixels that differ |\n|---|---|---|---|")
+    for index, state in enumerate(states):
+        renderer = Renderer(state.body)
+        textures = renderer.textures([named(name) for name in names])
+        ours = renderer.see(state.x, state.y, state.surface[None]).masks(textures)[0]
+        for name, mask in zip(names, ours, strict=True):
+            texture = options.out / f"{name}.png"
+            draw_texture(name, state, texture)
+            theirs = render(state, texture, options.out / f"{index}-{name}-blender.png") >= 0.5
+            Image.fromarray(mask).save(options.out / f"{index}-{name}-ours.png")
+            share = 100 * mismatch(mask, theirs)
+            print(
+                f"| {state.name} | {name} | {iou(mask, theirs):.5f} | {share:.4f} % |", flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()

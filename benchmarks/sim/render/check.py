@@ -1,0 +1,129 @@
+"""Figures of docs/rendering.md: rendering against ray-casting.
+
+Run with `python -m benchmarks render-check`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.render.compare import iou, mismatch
+from benchmarks.sim.render.raycast import cast_rays, marked
+from benchmarks.sim.render.states import State, dent, fold, solved
+from recorder.markers import Lattice
+from sim.camera import Camera
+from sim.patterns import named
+from sim.render.renderer import SPACING, Renderer
+from sim.render.view import View
+from sim.verbs.device import ready_device
+
+Masks = NDArray[np.bool_]
+
+PATTERNS = ("Array1", "Circle1", "Diamond1", "Array3")
+SAMPLES = (1, 3, 5)
+SPACINGS = (0.2e-3, 0.05e-3)
+STEPS = (5, 20)
+"""Steps of the lattice besides the usual one [px]."""
+RAY_SAMPLES = 5
+"""Rays along each side of a pixel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """How far one way of rendering is from another, the worst and the mean of the patterns."""
+
+    state: str
+    what: str
+    overlap: float
+    """Least intersection over union."""
+    differ: float
+    """Mean share of pixels that differ."""
+    differ_most: float
+
+    def __str__(self) -> str:
+        """A row of a table."""
+        shares = f"{100 * self.differ:.4f} % | {100 * self.differ_most:.4f} %"
+        return f"| {self.state} | {self.what} | {self.overlap:.5f} | {shares} |"
+
+
+def lines(states: Sequence[State], *, ray_samples: int, device: str) -> Iterator[Line]:
+    """Every comparison of every state."""
+    camera = Camera.paper()
+    patterns = [named(name) for name in PATTERNS]
+    for state in states:
+        frame = state.surface[None]
+        rays = cast_rays(
+            state.body, camera, state.x, state.y, state.surface.astype(float), samples=ray_samples
+        )
+        truth = np.stack([marked(pattern, rays, ray_samples) for pattern in patterns])
+
+        def view(
+            samples: int = 1, spacing: float = SPACING, state: State = state
+        ) -> tuple[Renderer, View]:
+            renderer = Renderer(state.body, camera, spacing=spacing, samples=samples, device=device)
+            return renderer, renderer.see(state.x, state.y, state.surface[None])
+
+        def masks(renderer: Renderer, seen: View) -> Masks:
+            drawn: Masks = seen.masks(renderer.textures(patterns))[0]
+            return drawn
+
+        renderer, seen = view()
+        direct = masks(renderer, seen)
+        untouched = masks(renderer, renderer.untouched())
+        told = f"{ray_samples} x {ray_samples} rays a pixel"
+        yield _line(state, "untouched and deformed", untouched, direct)
+        for samples in SAMPLES:
+            drawn = masks(*view(samples=samples))
+            yield _line(state, f"{samples} x {samples} samples, {told}", drawn, truth)
+        for spacing in SPACINGS:
+            drawn = masks(*view(spacing=spacing))
+            yield _line(state, f"points every {spacing * 1e3:g} mm, {told}", drawn, truth)
+        for step in (Lattice().step_px, *STEPS):
+            lattice = Lattice(step_px=step)
+            field = renderer.displacement(state.x, state.y, frame, lattice)
+            exact = renderer.displacement(state.x, state.y, frame, lattice, dtype=np.float32)
+            back = masks(renderer, renderer.see_displacement(field, lattice))
+            yield _line(state, f"from displacement every {step} px, direct", back, direct)
+            rounded = masks(renderer, renderer.see_displacement(exact, lattice))
+            yield _line(state, f"float16 and float32 every {step} px", back, rounded)
+            if step == Lattice().step_px:
+                yield _line(state, f"from displacement every {step} px, {told}", back, truth)
+
+
+def _line(state: State, what: str, one: Masks, other: Masks) -> Line:
+    pairs = list(zip(one, other, strict=True))
+    differ = [mismatch(*pair) for pair in pairs]
+    return Line(
+        state.name, what, min(iou(*pair) for pair in pairs), float(np.mean(differ)), max(differ)
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks render-check", description=__doc__)
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+    parser.add_argument(
+        "--rays",
+        type=int,
+        default=RAY_SAMPLES,
+        help="rays along each side of a pixel (default %(default)s)",
+    )
+    parser.add_argument("--made-up", action="store_true", help="leave out the solved presses")
+    options = parser.parse_args(arguments)
+    ready_device(options.device)
+    states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)), fold()]
+    if not options.made_up:
+        states += solved(device=options.device)
+    print("| state | compared | IoU, worst pattern | pixels that differ, mean | worst |")
+    print("|---|---|---|---|---|")
+    for line in lines(states, ray_samples=options.rays, device=options.device):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

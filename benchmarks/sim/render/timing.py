@@ -1,0 +1,115 @@
+"""How many images a second, stage by stage: `python -m benchmarks render-speed --device cuda:0`."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.sim.render.states import dent
+from sim.body import Body
+from sim.camera import Camera
+from sim.patterns import SIMULATED, named
+from sim.render.cubic import cubic_taps
+from sim.render.lens import lens_of
+from sim.render.raster import find_material, see_triangles
+from sim.render.renderer import SPACING, Renderer
+from sim.render.sampling import coverages, packed_masks
+from sim.render.textures import textures_of
+from sim.render.top import top_of
+from sim.render.vertices import DeviceTop, see_vertices
+from sim.verbs.device import ready_device
+
+REPEATS = 5
+
+
+def measure(
+    frames: int, samples: int, spacing: float, device: str, repeats: int
+) -> list[tuple[str, float, int]]:
+    """Each stage: its name, the least of `repeats` times [s], and how many images that was."""
+    body, lens, top = Body(), lens_of(Camera.paper()), top_of(Body(), spacing)
+    states = [dent(depth=(k + 1) / frames * 1.5e-3) for k in range(frames)]
+    x, y = states[0].x, states[0].y
+    surface = np.stack([state.surface for state in states])
+    patterns = [named(name) for name in SIMULATED]
+    textures = textures_of(patterns, body, device=device)
+    device_top = DeviceTop.of(top, device)
+    taps = cubic_taps(x, top.x), cubic_taps(y, top.y)
+    renderer = Renderer(body, spacing=spacing, samples=samples, device=device)
+    here: Any = wp.array(surface, dtype=wp.vec3, device=device)
+    images = frames * len(patterns)
+
+    def timed(work: Callable[[], Any]) -> tuple[Any, float]:
+        seconds = []
+        for _ in range(repeats + 1):
+            wp.synchronize_device(device)
+            # CPU time on a CPU, whose cores others may be using.
+            clock = time.process_time if device == "cpu" else time.perf_counter
+            began = clock()
+            found = work()
+            wp.synchronize_device(device)
+            seconds.append(clock() - began)
+        # The first may have compiled a kernel.
+        return found, min(seconds[1:])
+
+    vertex, to_vertices = timed(lambda: see_vertices(lens, device_top, *taps, here))
+    number, to_triangles = timed(lambda: see_triangles(vertex, samples))
+    material, to_material = timed(lambda: find_material(top, vertex, number, samples))
+    packed, to_masks = timed(lambda: packed_masks(material, samples, textures))
+    _, to_host = timed(packed.numpy)
+    _, to_grey = timed(lambda: coverages(material, samples, textures))
+    _, to_field = timed(lambda: renderer.displacement(x, y, surface))
+    field = renderer.displacement(x, y, surface)
+    _, back = timed(lambda: renderer.see_displacement(field))
+    _, whole = timed(lambda: renderer.see(x, y, surface).packed(textures))
+    _, textured = timed(lambda: textures_of(patterns, body, device=device))
+    return [
+        ("vertices", to_vertices, frames),
+        ("which triangle", to_triangles, frames),
+        ("which material point", to_material, frames),
+        ("packed masks", to_masks, images),
+        ("packed masks to the host", to_host, images),
+        ("grey images", to_grey, images),
+        ("displacement on the lattice", to_field, frames),
+        ("material map from displacement", back, frames),
+        ("surface to packed masks, all", whole, images),
+        ("distance textures, once", textured, len(patterns)),
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print a line for each stage."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks render-speed", description=__doc__)
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+    parser.add_argument("--frames", type=int, default=9, help="rendered at once")
+    parser.add_argument("--samples", type=int, default=1, help="along a pixel's side, odd")
+    parser.add_argument(
+        "--spacing-mm", type=float, default=SPACING * 1e3, help="of the points [mm]"
+    )
+    parser.add_argument("--repeats", type=int, default=REPEATS, help="of which the fastest counts")
+    options = parser.parse_args(arguments)
+    ready_device(options.device)
+    rows = measure(
+        options.frames,
+        options.samples,
+        options.spacing_mm * 1e-3,
+        options.device,
+        options.repeats,
+    )
+    clock = "CPU time of one process" if options.device == "cpu" else "wall time"
+    print(
+        f"{wp.get_device(options.device).name}, {clock}; {options.frames} frames at once, "
+        f"{len(SIMULATED)} patterns, {options.samples} x {options.samples} samples a pixel, "
+        f"points every {options.spacing_mm:g} mm"
+    )
+    for name, seconds, count in rows:
+        rate = count / max(seconds, 1e-9)
+        print(f"{name:31} {1e3 * seconds / count:9.4f} ms each {rate:12.0f} /s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Simulated sensors against measurements, against other tiers, and their time a frame."""

@@ -1,0 +1,110 @@
+"""How far a live sensor's forces lie from `layer` and `fem`: `python -m benchmarks live-forces`.
+
+Sphere, prism and cylinder are pressed to the sensor's depth, sheared, taken back and lifted, with
+its friction and viscosity, at its speed. `live` is told a pose 60 times a second; `layer` and `fem`
+are told the frames that are compared. Minutes an indenter, nearly all of them `fem`'s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.sensors.fit import SPACING
+from sim.errors import SimulationDiverged
+from sim.fem.grading import FOR_EDGES
+from sim.fem.numerics import Numerics
+from sim.indenters import Indenter, named
+from sim.motion import Motion, press_shear_return
+from sim.sensors import HETEROGENEOUS, SimulatedSensor, sensor
+from sim.simulate import simulate
+from sim.stream.press import GRID, LivePress
+from sim.verbs.device import ready_device
+
+Array = NDArray[np.floating[Any]]
+
+INDENTERS = ("sphere", "prism", "cylinder")
+RATE = 60.0
+"""Poses that the live one is told in a second."""
+STEPS = 4
+"""Frames of each of the four ways."""
+ANGLE = 0.3
+"""Direction of the shear [rad]: along no row of pixels."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Solve, compare, print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks live-forces", description=__doc__)
+    parser.add_argument("--sensors", nargs="+", default=HETEROGENEOUS, choices=HETEROGENEOUS)
+    parser.add_argument("--indenters", nargs="+", default=INDENTERS)
+    parser.add_argument("--grid", type=int, default=GRID, help="of the live one (%(default)s)")
+    parser.add_argument("--device", default="cpu", help="of `fem` (%(default)s)")
+    options = parser.parse_args(argv)
+    ready_device(options.device)
+    print(f"{'':28} {'largest force [N]':>21}   {'rms error [N]':>20}   {'worst error [N]':>20}")
+    for name in options.sensors:
+        for indenter in options.indenters:
+            each, body = sensor(name), named(indenter)
+            for line in lines(each, body, options.grid, options.device):
+                print(line, flush=True)
+    return 0
+
+
+def lines(each: SimulatedSensor, indenter: Indenter, grid: int, device: str) -> Iterator[str]:
+    """One line for each thing that the live forces are compared with."""
+    motion = way(each)
+    scene = each.scene(indenter, motion)
+    live = live_forces(each, indenter, motion, grid)
+    title = f"{each.name} {indenter.name}"
+    yield _line(f"{title}: layer", live, simulate(scene, "layer").force)
+    numerics = Numerics(spacing=SPACING[each.name], grading=FOR_EDGES)
+    try:
+        solved = simulate(scene, "fem", numerics=numerics, device=device).force
+    except SimulationDiverged as error:
+        yield f"{title}: fem: {error}"
+    else:
+        yield _line(f"{title}: fem", live, solved)
+
+
+def way(each: SimulatedSensor) -> Motion:
+    """Down to the full depth of the sensor's trajectory, aside, back and up."""
+    plan = each.trajectory
+    depth = each.depth_max if plan is None else plan.depth_max
+    shear = 0.0 if plan is None else plan.shear
+    return press_shear_return(depth, shear, angle=ANGLE, steps=STEPS, speed=each.speed)
+
+
+def live_forces(each: SimulatedSensor, indenter: Indenter, motion: Motion, grid: int) -> Array:
+    """Forces (F, 3) [N] at the motion's waypoints, solved at `RATE` on the way between them."""
+    live = LivePress(each, indenter, grid=grid)
+    tips, times = np.array(motion.tip), np.array(motion.time)
+    forces, before = [], 0.0
+    for now in times:
+        turns = max(1, round((now - before) * RATE))
+        for part in np.arange(1, turns + 1) / turns:
+            time = before + (now - before) * part
+            tip = np.array([np.interp(time, times, axis) for axis in tips.T])
+            live.move(tip, (now - before) / turns)
+        forces.append(live.wrench[:3])
+        before = now
+    return np.array(forces)
+
+
+def _line(title: str, live: Array, other: Array) -> str:
+    error = live - other
+    parts = (
+        np.abs(other).max(axis=0),
+        np.sqrt((error**2).mean(axis=0)),
+        np.abs(error).max(axis=0),
+    )
+    numbers = "   ".join(" ".join(f"{value:6.3f}" for value in part) for part in parts)
+    return f"{title:28} {numbers}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

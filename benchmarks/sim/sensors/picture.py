@@ -1,0 +1,131 @@
+"""A sheet with what every sensor gives of one press.
+
+Run with `python -m benchmarks sensor-picture [--out PNG]`.
+
+The prism is pressed straight down at the middle to each sensor's full depth; white is what the
+sensor reports, the orange outlines are its markers untouched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+from scipy.ndimage import binary_erosion
+
+from recorder.plot import INK, PAPER, SOFT, font
+from sim.fem.grading import FOR_EDGES
+from sim.fem.numerics import Numerics
+from sim.indenters import named
+from sim.motion import press
+from sim.result import Result
+from sim.sensors.catalogue import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
+from sim.sensors.field import SurfaceField
+from sim.sensors.readout import CameraReadout, readout
+from sim.sensors.sensor import SimulatedSensor
+from sim.simulate import Tier, simulate
+from sim.verbs.device import ready_device
+
+Colours = NDArray[np.uint8]
+
+ORDER = (*HETEROGENEOUS, *HOMOGENEOUS, *MATERIAL, "gel")
+COLUMNS, TILE, GAP, CAPTION = 4, (400, 300), 18, 50
+"""Tiles in a row, the size of one, the space around it and the height of its caption [px]."""
+MARKER, GROUND, UNTOUCHED = (240, 240, 236), (22, 26, 34), (240, 140, 40)
+PATTERNS = 4
+"""Patterns that are shown of a sensor with many."""
+SPACING = 1.2e-3
+"""Largest height of an element [m]; none is above a sixth of the thickness."""
+SEED = 0
+"""Of what their lives draw."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One picture of the sheet."""
+
+    title: str
+    text: str
+    pixels: Colours
+    """(480, 640, 3)."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Simulate, read, draw."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks sensor-picture", description=__doc__
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--out", type=Path, default=Path("docs/images/sensors.png"))
+    parser.add_argument("--tier", choices=("layer", "fem"), default="fem", help="(%(default)s)")
+    options = parser.parse_args(argv)
+    ready_device("cpu")
+    tiles: list[Tile] = []
+    for name in ORDER:
+        each = sensor(name)
+        tiles += _tiles(each, _pressed(each, options.tier))
+        print(f"drawn: {name}", file=sys.stderr)
+    # A palette makes the file three times smaller and costs nothing that an eye would see.
+    sheet(tiles).quantize(256, dither=Image.Dither.NONE).save(options.out, "PNG", optimize=True)
+    print(options.out)
+    return 0
+
+
+def sheet(tiles: Sequence[Tile]) -> Image.Image:
+    """All tiles, row by row."""
+    rows = -(-len(tiles) // COLUMNS)
+    width, height = TILE[0] + GAP, TILE[1] + CAPTION + GAP
+    page = Image.new("RGB", (COLUMNS * width + GAP, rows * height + GAP), PAPER)
+    pen = ImageDraw.Draw(page)
+    for index, tile in enumerate(tiles):
+        left = GAP + index % COLUMNS * width
+        top = GAP + index // COLUMNS * height
+        picture = Image.fromarray(tile.pixels).resize(TILE, Image.Resampling.LANCZOS)
+        page.paste(picture, (left, top))
+        pen.text((left, top + TILE[1] + 18), tile.title, INK, font(17), anchor="ls")
+        pen.text((left, top + TILE[1] + 38), tile.text, SOFT, font(13), anchor="ls")
+    return page
+
+
+def outlined(mask: NDArray[np.bool_], untouched: NDArray[np.bool_]) -> Colours:
+    """Markers (480, 640, 3) in white, the outlines of the untouched ones in orange."""
+    pixels = np.where(mask[..., None], MARKER, GROUND).astype(np.uint8)
+    pixels[untouched & ~binary_erosion(untouched, iterations=2)] = UNTOUCHED
+    return pixels
+
+
+def _pressed(each: SimulatedSensor, tier: Tier) -> Result:
+    depth = each.depth_max if each.force_depth is None else each.force_depth.depth_max
+    motion = press([depth / 2, depth], speed=each.speed)
+    numerics = None
+    if tier == "fem":
+        spacing = min(each.body.thickness / 6, SPACING)
+        numerics = Numerics(spacing=spacing, grading=FOR_EDGES)
+    return simulate(each.placed(named("prism"), motion, seed=SEED), tier, numerics=numerics)
+
+
+def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:
+    top = SurfaceField.of(result)
+    still = SurfaceField.untouched(each.body)
+    reader = readout(each, seed=SEED, session=("prism",))
+    masks, untouched = reader.masks(top)[-1], reader.masks(still)[0]
+    depth = -result.scene.motion.tip[-1][2] * 1e3
+    text = f"{each.body.modulus / 1e3:g} kPa, {depth:g} mm deep, {-result.force[-1, 2]:.2f} N"
+    shown = np.unique(np.linspace(0, len(masks) - 1, PATTERNS).round().astype(int)).tolist()
+    tiles = [
+        Tile(f"{each.name}: {reader.patterns[one]}", text, outlined(masks[one], untouched[one]))
+        for one in shown
+    ]
+    if each.name == "gelsight" and isinstance(reader, CameraReadout):
+        tiles.append(Tile(f"{each.name} in colour", text, reader.pictures(top)[-1]))
+    return tiles
+
+
+if __name__ == "__main__":
+    sys.exit(main())

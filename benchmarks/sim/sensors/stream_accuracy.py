@@ -1,0 +1,247 @@
+"""A session of a simulated bench against an offline simulation of the poses that it recorded.
+
+    python -m benchmarks live-session sessions/x.zarr
+
+The offline simulation solves the `layer` tier at every recorded pose, on a finer grid; its images
+are `sim.render`'s. What it differs in from the recording is what the live one costs: poses that
+were passed over, answers in between, a coarser grid, images of filled rims, JPEG and noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from recorder import Session
+from sim.errors import SceneError
+from sim.indenters import named
+from sim.layer.solver import GRID, TOLERANCE
+from sim.sensors import (
+    CameraReadout,
+    SimulatedSensor,
+    SurfaceField,
+    TaxelReadout,
+    read_sensor,
+    readout,
+    sensor,
+)
+from sim.stream.press import LivePress
+
+Array = NDArray[np.float64]
+
+FREE = 1e-3
+"""Tips this high above the surface say nothing of the contact [m]."""
+IMAGES = 40
+"""Images that are compared, evenly among those of contact."""
+_STAMP = re.compile(rb"state_t_ns=(-?\d+)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """What a session holds of a simulated sensor; times [ns] of the session's clock."""
+
+    sensor: SimulatedSensor
+    indenter: str
+    gauge_depth: float
+    """Of the F/T sensor's origin below the untouched surface [m]."""
+    time: NDArray[np.int64]
+    """Of each pose (n,)."""
+    tip: Array
+    """(n, 3) [m] in the contact frame."""
+    force_time: NDArray[np.int64]
+    wrench: Array
+    """(m, 6) [N, N m], without the tare."""
+
+
+def recorded(session: Session) -> Recorded:
+    """The poses and forces of a session.
+
+    Raises:
+        SceneError: A session of another world.
+    """
+    world = session.attrs["bench"].get("world") or {}
+    if world.get("kind") != "simulated":
+        raise SceneError(
+            f"session.bench.world.kind: {world.get('kind')!r}; allowed: 'simulated', a session "
+            "that was recorded with WORLD=sim"
+        )
+    name = str(world["sensor"])
+    row = read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
+    pose, force = session.streams["pose"], session.streams["force"]
+    frame = np.asarray(session.attrs["contact_frame"])
+    place = np.asarray(pose.column("value"))[: len(pose.t_ns), :3] - frame[:3]
+    wrench = np.asarray(force.column("value"))[: len(force.t_ns)]
+    return Recorded(
+        sensor=row,
+        indenter=str(session.attrs["indenter"]),
+        gauge_depth=1e-3 * float(world.get("gauge_depth_mm", 20.0)),
+        time=np.asarray(pose.t_ns),
+        tip=Rotation.from_rotvec(frame[3:]).inv().apply(place),
+        force_time=np.asarray(force.t_ns),
+        wrench=wrench + np.asarray(force.attrs["bias"]),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Offline:
+    """What an offline simulation of the recorded poses gives."""
+
+    wrench: Array
+    """At each pose (n, 6), about the F/T sensor's origin [N, N m]."""
+    top: SurfaceField
+    """At each of the wanted times."""
+
+
+def simulated(
+    found: Recorded, wanted: NDArray[np.int64], *, grid: int = GRID, tolerance: float = TOLERANCE
+) -> Offline:
+    """Solve the contact at every recorded pose; keep the deformation at the times `wanted` (k,)."""
+    live = LivePress(found.sensor, named(found.indenter), grid=grid, tolerance=tolerance)
+    wrench = np.zeros((len(found.time), 6))
+    keep: dict[int, list[int]] = {}
+    for place, time in enumerate(wanted):
+        after = int(np.clip(np.searchsorted(found.time, time), 1, len(found.time) - 1))
+        nearer = after - int(time - found.time[after - 1] < found.time[after] - time)
+        keep.setdefault(nearer, []).append(place)
+    surface = np.zeros((len(wanted), *live.grid.shape, 3), np.float32)
+    before = found.time[0]
+    for row, (time, tip) in enumerate(zip(found.time, found.tip, strict=True)):
+        live.move(tip, 1e-9 * float(time - before))
+        before = time
+        if live.touching:
+            each = live.wrench
+            lever = live.tip + np.array([0.0, 0.0, found.gauge_depth])
+            wrench[row] = each
+            wrench[row, 3:] += np.cross(lever, each[:3])
+        for place in keep.get(row, ()):
+            surface[place] = live.displacement
+    return Offline(wrench, replace(live.field, displacement=surface))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Compare and print; the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks live-session", description=__doc__)
+    parser.add_argument("session", type=Path)
+    parser.add_argument("--grid", type=int, default=GRID, help="of the offline one (%(default)s)")
+    options = parser.parse_args(argv)
+    session = Session(options.session)
+    try:
+        found = recorded(session)
+    except SceneError as error:
+        parser.error(str(error))
+    pressed = found.time[found.tip[:, 2] < 0]
+    if not len(pressed):
+        parser.error("session: no pose below the surface; allowed: at least one target")
+    images = _images(session, pressed) if "camera" in session.streams else {}
+    scans = _scans(session, pressed) if "taxels" in session.streams else {}
+    wanted = np.array([*images, *scans], np.int64)
+    offline = simulated(found, wanted, grid=options.grid)
+    print("\n".join(force_lines(found, offline.wrench)))
+    reader = readout(found.sensor)
+    if isinstance(reader, CameraReadout):
+        print("\n".join(image_lines(list(images.values()), reader, offline.top)))
+    elif isinstance(reader, TaxelReadout):
+        print("\n".join(taxel_lines(np.array(list(scans.values())), reader.raw(offline.top))))
+    return 0
+
+
+def force_lines(found: Recorded, wrench: Array) -> Iterator[str]:
+    """How far the recorded forces lie from the offline ones, axis by axis, in contact."""
+    inside = (found.force_time >= found.time[0]) & (found.force_time <= found.time[-1])
+    times = (found.force_time[inside] - found.time[0]).astype(float)
+    known = (found.time - found.time[0]).astype(float)
+    offline = np.stack([np.interp(times, known, axis) for axis in wrench.T], axis=1)
+    depth = np.interp(times, known, -found.tip[:, 2])
+    contact = depth > 0
+    error, offline = (found.wrench[inside] - offline)[contact], offline[contact]
+    yield "axis   rms error   p99 error   worst error   largest force   (recorded less offline)"
+    for axis, name in enumerate("xyz"):
+        size = np.abs(error[:, axis])
+        yield (
+            f"F{name}   {np.sqrt((size**2).mean()):7.4f} N   {np.percentile(size, 99):7.4f} N   "
+            f"{size.max():9.4f} N   {np.abs(offline[:, axis]).max():11.3f} N"
+        )
+
+
+def image_lines(
+    images: Sequence[NDArray[np.uint8]], reader: CameraReadout, top: SurfaceField
+) -> Iterator[str]:
+    """IoU of the recorded images' markers and the offline ones'."""
+    found = []
+    for row, image in enumerate(images):
+        one = SurfaceField(top.x, top.y, top.displacement[row : row + 1])
+        expected = reader.masks(one)[0, 0]
+        seen = markers_in(image, expected)
+        found.append((seen & expected).sum() / max((seen | expected).sum(), 1))
+    untouched = reader.masks(SurfaceField(top.x, top.y, 0 * top.displacement[:1]))[0, 0]
+    yield (
+        f"{len(found)} images of contact: IoU of markers {min(found):.4f} at least, "
+        f"{np.mean(found):.4f} in the mean; markers are {untouched.mean():.1%} of the pixels"
+    )
+
+
+def markers_in(image: NDArray[np.uint8], expected: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (480, 640) whose grey is nearer to the ink than to the gel around it.
+
+    The two greys are the medians of where markers are expected and of where none are: a change of
+    place moves neither.
+    """
+    grey = image.astype(float).mean(axis=-1)
+    ink, gel = np.median(grey[expected]), np.median(grey[~expected])
+    nearer: NDArray[np.bool_] = np.abs(grey - ink) < np.abs(grey - gel)
+    return nearer
+
+
+def taxel_lines(counts: NDArray[np.int32], offline: NDArray[np.int32]) -> Iterator[str]:
+    """How far recorded counts lie from the offline ones."""
+    change = np.ptp(offline, axis=0).max(axis=0)
+    error = counts - offline
+    yield "axis   rms error   worst error   largest change [counts]"
+    for axis, name in enumerate("xyz"):
+        size = np.abs(error[..., axis])
+        yield (
+            f"{name}   {np.sqrt((size.astype(float) ** 2).mean()):10.1f}   {size.max():10d}   "
+            f"{change[axis]:10d}"
+        )
+
+
+def _images(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[np.uint8]]:
+    """Images of contact, by the time of the state that they say they show [ns]."""
+    stream: Any = session.streams["camera"]
+    inside = np.flatnonzero((stream.t_ns > pressed[0]) & (stream.t_ns < pressed[-1]))
+    found: dict[int, NDArray[np.uint8]] = {}
+    for row in inside[:: max(1, len(inside) // IMAGES)]:
+        jpeg = stream.jpeg(int(row))
+        stamp = _STAMP.search(jpeg or b"")
+        if jpeg is None or stamp is None:
+            continue
+        time = int(stamp[1])
+        if np.abs(pressed - time).min() < 2_000_000:
+            found[time] = np.asarray(Image.open(io.BytesIO(jpeg)).convert("RGB"))
+    return found
+
+
+def _scans(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[np.int32]]:
+    """Scans of contact, by the time that they arrived at [ns]."""
+    stream: Any = session.streams["taxels"]
+    values = np.asarray(stream.column("value"))[: len(stream.t_ns)]
+    near = np.searchsorted(pressed, stream.t_ns)
+    inside = (near > 0) & (near < len(pressed))
+    gap = np.full(len(near), np.iinfo(np.int64).max)
+    gap[inside] = stream.t_ns[inside] - pressed[near[inside] - 1]
+    return {int(stream.t_ns[row]): values[row] for row in np.flatnonzero(gap < 4_000_000)}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""The paper's presses timed, and what makes them quick.
+
+`python -m benchmarks speed` writes docs/results/speed.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.errors import SceneError
+from sim.verbs.numbers import metres
+
+if TYPE_CHECKING:
+    from sim.mpm import MpmNumerics
+    from sim.verbs.options import Verbs
+
+PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
+"""What is measured; `page` draws."""
+MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6)
+"""Other heights of elements that the presses are timed with [m]."""
+SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
+"""Elements with --smoke [mm]."""
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "speed",
+        help="the paper's 162 presses timed, what each step is worth, the floor; writes a page",
+        description="Measures into one file a device, goes on where it was stopped, and writes the "
+        "page from all files there are. On a machine with a GPU: --device cuda:0 --only "
+        f"{','.join(PARTS)} --out DIR; its files come home and --only page takes them in.",
+    )
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    parser.add_argument(
+        "--processes", type=int, metavar="N", help="on a CPU (2); a GPU takes one process"
+    )
+    parser.add_argument(
+        "--spacing",
+        type=float,
+        default=0.8,
+        metavar="MM",
+        help="elements of the timed presses [mm] (%(default)s)",
+    )
+    parser.add_argument(
+        "--reference",
+        type=float,
+        default=0.4,
+        metavar="MM",
+        help="elements of the reference [mm] (%(default)s); on a CPU it takes hours",
+    )
+    parser.add_argument(
+        "--only",
+        metavar="PART,...",
+        help=f"some of {', '.join(PARTS)}, page (all; on a CPU without meshes and reference)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results/speed"),
+        metavar="DIR",
+        help="folder of the measurements; the page is DIR.md (%(default)s)",
+    )
+    parser.add_argument("--again", action="store_true", help="measure what is there already")
+    parser.add_argument("--long", action="store_true", help="all 810 presses on a CPU too")
+    parser.add_argument(
+        "--smoke", action="store_true", help="a few presses on coarse meshes: seconds, not minutes"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure what is missing, write the page; the exit code.
+
+    Raises:
+        SceneError: A part or a device that is not there, or nothing to draw.
+    """
+    parts = _parts(options)
+    measured = tuple(part for part in PARTS if part in parts)
+    if measured:
+        _measure(options, measured)
+    if "page" in parts:
+        _draw(options.out)
+    return 0
+
+
+def _parts(options: argparse.Namespace) -> set[str]:
+    allowed = (*PARTS, "page")
+    if options.only is None:
+        # What takes hours is nothing that a first run should begin with.
+        hours = {"meshes", "reference"} if _cpu(options) and not options.smoke else set()
+        return set(allowed) - hours
+    parts = set(options.only.split(","))
+    if not parts <= set(allowed):
+        raise SceneError(f"--only: {options.only!r}; allowed: some of {', '.join(allowed)}")
+    return parts
+
+
+def _cpu(options: argparse.Namespace) -> bool:
+    return bool(options.device == "cpu")
+
+
+def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
+    from benchmarks.sim.speed.campaign import Plan, measure
+    from benchmarks.sim.speed.work import paper_work, smoke_work
+    from sim.pool import check_processes
+    from sim.verbs.device import ready_device
+
+    processes = options.processes
+    if processes is None:
+        processes = 2 if _cpu(options) else 1
+    check_processes(processes, options.device)
+    kernels = ready_device(options.device)
+    for name in ("spacing", "reference"):
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0):
+            raise SceneError(f"--{name}: {value!r} mm; allowed: above 0")
+    plan = Plan(
+        device=options.device,
+        work=smoke_work() if options.smoke else paper_work(),
+        folder=options.out,
+        parts=parts,
+        processes=processes,
+        spacing=metres(SMOKE_SPACING if options.smoke else options.spacing),
+        meshes=SMOKE_MESHES if options.smoke else MESHES,
+        reference_spacing=metres(SMOKE_REFERENCE if options.smoke else options.reference),
+        again=options.again,
+        long=options.long,
+        kernels=kernels,
+        mpm=_presets(options.smoke),
+    )
+    measure(plan, lambda line: print(line, flush=True))
+    print(f"{plan.file}: written")
+
+
+def _presets(smoke: bool) -> dict[str, MpmNumerics]:
+    from sim.mpm import MpmNumerics
+
+    if smoke:
+        return {"coarse": MpmNumerics(cell=1e-3, per_cell=1.0, speed_ratio=0.1)}
+    return {"ours": MpmNumerics(), "as the authors have it": MpmNumerics.authors()}
+
+
+def _draw(folder: Path) -> None:
+    from benchmarks.sim.speed.page import write_page
+    from benchmarks.sim.speed.record import read
+
+    files = sorted(folder.glob("*.jsonl"))
+    if not files:
+        raise SceneError(f"--out: no measurements in {folder}; allowed: a folder that has some")
+    page = folder.with_suffix(".md")
+    write_page(page, [read(path) for path in files])
+    print(f"{page}: written")

@@ -1,0 +1,144 @@
+"""What each mesh, and each two of them, cost and give on all presses of the work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
+from benchmarks.sim.speed.campaign import meshes_file, presses_file
+from benchmarks.sim.speed.cells import memory, percent, row, seconds
+from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
+from benchmarks.sim.speed.record import Record, Run
+from sim.extrapolation import COARSER, left_of_difference
+
+APART = 1.3
+"""Ratio of the elements of two meshes at least: closer ones multiply what is left to chance."""
+COLOURS: tuple[Colour, ...] = ((59, 111, 182), (217, 130, 43), (63, 155, 107), (176, 64, 62))
+"""Of devices."""
+KINDS: tuple[tuple[bool, Mark, str], ...] = (
+    (False, "disc", "a mesh"),
+    (True, "diamond", "two meshes"),
+)
+"""Whether there are two meshes, how they are drawn and called."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """One way to solve all presses, and what it takes."""
+
+    spacing_mm: float
+    """Height of the elements, of the finer mesh where there are two."""
+    coarser_mm: float | None
+    """Of the coarser mesh; None: there is one mesh."""
+    seconds: float
+    presses: int
+    failed: int
+    memory: int
+    errors: Errors
+    """At depths from `SHALLOW_MM` on."""
+
+    @property
+    def elements(self) -> str:
+        """Its meshes in words."""
+        if self.coarser_mm is None:
+            return f"{self.spacing_mm:.3g} mm"
+        return f"{self.coarser_mm:.3g} and {self.spacing_mm:.3g} mm, extrapolated"
+
+
+def offers_of(record: Record, reference: Forces) -> list[Offer]:
+    """All meshes of a device from coarse to fine, then those two of them that are far enough apart.
+
+    Two meshes take the time of both; their forces are those that `sim.extrapolation` makes of them.
+    """
+    forces = read_runs(meshes_file(record.path))
+    forces["all"] = read_forces(presses_file(record.path))
+    runs = [*record.of("presses"), *record.of("meshes")]
+    runs = sorted((run for run in runs if run.presses), key=lambda run: -run.spacing_mm)
+    offers = [_single(run, forces.get(run.name, {}), reference) for run in runs]
+    for coarse, fine in combinations(runs, 2):
+        if APART <= coarse.spacing_mm / fine.spacing_mm <= COARSER + 1e-3:
+            both = forces.get(coarse.name, {}), forces.get(fine.name, {})
+            offers.append(_pair(coarse, fine, *both, reference))
+    return offers
+
+
+def _single(run: Run, forces: Forces, reference: Forces) -> Offer:
+    off = errors(forces, reference, from_mm=SHALLOW_MM)
+    return Offer(run.spacing_mm, None, run.best, run.presses, run.failed, run.memory, off)
+
+
+def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forces) -> Offer:
+    more = left_of_difference(coarse.spacing_mm / fine.spacing_mm)
+    both = {
+        key: force + more * (force - first[key]) for key, force in second.items() if key in first
+    }
+    return Offer(
+        spacing_mm=fine.spacing_mm,
+        coarser_mm=coarse.spacing_mm,
+        seconds=coarse.best + fine.best,
+        presses=min(coarse.presses, fine.presses),
+        failed=max(coarse.failed, fine.failed),
+        memory=max(coarse.memory, fine.memory),
+        errors=errors(both, reference, from_mm=SHALLOW_MM),
+    )
+
+
+def cheapest(offers: Sequence[Offer], error: float) -> Offer | None:
+    """The offer that takes least time of those that solve every press within `error`, a share."""
+    good = [one for one in offers if not one.failed and one.errors.mean <= error]
+    return min(good, key=lambda one: one.seconds, default=None)
+
+
+def offer_table(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> list[str]:
+    """The table of all offers of all devices."""
+    lines = [
+        "| machine | elements | seconds | a press | without a solution | error, mean | "
+        "95 % below | worst | where | memory |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for record, some in zip(records, offers, strict=True):
+        for one in some:
+            off = one.errors
+            cells = [record.machine.name, one.elements, seconds(one.seconds)]
+            cells += [seconds(one.seconds / one.presses), str(one.failed)]
+            cells += [percent(value) for value in (off.mean, off.most, off.worst)]
+            lines.append(row([*cells, off.worst_at or "-", memory(one.memory)]))
+    return lines
+
+
+def save_offer_chart(
+    path: Path, records: Sequence[Record], offers: Sequence[Sequence[Offer]], floor: float
+) -> None:
+    """Draw error against seconds of all offers, a panel for each way to sum up the errors.
+
+    Args:
+        path: Of the picture.
+        records: Of all devices.
+        offers: Of each of them.
+        floor: Error of the reference itself, a share; NaN where it is not known.
+    """
+    panels = []
+    for title, measure in (("mean", "mean"), ("95 % below", "most"), ("worst", "worst")):
+        series = []
+        for record, some, colour in zip(records, offers, COLOURS, strict=False):
+            for two, mark, kind in KINDS:
+                points = [
+                    (one.seconds, 100 * getattr(one.errors, measure))
+                    for one in some
+                    if (one.coarser_mm is not None) == two and math.isfinite(one.errors.mean)
+                ]
+                if points:
+                    name = f"{record.machine.name}: {kind}"
+                    series.append(Series(name, colour, mark, tuple(sorted(points))))
+        panels.append(Panel(title, tuple(series), 100 * floor if measure == "mean" else math.nan))
+    save_chart(
+        path,
+        "What accuracy costs on the paper's 162 presses",
+        panels,
+        "error of the force, %",
+        note="Two meshes: their forces extrapolated to elements of no size.",
+    )

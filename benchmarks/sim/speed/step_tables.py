@@ -1,0 +1,168 @@
+"""Tables of the page that say why it is as quick as it is: steps, and the floor below them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from benchmarks.sim.speed.campaign import steps_file
+from benchmarks.sim.speed.cells import MISSING, or_missing, percent, row, seconds
+from benchmarks.sim.speed.floor import (
+    CG_BYTES,
+    HALF_ROW_BYTES,
+    floor_of,
+    newton_element_bytes,
+    newton_element_flops,
+)
+from benchmarks.sim.speed.forces import SHALLOW_MM, Forces, errors, read_runs
+from benchmarks.sim.speed.record import Record, Run
+from benchmarks.sim.speed.steps import AS_IT_IS, REPLACED, Step, assembled_gain, steps_on
+
+_STEPS = """
+## What each step is worth
+
+One step left out at a time, on presses in the middle: all indenters on a GPU, four on a CPU, in one
+process. Gain: time without the step over time with it. Forces: mean distance of all from those with
+all steps. Error: from the reference, mean over depths from {deep:g} mm on.
+"""
+_FLOOR = """
+## The floor
+
+Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
+iteration moves at least {cg} bytes a node ({row} of the tangent's row, which products read in
+float16, the rest vectors and preconditioner in float32); a Newton iteration moves {element:g} bytes
+an element besides writing and copying the tangent, and computes {flops:,.0f} operations an element,
+counted in the kernels' source: on a CPU, where every second one assembles the elastic part,
+{cpu_element:g} and {cpu_flops:,.0f}. Bytes are moved at the rate of a copy measured beside the run:
+of an array that no cache holds or, on a CPU where that is faster, of one as large as the tangent of
+one press.
+"""
+
+
+def steps_section(records: Sequence[Record], reference: Forces) -> list[str]:
+    """What each step is worth, predicted and measured, a table for each device."""
+    lines = [_STEPS.format(deep=SHALLOW_MM)]
+    for record in records:
+        base = record.get("steps", AS_IT_IS)
+        runs = read_runs(steps_file(record.path))
+        off = {
+            name: errors(forces, reference, from_mm=SHALLOW_MM).mean
+            for name, forces in runs.items()
+        }
+        lines += [
+            "",
+            f"**{record.machine.name}**"
+            + (f", {base.presses} presses in {seconds(base.seconds)}" if base else ""),
+            "",
+            "| step | predicted gain | why | measured gain | seconds without, with | "
+            "Newton, CG without (with) | elements without (with) | forces | error without (with) |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        lines += [_step_line(step, record, base, off) for step in steps_on(record.machine.device)]
+        if record.machine.device != "cpu":
+            lines += _warm_start(record)
+            continue
+        for old in REPLACED:
+            lines.append(
+                f"| {old.name} | {old.predicted} | {old.reason} | "
+                f"{_once(old.measured, record, old is REPLACED[0])} | - | - | - | - | - |"
+            )
+        lines += _warm_start(record)
+    return lines
+
+
+def _warm_start(record: Record) -> list[str]:
+    """What a start from `layer` could save at most."""
+    run = record.get("presses", "all")
+    if run is None or not run.newton or not math.isfinite(run.newton_first):
+        return []
+    most = percent(max(run.newton_first, 0.0) / run.newton)
+    return [
+        "",
+        "Not built: a warm start from `layer`. Every depth but the first starts from a prediction; "
+        f"the first takes {run.newton_first / run.presses:.1f} Newton iterations a press more, "
+        f"{most} of all: no start could save more, and `layer` takes time as well.",
+    ]
+
+
+def _once(measured: str, record: Record, tangent: bool) -> str:
+    """The figure from when both sides were in the code, and what it makes of the present run."""
+    run = record.get("presses", "all")
+    text = f"measured once: {measured}"
+    if tangent and run is not None and run.cg_nodes:
+        gain = assembled_gain(run.newton_elements, run.cg_nodes)
+        text += f"; {gain:.1f} with this run's iterations"
+    return text
+
+
+def _step_line(step: Step, record: Record, base: Run | None, off: dict[str, float]) -> str:
+    run = record.get("steps", step.name)
+    cells = [step.name, step.predicted, step.reason]
+    if run is None or base is None:
+        return row([*cells, *[MISSING] * 6])
+    pair = (run.against, run.seconds) if step.put_in else (run.seconds, run.against)
+    failed = f", {run.failed} without a solution" if run.failed else ""
+    cells += [
+        f"{pair[0] / pair[1]:.2f}{failed}",
+        f"{seconds(pair[0])}, {seconds(pair[1])}",
+        f"{run.newton:,}, {run.cg:,} ({base.newton:,}, {base.cg:,})",
+        f"{run.elements:,} ({base.elements:,})",
+        percent(run.difference),
+        f"{percent(off.get(step.name, math.nan))} ({percent(off.get(AS_IT_IS, math.nan))})",
+    ]
+    return row(cells)
+
+
+def floor_section(records: Sequence[Record]) -> list[str]:
+    """What the iterations of the timed presses ask for, a column for each device."""
+    lines = [
+        _FLOOR.format(
+            cg=CG_BYTES,
+            row=HALF_ROW_BYTES,
+            element=newton_element_bytes(cpu=False),
+            flops=newton_element_flops(cpu=False),
+            cpu_element=newton_element_bytes(cpu=True),
+            cpu_flops=newton_element_flops(cpu=True),
+        ),
+        "| | " + " | ".join(record.machine.name for record in records) + " |",
+        "|---|" + "---|" * len(records),
+    ]
+    columns = [_floor_column(record) for record in records]
+    names = (
+        "Newton, CG iterations",
+        "elements, nodes, mesh groups",
+        "bytes: Newton, CG",
+        "operations",
+        "copy: far, near",
+        "float32 operations a second",
+        "seconds for bytes, operations",
+        "floor",
+        "measured",
+        "measured / floor",
+    )
+    for index, name in enumerate(names):
+        lines.append(row([name, *(column[index] for column in columns)]))
+    return lines
+
+
+def _floor_column(record: Record) -> list[str]:
+    run, machine = record.get("presses", "all"), record.machine
+    if run is None:
+        return [MISSING] * 10
+    floor = floor_of(run, machine)
+    rate = or_missing(machine.flop_rate, f"{machine.flop_rate:.3g} ({machine.flop_source})")
+    return [
+        f"{run.newton:,}, {run.cg:,}",
+        f"{run.elements:,}, {run.nodes:,}, {run.groups}",
+        f"{floor.newton_bytes / 1e9:.3g} GB, {floor.cg_bytes / 1e9:.3g} GB",
+        f"{floor.flops / 1e9:.3g} G",
+        or_missing(
+            machine.copy_rate,
+            f"{machine.copy_rate / 1e9:.3g} GB/s, {machine.near_rate / 1e9:.3g} GB/s",
+        ),
+        rate,
+        f"{seconds(floor.byte_seconds)}, {seconds(floor.flop_seconds)}",
+        seconds(floor.seconds),
+        seconds(run.best),
+        or_missing(floor.seconds, f"{run.best / floor.seconds:.1f}" if floor.seconds else MISSING),
+    ]

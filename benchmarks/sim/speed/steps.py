@@ -1,0 +1,251 @@
+"""What each step towards speed is worth: predicted with its reason, and measured without it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from benchmarks.sim.speed.floor import CG_BYTES, WHOLE_CG_BYTES
+from benchmarks.sim.speed.left_out import (
+    without_gathering,
+    without_graphs,
+    without_keeping,
+    without_prediction,
+    without_rounding,
+)
+from benchmarks.sim.speed.timing import Solve, fem
+from sim.result import Outcome
+from sim.scene import Scene
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+
+Where = Literal["cpu", "gpu", "both"]
+
+EVEN = 0.6
+"""Elements of the even mesh that is as exact, about, as a graded one, over those of that one."""
+AS_IT_IS = "as it is"
+"""Name of the run that the others are held against."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step that can be left out, or put in, by an argument."""
+
+    name: str
+    where: Where
+    predicted: str
+    """How many times faster, before it was built."""
+    reason: str
+    solve: Callable[[Numerics, str, int], Solve]
+    """From numerics, device and processes to the solver without it (with it: see `put_in`)."""
+    put_in: bool = False
+    """Whether the run `AS_IT_IS` is the one without the step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replaced:
+    """A step whose other side is no longer in the code: what was measured when both were."""
+
+    name: str
+    predicted: str
+    reason: str
+    measured: str
+
+
+def _changed(**values: Any) -> Callable[[Numerics, str, int], Solve]:
+    def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
+        return fem(replace(numerics, **values), device)
+
+    return solver
+
+
+def _coarser_in_plan(numerics: Numerics, device: str, _processes: int) -> Solve:
+    from sim.fem.grading import Grading
+
+    return fem(replace(numerics, grading=Grading()), device)
+
+
+def _even(numerics: Numerics, device: str, _processes: int) -> Solve:
+    spacing = None if numerics.spacing is None else EVEN * numerics.spacing
+    return fem(replace(numerics, graded=False, spacing=spacing), device)
+
+
+def _without(
+    step: Callable[[], contextlib.AbstractContextManager[None]],
+) -> Callable[[Numerics, str, int], Solve]:
+    def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
+        return _inside(step, fem(numerics, device))
+
+    return solver
+
+
+def _shared(numerics: Numerics, device: str, processes: int) -> Solve:
+    return fem(numerics, device, processes)
+
+
+def _one_by_one(numerics: Numerics, device: str, _processes: int) -> Solve:
+    solve = fem(numerics, device)
+
+    def each(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
+        found: list[Outcome] = []
+        for scene in scenes:
+            found += solve([scene], lambda _share: None)
+            progress(len(found) / len(scenes))
+        return found
+
+    return each
+
+
+STEPS = (
+    Step(
+        "elements finer in plan than over the depth",
+        "both",
+        "below 1",
+        "as many more elements where edges need them: an error that is bought cheaply",
+        _coarser_in_plan,
+    ),
+    Step(
+        "graded mesh",
+        "both",
+        "about 1",
+        "hardly fewer elements than an even mesh as coarse as they are high: see the errors",
+        _changed(graded=False),
+    ),
+    Step(
+        "graded mesh, against an even one of 3/5 the size",
+        "both",
+        "2-3",
+        "what an even mesh as exact as the graded one would take: see the errors",
+        _even,
+    ),
+    Step(
+        "soft contact, brought up to its answer",
+        "both",
+        "2-3 with prediction",
+        "fewer Newton iterations: a stiff contact changes its set of touching points each time",
+        _changed(penalty=1000.0, augmentations=0),
+    ),
+    Step(
+        "states as exact as meshes are",
+        "both",
+        "1.3-2",
+        "tolerances of 1.5 % where they are kept, 10 % on the way, not 0.1 % and 1 %; pressures "
+        "brought up once, not twice: what is left is far below the mesh's error",
+        _changed(tolerance=1e-3, path_tolerance=1e-2, augmentations=2),
+    ),
+    Step(
+        "prediction of the next state",
+        "both",
+        "2-3 with soft contact",
+        "fewer Newton iterations: a step begins where the last one's motion, or the tangent, leads",
+        _without(without_prediction),
+    ),
+    Step(
+        "elastic part kept for two iterations",
+        "cpu",
+        "1.2",
+        "assembling is half of a press; contact, which is taken anew, changes most, so that hardly "
+        "an iteration is added",
+        _without(without_keeping),
+    ),
+    Step(
+        "two processes on two cores",
+        "cpu",
+        "up to 2",
+        "presses are independent; less what starting processes takes, and what cores share",
+        _shared,
+        put_in=True,
+    ),
+    Step(
+        "presses side by side",
+        "gpu",
+        "up to the number of presses",
+        "one press does not fill a GPU; each walks at its own step, so that the total is the "
+        "slowest press, not the sum of the slowest steps",
+        _one_by_one,
+    ),
+    Step(
+        "one mesh topology for all",
+        "gpu",
+        "up to the number of mesh groups",
+        "presses whose meshes have different numbers of elements cannot share a launch",
+        _changed(one_topology=False),
+    ),
+    Step(
+        "graph capture",
+        "both",
+        "up to 5 where launches are what takes the time",
+        "about 10 us a launch without, 2 us recorded, on a GPU; 50 us of Python's on a CPU",
+        _without(without_graphs),
+    ),
+    Step(
+        "no rows launched for what has ended",
+        "gpu",
+        "1.1-1.2",
+        "an iteration in which few presses run is some 100 us of empty threads for all others",
+        _without(without_gathering),
+    ),
+    Step(
+        "products read the tangent in float16",
+        "both",
+        "1.1-1.3",
+        f"{CG_BYTES} bytes a node and iteration in place of {WHOLE_CG_BYTES}; as many iterations",
+        _without(without_rounding),
+    ),
+)
+REPLACED = (
+    Replaced(
+        "tangent assembled, not applied element by element",
+        "2-4",
+        "a product takes 0.052 us a node instead of 0.6-0.8 us, about ten times less; assembling "
+        "takes 2.2 us an element and Newton iteration",
+        "0.052 us a node against 0.6-0.8 us, one CPU core, float32",
+    ),
+    Replaced(
+        "columns as preconditioner, not 3x3 blocks",
+        "1.2-2.3",
+        "fewer CG iterations: the stiff direction of a bonded layer is solved exactly",
+        "1.2-2.3 times fewer iterations, by mesh and shape",
+    ),
+    Replaced(
+        "on a CPU: a row of the tangent in wide registers, not block by block",
+        "2-4 in products",
+        "27 blocks of 3x3 compile to a multiplication at a time; eight lanes at once are near what "
+        "memory gives",
+        "63 against 28 ns a node, one core, float32; 26 in float16",
+    ),
+    Replaced(
+        "on a GPU: an element's tangent a row a thread, not whole",
+        "3-6 in assembling",
+        "all 64 blocks of an element are 9 kB of a thread's own, which it waits for; a row of 8 "
+        "stays in registers, for several times the operations",
+        "6.9 s against 3.2 s, 162 presses on an H200; 24.0 against 18.9 s in all, with sums of "
+        "conjugate gradients by whole blocks of threads",
+    ),
+)
+ASSEMBLED_NODE, FREE_NODE, ASSEMBLY_ELEMENT = 0.052e-6, 0.7e-6, 2.2e-6
+"""Seconds of a product a node, assembled and without a matrix, and of an assembly an element; one
+core of a CPU, float32, measured when both were in the code."""
+
+
+def steps_on(device: str) -> list[Step]:
+    """The steps that mean something there."""
+    kind = "cpu" if device == "cpu" else "gpu"
+    return [step for step in STEPS if step.where in ("both", kind)]
+
+
+def assembled_gain(newton_elements: int, cg_nodes: int) -> float:
+    """How much less time tangents take assembled, for so many iterations on a CPU."""
+    assembled = newton_elements * ASSEMBLY_ELEMENT + cg_nodes * ASSEMBLED_NODE
+    return cg_nodes * FREE_NODE / assembled if assembled else float("nan")
+
+
+def _inside(without: Callable[[], contextlib.AbstractContextManager[None]], solve: Solve) -> Solve:
+    def solve_without(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
+        with without():
+            return solve(scenes, progress)
+
+    return solve_without

@@ -1,0 +1,192 @@
+"""One timed run of some presses: its time, memory, iterations and what became of them."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.speed.record import Run
+from benchmarks.sim.spent import Spent, peak_memory, spent_by
+from sim.body import Body
+from sim.errors import SimulationDiverged
+from sim.motion import press
+from sim.progress import Progress
+from sim.result import Outcome, Result
+from sim.scene import Scene
+from sim.simulate import simulate_many
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+    from sim.mpm import MpmNumerics
+
+Value = TypeVar("Value")
+Solve = Callable[[Sequence[Scene], Callable[[float], None]], list[Outcome]]
+"""From scenes, and what is told of the share done, to outcomes."""
+
+WARM = 0.02e-3
+"""Depth of the press that loads the kernels [m]."""
+TINY = Body(4e-3, 4e-3, 4e-3)
+LOOK_EVERY = 0.1
+"""Time between two looks at the workers' memory [s]."""
+
+
+def timed(
+    run: Run, scenes: Sequence[Scene], solve: Solve, device: str
+) -> tuple[Run, list[Outcome]]:
+    """`run` with what it took to solve `scenes`, and their outcomes."""
+
+    def work() -> list[Outcome]:
+        with Progress(f"{run.part}: {run.name}", sys.stderr) as progress:
+            return solve(scenes, progress)
+
+    outcomes, spent = spent_with_workers(work, device, run.processes)
+    return counted(
+        replace(
+            run,
+            presses=len(scenes),
+            seconds=spent.wall,
+            cpu=spent.cpu,
+            memory=spent.memory,
+        ),
+        outcomes,
+    ), outcomes
+
+
+def fem(numerics: Numerics, device: str, processes: int = 1) -> Solve:
+    """What solves scenes by finite elements."""
+
+    def solve(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
+        return simulate_many(
+            scenes, numerics=numerics, device=device, processes=processes, progress=progress
+        )
+
+    return solve
+
+
+def mpm(numerics: MpmNumerics, device: str) -> Solve:
+    """What solves scenes by material points."""
+
+    def solve(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
+        return simulate_many(scenes, "mpm", numerics=numerics, device=device, progress=progress)
+
+    return solve
+
+
+def counted(run: Run, outcomes: Sequence[Outcome]) -> Run:
+    """`run` with the sizes of its meshes and the iterations of all its presses."""
+    solved = [one for one in outcomes if isinstance(one, Result)]
+    failed = [one for one in outcomes if isinstance(one, SimulationDiverged)]
+    run = replace(run, failed=len(failed), note=run.note or (str(failed[0]) if failed else ""))
+    if any("mesh" not in one.record or "elements" not in one.record["mesh"] for one in solved):
+        return replace(
+            run,
+            elements=sum(int(one.record["particles"]) for one in solved),
+            newton=sum(int(one.record["steps"]) for one in solved),
+        )
+    meshes = [one.record["mesh"] for one in solved]
+    newton = [int(one.quality.newton.sum()) for one in solved]
+    cg = [int(one.quality.cg.sum()) for one in solved]
+    return replace(
+        run,
+        groups=len({tuple(mesh["cells"]) for mesh in meshes}),
+        elements=sum(mesh["elements"] for mesh in meshes),
+        nodes=sum(mesh["nodes"] for mesh in meshes),
+        newton=sum(newton),
+        newton_first=sum(_first(one.quality.newton) for one in solved),
+        cg=sum(cg),
+        newton_elements=sum(n * mesh["elements"] for n, mesh in zip(newton, meshes, strict=True)),
+        newton_nodes=sum(n * mesh["nodes"] for n, mesh in zip(newton, meshes, strict=True)),
+        cg_nodes=sum(n * mesh["nodes"] for n, mesh in zip(cg, meshes, strict=True)),
+    )
+
+
+def _first(newton: NDArray[np.int64]) -> float:
+    """Iterations of the first depth beyond those of a later one; the first frame only touches."""
+    return float(newton[1] - newton[2:].mean()) if len(newton) > 2 else 0.0
+
+
+def warm_up(
+    scene: Scene, numerics: Numerics, device: str, kernels: Path | None
+) -> tuple[float, int]:
+    """Seconds of a first, shallow press in either precision, and modules compiled for them.
+
+    Either: what float32 does not solve is solved again in float64.
+    """
+    before = _entries(kernels)
+    began = time.perf_counter()
+    with Progress("first presses", sys.stderr, kernels=kernels):
+        shallow = replace(scene, motion=press([WARM]))
+        for precision in ("float32", "float64"):
+            simulate_many([shallow], numerics=replace(numerics, precision=precision), device=device)
+    return time.perf_counter() - began, _entries(kernels) - before
+
+
+def warm_up_mpm(scene: Scene, numerics: MpmNumerics, device: str) -> None:
+    """Load the kernels of `mpm`: the same scene on a body of a few particles."""
+    tiny = replace(scene, motion=press([1e-6]), body=TINY)
+    simulate_many([tiny], "mpm", numerics=numerics, device=device)
+
+
+def spent_with_workers(
+    work: Callable[[], Value], device: str, processes: int
+) -> tuple[Value, Spent]:
+    """As `spent_by`, the processes that `work` starts included."""
+    if processes == 1:
+        return spent_by(work, device)
+    most: dict[int, int] = {}
+    done = threading.Event()
+
+    def look() -> None:
+        while not done.wait(LOOK_EVERY):
+            for worker in _children():
+                most[worker] = max(most.get(worker, 0), _peak(worker))
+
+    watcher = threading.Thread(target=look, name="memory", daemon=True)
+    watcher.start()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    try:
+        value, spent = spent_by(work, device)
+    finally:
+        done.set()
+        watcher.join()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    memory = peak_memory() + sum(most.values()) if most else 0
+    return value, Spent(spent.wall, spent.cpu + cpu, memory)
+
+
+def _children() -> list[int]:
+    """Processes that this one has started; none where the system does not tell."""
+    found = []
+    for listed in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+        try:
+            found += [int(word) for word in listed.read_text().split()]
+        except OSError:
+            continue
+    return found
+
+
+def _peak(process: int) -> int:
+    """Most memory that a process has held [bytes]; 0 once it is gone."""
+    try:
+        text = Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return 0
+    for line in text.splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def _entries(folder: Path | None) -> int:
+    return sum(1 for _ in folder.iterdir()) if folder is not None and folder.is_dir() else 0

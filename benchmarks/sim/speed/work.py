@@ -1,0 +1,92 @@
+"""The work that is timed: the paper's presses, and samples of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.effects import Effects, Friction
+from sim.indenters import NAMES, named
+from sim.motion import press
+from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
+from sim.scene import Scene
+
+DENSE_X, DENSE_Y = 9, 5
+"""Places along x and y between the outermost when 810 presses are asked for."""
+REFERENCE_AT = ((0.0, 0.0), (4.0, 4.0), (0.0, 4.0))
+"""Middle, corner and side [mm]: what all nine places are, but for turns and mirrors."""
+SAMPLE_SHAPES = ("sphere", "wave", "prism", "torus")
+"""Stand for all 18 where those would take too long: smooth, many bumps, an edge, a ring."""
+SMOKE_SHAPES = ("sphere", "prism")
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """One indenter at one place, to all depths; millimetres, as in the files."""
+
+    indenter: str
+    x: float
+    y: float
+    depths: tuple[float, ...] = DEPTHS_MM
+
+    def scene(self, *, speed: float = 10e-3) -> Scene:
+        """The press as it is simulated; `speed` of the tip in [m/s]."""
+        return Scene(
+            named(self.indenter),
+            press(
+                [depth * 1e-3 for depth in self.depths],
+                at=(self.x * 1e-3, self.y * 1e-3),
+                speed=speed,
+            ),
+            effects=Effects(friction=Friction(FRICTION)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Which presses each part of the measurement consists of."""
+
+    presses: tuple[Press, ...]
+    """The whole: indenter by indenter, at all its places."""
+    dense: tuple[Press, ...]
+    """Five times as many places."""
+    reference: tuple[Press, ...]
+    centred: tuple[Press, ...]
+    """Every indenter in the middle."""
+    sample: tuple[Press, ...]
+    """Some of them."""
+
+    def some(self, count: int) -> tuple[Press, ...]:
+        """`count` of the whole, spread over indenters and places; the first is centred."""
+        places = len(PLACES_MM) ** 2
+        stride = max(1, len(self.presses) // count)
+        stride += stride % places == 0
+        chosen = [places // 2 + i * stride for i in range(count)]
+        return tuple(self.presses[i % len(self.presses)] for i in chosen)
+
+
+def paper_work() -> Work:
+    """18 indenters x 9 places x 5 depths."""
+    dense_x = np.linspace(PLACES_MM[0], PLACES_MM[-1], DENSE_X)
+    dense_y = np.linspace(PLACES_MM[0], PLACES_MM[-1], DENSE_Y)
+    return Work(
+        presses=_grid(NAMES, PLACES_MM, PLACES_MM),
+        dense=_grid(NAMES, dense_x.tolist(), dense_y.tolist()),
+        reference=tuple(Press(name, x, y) for name in NAMES for x, y in REFERENCE_AT),
+        centred=tuple(Press(name, 0.0, 0.0) for name in NAMES),
+        sample=tuple(Press(name, 0.0, 0.0) for name in SAMPLE_SHAPES),
+    )
+
+
+def smoke_work() -> Work:
+    """A few shallow presses, to see that everything runs."""
+    depths = (0.1, 0.6)
+    centred = tuple(Press(name, 0.0, 0.0, depths) for name in SMOKE_SHAPES)
+    aside = tuple(Press(name, 4.0, 4.0, depths) for name in SMOKE_SHAPES)
+    return Work(centred + aside, 2 * (centred + aside), centred, centred, centred)
+
+
+def _grid(names: Sequence[str], xs: Sequence[float], ys: Sequence[float]) -> tuple[Press, ...]:
+    return tuple(Press(name, x, y) for name in names for x in xs for y in ys)

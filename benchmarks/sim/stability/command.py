@@ -1,0 +1,142 @@
+"""Simulate what breaks simulators, judge it by laws of mechanics.
+
+`python -m benchmarks hard-cases`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.errors import SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from benchmarks.sim.stability.case import Case
+    from benchmarks.sim.stability.runner import Report
+    from sim.verbs.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "hard-cases",
+        help="simulate what breaks simulators, judge it by laws of mechanics",
+        description="Runs named cases and holds each to laws of mechanics. Exit 1 when any law "
+        "fails; with --planted, when a mistake is caught by no case. About ten minutes.",
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="run this case only, * and ? stand for anything (may be repeated); no page is "
+        "written unless --out is given",
+    )
+    parser.add_argument("--list", action="store_true", help="name the cases and end")
+    parser.add_argument(
+        "--planted",
+        metavar="MISTAKE",
+        help="switch a known mistake on and tell which cases catch it; `all`: each mistake on "
+        "the cheapest cases that must",
+    )
+    parser.add_argument(
+        "--processes", type=int, help="side by side (default: 2 on a CPU, 1 on a GPU)"
+    )
+    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    parser.add_argument(
+        "--out", type=Path, help="page to write (default: docs/results/stability.md)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the cases, write the page; 0, or 1 when one failed.
+
+    Raises:
+        SceneError: No such case, mistake or device.
+    """
+    from benchmarks.sim.stability.catalogue import CASES, chosen
+    from benchmarks.sim.stability.page import page
+    from benchmarks.sim.stability.planted import MISTAKES
+    from benchmarks.sim.stability.runner import run_cases
+    from sim.verbs.device import ready_device
+
+    if options.list:
+        for case in CASES:
+            print(f"{case.name:<38} {case.asserts}")
+        return 0
+    try:
+        cases = chosen(options.only)
+    except ValueError as error:
+        raise SceneError(f"--only: {error}") from error
+    mistake = options.planted
+    if mistake not in (None, "all", *MISTAKES):
+        raise SceneError(f"--planted: {mistake!r}; allowed: {', '.join((*MISTAKES, 'all'))}")
+    processes = options.processes or (2 if options.device == "cpu" else 1)
+    if processes < 1:
+        raise SceneError(f"--processes: {processes}; allowed: 1 or more")
+    ready_device(options.device)
+    if mistake == "all":
+        _caught, every = _catch_all(options.device, processes)
+        return 0 if every else 1
+    if mistake is not None:
+        return _catch(mistake, cases, options.device, processes)
+    reports = run_cases(cases, device=options.device, processes=processes)
+    failed = _tell(reports)
+    out = options.out or (None if options.only else Path("docs/results/stability.md"))
+    if out is not None:
+        print("planted mistakes:")
+        caught, every = _catch_all(options.device, processes)
+        out.write_text(page(reports, caught, options.device), encoding="utf-8")
+        print(f"written: {out}")
+        failed = failed or not every
+        _tell(reports)
+    return 1 if failed else 0
+
+
+def _tell(reports: Sequence[Report]) -> bool:
+    """Print the last line; whether any case failed."""
+    failed = sum(not report.passed for report in reports)
+    passed = len(reports) - failed
+    print(f"{len(reports)} cases, {passed} passed" + (f", {failed} failed" if failed else ""))
+    return failed > 0
+
+
+def _catch(mistake: str, cases: Sequence[Case], device: str, processes: int) -> int:
+    from benchmarks.sim.stability.runner import run_cases
+
+    reports = run_cases(cases, device=device, mistake=mistake, processes=processes)
+    caught = [report.name for report in reports if not report.passed]
+    print(f"{mistake}: {'caught by ' + ', '.join(caught) if caught else 'NOT CAUGHT'}")
+    return 0 if caught else 1
+
+
+def _catch_all(device: str, processes: int) -> tuple[dict[str, Sequence[Report]], bool]:
+    """Each mistake on the cases that must catch it and pass without it; whether all do."""
+    from benchmarks.sim.stability.catalogue import BY_NAME
+    from benchmarks.sim.stability.planted import CATCHERS
+    from benchmarks.sim.stability.runner import run_cases
+
+    caught: dict[str, Sequence[Report]] = {}
+    every = True
+    for mistake, names in CATCHERS.items():
+        cases = [BY_NAME[name] for name in names]
+        sane = run_cases(cases, device=device, processes=processes, say=_silent)
+        caught[mistake] = run_cases(
+            cases, device=device, mistake=mistake, processes=processes, say=_silent
+        )
+        seen = [
+            after.name
+            for before, after in zip(sane, caught[mistake], strict=True)
+            if before.passed and not after.passed
+        ]
+        every = every and bool(seen)
+        print(f"  {mistake}: {'caught by ' + ', '.join(seen) if seen else 'NOT CAUGHT'}")
+    return caught, every
+
+
+def _silent(_line: str) -> None:
+    """Say nothing: what the planted mistakes do to each case is told in one line a mistake."""

@@ -1,0 +1,26 @@
+"""What a simulation that found no state must leave: what it tried, and its last good state."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+
+from benchmarks.sim.stability.laws import Law, at_least, at_most
+from sim.errors import SimulationDiverged
+
+
+def evidence(diverged: SimulationDiverged) -> list[Law]:
+    """Laws of a refusal; the dump is read and removed."""
+    numbers, missing = 0, 1
+    if diverged.dump is not None:
+        with np.load(diverged.dump) as dump:
+            state = {name: dump[name] for name in dump.files}
+        shutil.rmtree(diverged.dump.parent)
+        missing = len({"scene", "tip", "u", "nodes"} - set(state))
+        numbers = int(sum((~np.isfinite(state[name])).sum() for name in ("tip", "u", "nodes")))
+    return [
+        at_least("attempts listed", len(diverged.tried), 1),
+        at_most("missing in the dump", missing, 0),
+        at_most("numbers in the dump that are not finite", numbers, 0),
+    ]

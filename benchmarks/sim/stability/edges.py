@@ -1,0 +1,156 @@
+"""Edges: cones, tubes and prisms whose edge radius is far below the size of an element."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from benchmarks.sim.reference_solutions import layer_punch
+from benchmarks.sim.stability.bodies import GEL, MM, PAD
+from benchmarks.sim.stability.case import Case, Solver
+from benchmarks.sim.stability.laws import (
+    Law,
+    at_least,
+    at_most,
+    conserves,
+    push,
+    rises,
+    same_end,
+    smooth,
+    sound,
+)
+from sim.body import Body
+from sim.indenters import Indenter, named, shapes
+from sim.motion import press
+from sim.scene import Scene
+
+CONE = shapes.cone(math.radians(30), 0.3 * MM, 0.1 * MM)
+PUNCH = shapes.flat_punch(3 * MM, 0.3 * MM)
+PUNCH_DEPTH = 0.3 * MM
+MANY = [0.1 * MM * step for step in range(1, 11)]
+PATH = 2e-3
+"""Two ways to press an edge in: with the edge radius below the element, contact points slip over
+the edge, which leaves states a little apart; a path that matters would show as 10 to 30 %."""
+
+
+def _one_way_or_another(
+    solver: Solver, indenter: Indenter, body: Body = GEL, **numerics: object
+) -> list[Law]:
+    direct = solver.one(Scene(indenter, press([1.0 * MM]), body), **numerics)
+    slow = solver.one(Scene(indenter, press(MANY), body), **numerics)
+    return [
+        *sound(direct, slow),
+        same_end("in 1 frame and in 10", slow, direct, PATH),
+        rises("force rises with depth", push(slow)),
+    ]
+
+
+def sharp_cone(solver: Solver) -> list[Law]:
+    """A 30 degree cone (tip 0.3 mm, edge 0.1 mm) 1 mm deep: pushes straight up, work is stored."""
+    motion = press([0.05 * MM * step for step in range(1, 21)])
+    result = solver.one(Scene(CONE, motion, PAD), spacing=0.5 * MM)
+    aside = np.abs(result.force[:, :2]).max() / push(result).max()
+    return [
+        *sound(result),
+        at_most("force aside / force", aside, 0.01),
+        conserves(result, 0.02),
+    ]
+
+
+def cone_on_a_coarse_mesh(solver: Solver) -> list[Law]:
+    """The same cone on elements ten times its edge radius: coarse, but bounded and sound."""
+    motion = press([0.25 * MM, 0.5 * MM, 0.75 * MM, 1 * MM])
+    coarse = solver.one(Scene(CONE, motion, PAD))
+    fine = solver.one(Scene(CONE, motion, PAD), spacing=0.5 * MM)
+    aside = np.abs(coarse.force[:, :2]).max() / push(coarse).max()
+    # Four contact points carry the cone. Their node may slip aside from under the tip, which has
+    # less energy than to stay: a true minimum of a mesh that is too coarse.
+    return [
+        *sound(coarse, fine),
+        at_most("force aside / force", aside, 0.3),
+        at_most(
+            "force / that on half the elements - 1", abs(push(coarse)[-1] / push(fine)[-1] - 1), 0.3
+        ),
+    ]
+
+
+def tube_wall(solver: Solver) -> list[Law]:
+    """A tube's wall, 0.8 mm wide and rounded to 0.4 mm, 1 mm deep in 1 frame or in 10."""
+    # On elements of 1 mm such a wall may settle in one of two states, 1 % apart in force.
+    # Stiff contact: 10 frames bring a soft one 0.2 % closer to its answer than one.
+    wall = named("cylinder_sh", 0.4 * MM)
+    return _one_way_or_another(solver, wall, PAD, spacing=0.5 * MM, penalty=1000.0)
+
+
+def tube_off_the_grid(solver: Solver) -> list[Law]:
+    """The tube's force hardly depends on where its wall lies between the nodes."""
+    places = (0.0, 0.125 * MM, 0.25 * MM)
+    scenes = [Scene(named("cylinder_sh"), press([0.6 * MM], at=(x, x / 2)), PAD) for x in places]
+    results = solver.many(scenes, spacing=0.5 * MM)
+    force = [push(result)[-1] for result in results]
+    # 3 contact points span the wall, of which its rounded edges leave 1 to 2: their count varies
+    # around the ring. On elements of 1 mm, wider than the wall, the spread is 20 %.
+    return [*sound(*results), at_most("spread of the force", max(force) / min(force) - 1, 0.10)]
+
+
+def prism_edge(solver: Solver) -> list[Law]:
+    """A prism with edges of 0.3 mm on elements of 1 mm, 1 mm deep in 1 frame or in 10."""
+    return _one_way_or_another(solver, named("prism"))
+
+
+def prism_without_edge_radius(solver: Solver) -> list[Law]:
+    """Perfectly sharp edges: 1 mm deep in 1 frame or in 10, and nothing inverts."""
+    return _one_way_or_another(solver, named("prism", 0.0))
+
+
+def flat_punch_between_bounds(solver: Solver) -> list[Law]:
+    """A flat punch with a rounded edge lies between the exact punches with and without its rim."""
+    result = solver.one(Scene(PUNCH, press([PUNCH_DEPTH])))
+    narrow, wide = (
+        layer_punch(PUNCH_DEPTH, radius, 4 * MM, 0.145e6, 0.45).force
+        for radius in (2.7 * MM, 3.0 * MM)
+    )
+    # 3 % beyond the bounds: what large strain adds at a depth of 7.5 % of the thickness.
+    return [
+        *sound(result, det_f=0.5),
+        at_least("force / exact, radius 2.7 mm", push(result)[-1] / narrow, 0.97),
+        at_most("force / exact, radius 3.0 mm", push(result)[-1] / wide, 1.03),
+    ]
+
+
+def flat_punch_off_the_grid(solver: Solver) -> list[Law]:
+    """A flat punch's force does not depend on where it stands between the nodes."""
+    places = (0.0, 0.125 * MM, 0.25 * MM, 0.375 * MM, 0.5 * MM)
+    scenes = [Scene(PUNCH, press([PUNCH_DEPTH], at=(place, 0.0))) for place in places]
+    results = solver.many(scenes)
+    force = [push(result)[-1] for result in results]
+    # 12 contact points along the rim's diameter: one more or less of them is 4 %.
+    return [
+        *sound(*results, det_f=0.5),
+        at_most("spread of the force", (max(force) - min(force)) / min(force), 0.08),
+    ]
+
+
+def flat_punch_is_smooth(solver: Solver) -> list[Law]:
+    """A flat punch's force against depth has no step where nodes slip over its edge."""
+    depths = [0.02 * MM * step for step in range(1, 31)]
+    result = solver.one(Scene(PUNCH, press(depths)))
+    # A straight line bends nowhere; contact points leave over the edge one ring at a time.
+    return [
+        *sound(result, det_f=0.3),
+        smooth("largest second difference / largest force", push(result)[1:], 0.01),
+    ]
+
+
+CASES = (
+    Case(sharp_cone, seconds=10),
+    Case(cone_on_a_coarse_mesh, seconds=7),
+    Case(tube_wall, seconds=9),
+    Case(tube_off_the_grid, seconds=30),
+    Case(prism_edge, seconds=6),
+    Case(prism_without_edge_radius, seconds=8),
+    Case(flat_punch_between_bounds, seconds=1),
+    Case(flat_punch_off_the_grid, seconds=3),
+    Case(flat_punch_is_smooth, seconds=5),
+)

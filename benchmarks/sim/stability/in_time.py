@@ -1,0 +1,270 @@
+"""Time: viscosity, inertia and gravity, each against its slow, fast and zero limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.sim.reference_solutions import layer_sag
+from benchmarks.sim.stability.bodies import MM, PAD, SPHERE
+from benchmarks.sim.stability.case import Case, Solver
+from benchmarks.sim.stability.laws import (
+    BALANCE,
+    SAME,
+    Law,
+    at_least,
+    at_most,
+    difference,
+    dissipates,
+    lets_go,
+    push,
+    rises,
+    same_end,
+    same_force,
+    slides,
+    sound,
+)
+from sim.body import Body
+from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
+from sim.motion import Motion, press, press_shear_return, ramp_hold
+from sim.scene import Scene
+
+RATIO, TIME = 0.5, 0.2
+"""Stiffness of the one branch over the rest, and its relaxation time [s]."""
+VISCOUS = Effects(viscosity=Viscosity(ratios=(RATIO,), times=(TIME,)))
+DEPTH = 1 * MM
+THERE_AND_BACK = (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)
+"""Depths over the largest, evenly down and up."""
+
+
+def _cycle(speed: float) -> Motion:
+    return press([DEPTH * share for share in THERE_AND_BACK], speed=speed)
+
+
+def ramp_and_hold_relaxes(solver: Solver) -> list[Law]:
+    """After a fast ramp the force falls, ever slower, to the elastic force, never below it."""
+    hold = ramp_hold(DEPTH, ramp=0.01, hold=10 * TIME, steps=20)
+    viscous = solver.one(Scene(SPHERE, hold, PAD, VISCOUS))
+    elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))
+    force, rest = push(viscous)[20:], push(elastic)[-1]
+    # exp(-10) is left of the branch after 10 relaxation times; 1e-4 of the force is the solver's
+    # tolerance, 1e-3 of its largest fall between frames.
+    return [
+        *sound(viscous, det_f=0.5),
+        rises("force falls while held", -force, -1e-4),
+        rises("and ever slower", np.diff(force), -5e-3),
+        at_most("end / elastic - 1", abs(force[-1] / rest - 1), 1e-3),
+        dissipates(viscous, 0.01),
+    ]
+
+
+def loading_above_unloading(solver: Solver) -> list[Law]:
+    """At the same depth the force is larger on the way down; the closed loop loses work."""
+    result = solver.one(Scene(SPHERE, _cycle(DEPTH / TIME), PAD, VISCOUS))
+    force = push(result)
+    down, up = force[1:4], force[7:4:-1]
+    return [
+        *sound(result, det_f=0.5),
+        at_least(
+            "loading / unloading - 1, least", float((down / np.maximum(up, 1e-9)).min() - 1), 0.05
+        ),
+        dissipates(result, 0.01),
+        at_least("lost around the loop", result.quality.energy_gap[-1], 0.05),
+        lets_go(result),
+    ]
+
+
+def fast_and_slow_presses(solver: Solver) -> list[Law]:
+    """Slow is elastic, fast is elastic times 1 + ratio, and any speed lies between."""
+    speeds = (1e-4, 3e-3, 1e-2, 1e2)
+    results = [
+        solver.one(Scene(SPHERE, press([DEPTH], speed=speed), PAD, VISCOUS)) for speed in speeds
+    ]
+    elastic = push(solver.one(Scene(SPHERE, press([DEPTH]), PAD)))[-1]
+    force = [push(result)[-1] / elastic for result in results]
+    # 10 s is 50 relaxation times: a ramp ends 1/50 behind times ratio. 10 us: 1/20,000 relaxed; but
+    # the springs of the contact do not stiffen with the material: 2/1000 of the force.
+    return [
+        *sound(*results, det_f=0.5),
+        rises("force rises with speed", force),
+        at_most("slow / elastic - 1", abs(force[0] - 1), 0.03),
+        at_most("fast / (elastic (1 + ratio)) - 1", abs(force[-1] / (1 + RATIO) - 1), 5e-3),
+    ]
+
+
+def viscosity_of_no_stiffness(solver: Solver) -> list[Law]:
+    """A branch without stiffness changes nothing: the elastic force in every frame."""
+    effects = Effects(viscosity=Viscosity(ratios=(0.0,), times=(TIME,)))
+    motion = _cycle(10 * MM)
+    viscous = solver.one(Scene(SPHERE, motion, PAD, effects))
+    elastic = solver.one(Scene(SPHERE, motion, PAD))
+    return [same_force("against no viscosity", elastic, viscous, SAME)]
+
+
+def four_branches(solver: Solver) -> list[Law]:
+    """Four branches from 1 ms to 10 s, in shear only, around a loop: passive at every frame."""
+    viscosity = Viscosity(
+        ratios=(1.0, 0.5, 0.3, 0.2), times=(1e-3, 0.05, 0.5, 10.0), relaxes="shear"
+    )
+    result = solver.one(Scene(SPHERE, _cycle(10 * MM), PAD, Effects(viscosity=viscosity)))
+    return [*sound(result, det_f=0.3), dissipates(result, 0.01), lets_go(result)]
+
+
+def slow_press_with_mass(solver: Solver) -> list[Law]:
+    """Pressed at 1 mm/s, mass does not count: waves cross the layer 6,000 times a millimetre."""
+    motion = press([0.5 * MM, 1 * MM], speed=1 * MM)
+    moving = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia())))
+    still = solver.one(Scene(SPHERE, motion, PAD))
+    return [*sound(moving, det_f=0.5), same_force("against quasi-static", still, moving, SAME)]
+
+
+def fast_press_with_mass(solver: Solver) -> list[Law]:
+    """Pressed at 2 m/s, a third of the shear wave's speed, mass adds to the force."""
+    motion = press([0.25 * MM, 0.5 * MM, 0.75 * MM, 1 * MM], speed=2.0)
+    moving = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia())))
+    still = solver.one(Scene(SPHERE, motion, PAD))
+    return [
+        *sound(moving, det_f=0.3),
+        at_least("force / quasi-static, at 1/4 mm", push(moving)[1] / push(still)[1], 1.2),
+    ]
+
+
+def released_body_comes_to_rest(solver: Solver) -> list[Law]:
+    """Let go within 0.1 ms, the skin swings back and comes to rest: no energy from nowhere."""
+    tip = [(0.0, 0.0, 0.0), (0.0, 0.0, -DEPTH), (0.0, 0.0, 5 * MM)]
+    time = [0.0, 0.1, 0.1001]
+    for step in range(1, 41):
+        tip.append((0.0, 0.0, 5 * MM))
+        time.append(0.1001 + 0.25e-3 * step)
+    scene = Scene(SPHERE, Motion(tip=tuple(tip), time=tuple(time)), PAD, Effects(inertia=Inertia()))
+    result = solver.one(scene)
+    size = np.abs(result.surface).reshape(len(tip), -1).max(axis=1)
+    # The lowest mode swings in 2.3 ms; backward Euler with 0.25 ms takes a third of its amplitude
+    # away each period: after 4 periods a hundredth to a tenth of it is left.
+    return [
+        at_least("smallest det F", result.quality.det_f_min.min(), 0.3),
+        at_most("balance while pressed", result.quality.balance[1], BALANCE),
+        at_most("largest swing / before", size[2:].max() / size[1], 1.0),
+        at_most("swing after 10 ms / before", size[-4:].max() / size[1], 0.1),
+        at_most("force once released [N]", float(np.abs(result.force[2:]).max()), 1e-9),
+    ]
+
+
+def inertia_of_no_mass(solver: Solver) -> list[Law]:
+    """Mass scaled by 0 is quasi-static at any speed."""
+    motion = press([0.5 * MM, 1 * MM], speed=10.0)
+    light = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia(scale=0.0))))
+    still = solver.one(Scene(SPHERE, motion, PAD))
+    return [same_force("against no inertia", still, light, SAME)]
+
+
+WIDE = Body(size_x=40 * MM, size_y=40 * MM, thickness=2 * MM)
+ABOVE = Motion(tip=((0.0, 0.0, 5 * MM),), time=(0.0,))
+
+
+def _sag(solver: Solver, pull: tuple[float, float, float], axis: int) -> list[Law]:
+    scene = Scene(SPHERE, ABOVE, WIDE, Effects(gravity=Gravity(pull)))
+    result = solver.one(scene, spacing=2 / 3 * MM, precision="float64")
+    middle = result.surface[0, 30, 30]
+    exact = layer_sag(0.0, pull, WIDE.thickness, WIDE.density, WIDE.modulus, WIDE.poisson)
+    # The sides are 10 thicknesses away: felt by 0.2 % (at 6 it is 4 %).
+    return [
+        at_most("sag / formula - 1", abs(float(middle[axis]) / float(exact[axis]) - 1), 0.005),
+        at_most("balance: weight against base", result.quality.balance.max(), 5e-4),
+        at_least("smallest det F", result.quality.det_f_min.min(), 0.9),
+    ]
+
+
+def sags_under_gravity(solver: Solver) -> list[Law]:
+    """A wide thin layer sags by density g h^2 / (2 M), and its base carries its weight."""
+    return _sag(solver, (0.0, 0.0, -9.81), 2)
+
+
+def hangs_sideways(solver: Solver) -> list[Law]:
+    """Gravity along x shears the layer by density g h^2 / (2 G)."""
+    return _sag(solver, (9.81, 0.0, 0.0), 0)
+
+
+def gravity_upside_down(solver: Solver) -> list[Law]:
+    """Hanging or standing, a soft gel pressed 1 mm differs by its sag, in opposite directions."""
+    soft = replace(PAD, modulus=5e3)
+    up, none, down = (
+        solver.one(Scene(SPHERE, press([0.5 * MM, 1 * MM]), soft, effects))
+        for effects in (
+            Effects(gravity=Gravity((0.0, 0.0, 9.81))),
+            Effects(),
+            Effects(gravity=Gravity((0.0, 0.0, -9.81))),
+        )
+    )
+    force = [push(result)[-1] for result in (down, none, up)]
+    middle = (force[0] + force[2]) / 2
+    return [
+        *sound(up, none, down, det_f=0.4),
+        rises("a skin that hangs out is pressed deeper", force),
+        at_most("mean of both / without - 1", abs(middle / force[1] - 1), 0.01),
+    ]
+
+
+def all_effects_at_once(solver: Solver) -> list[Law]:
+    """Friction, viscosity, inertia and gravity together, pressed, sheared and released."""
+    effects = Effects(
+        friction=Friction(0.5),
+        viscosity=VISCOUS.viscosity,
+        inertia=Inertia(),
+        gravity=Gravity(),
+    )
+    motion = press_shear_return(0.8 * MM, 0.5 * MM, steps=3)
+    together = solver.one(Scene(SPHERE, motion, PAD, effects))
+    rubbed = solver.one(Scene(SPHERE, motion, PAD, Effects(friction=Friction(0.5))))
+    return [
+        *sound(together, det_f=0.3),
+        slides(together),
+        dissipates(together, 0.01),
+        at_least("force with all / with friction", push(together)[3] / push(rubbed)[3], 1.1),
+        lets_go(together),
+    ]
+
+
+def stays_elastic_when_rested(solver: Solver) -> list[Law]:
+    """A viscous body that was pressed since long (it starts inside) has the elastic force."""
+    inside = Motion(tip=((0.0, 0.0, -DEPTH), (0.0, 0.0, -DEPTH)), time=(0.0, 50 * TIME))
+    viscous = solver.one(Scene(SPHERE, inside, PAD, VISCOUS))
+    elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))
+    return [
+        *sound(viscous, det_f=0.5),
+        same_end("after 50 relaxation times", elastic, viscous, SAME),
+    ]
+
+
+def oscillation_turns_steady(solver: Solver) -> list[Law]:
+    """Pressed up and down three times, a viscous loop closes from the second round on."""
+    round_ = [0.7 * MM, 0.4 * MM, 0.7 * MM, 1 * MM]
+    motion = press([1 * MM, *round_ * 3], speed=10 * MM)
+    viscosity = Viscosity(ratios=(RATIO,), times=(0.02,))
+    result = solver.one(Scene(SPHERE, motion, PAD, Effects(viscosity=viscosity)))
+    rounds = push(result)[2:].reshape(3, 4)
+    return [
+        *sound(result, det_f=0.5),
+        dissipates(result, 0.01),
+        at_most("third round against second", difference(rounds[1], rounds[2]), 1e-3),
+    ]
+
+
+CASES = (
+    Case(ramp_and_hold_relaxes, seconds=2),
+    Case(loading_above_unloading, seconds=1),
+    Case(fast_and_slow_presses, seconds=1.5),
+    Case(viscosity_of_no_stiffness, seconds=2),
+    Case(four_branches, seconds=3),
+    Case(slow_press_with_mass, seconds=0.5),
+    Case(fast_press_with_mass, seconds=0.5),
+    Case(released_body_comes_to_rest, seconds=3),
+    Case(inertia_of_no_mass, seconds=1),
+    Case(sags_under_gravity, seconds=1),
+    Case(hangs_sideways, seconds=1),
+    Case(gravity_upside_down, seconds=1),
+    Case(all_effects_at_once, seconds=8),
+    Case(stays_elastic_when_rested, seconds=0.5),
+    Case(oscillation_turns_steady, seconds=6),
+)

@@ -1,0 +1,228 @@
+"""Precision: units, float32, symmetry, batches and tiers, and how little they may change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.sim.stability.bodies import GEL, MAT, MM, PAD, SPHERE
+from benchmarks.sim.stability.case import Case, Solver
+from benchmarks.sim.stability.laws import (
+    LAST_DIGITS,
+    SAME,
+    Law,
+    at_least,
+    at_most,
+    difference,
+    mirrored,
+    push,
+    same_force,
+    sound,
+    swapped,
+)
+from sim.body import Body
+from sim.effects import Effects, Friction
+from sim.indenters import Indenter, shapes
+from sim.motion import press, press_shear_return
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate
+
+BALANCE_TIGHT = 1e-6
+"""The tolerance of 1e-7, summed over the nodes."""
+PRESS = press([0.5 * MM, 1.0 * MM, 1.5 * MM])
+
+
+def _alike(first: Result, second: Result) -> Law:
+    """Number of values that differ in any bit."""
+    pairs = (
+        (first.wrench, second.wrench),
+        (first.surface, second.surface),
+        (first.traction, second.traction),
+    )
+    return at_most("values that differ", sum(int((a != b).sum()) for a, b in pairs), 0)
+
+
+def float32_against_float64(solver: Solver) -> list[Law]:
+    """Force and skin in float32 are those in float64 to within the tolerance."""
+    single, double = (
+        solver.one(Scene(SPHERE, PRESS), precision=precision)
+        for precision in ("float32", "float64")
+    )
+    return [
+        *sound(single, double, det_f=0.5),
+        same_force("force", double, single, SAME),
+        at_most("surface: |du| / |u|", difference(double.surface, single.surface), 1e-3),
+    ]
+
+
+def float32_reaches_its_tolerance(solver: Solver) -> list[Law]:
+    """Down to its tolerance float32 converges as float64 does: round-off stops no Newton step."""
+    punch = shapes.flat_punch(3 * MM, 0.3 * MM)
+    # A third of the default tolerance: there a difference of energies has none left in float32.
+    single, double = (
+        solver.one(
+            Scene(punch, press([0.3 * MM, 0.6 * MM]), PAD), precision=precision, tolerance=3e-5
+        )
+        for precision in ("float32", "float64")
+    )
+    spent, needed = (int(result.quality.newton.sum()) for result in (single, double))
+    cut = int(single.quality.steps.sum() - double.quality.steps.sum())
+    return [
+        *sound(single, double, det_f=0.5),
+        at_most("Newton iterations / those in float64", spent / needed, 1.5),
+        at_most("steps beyond those in float64", cut, 0),
+    ]
+
+
+def tighter_tolerance(solver: Solver) -> list[Law]:
+    """The tolerance is honest: at 1e-7 the force moves by less than 1e-4 says."""
+    loose, tight = (
+        solver.one(Scene(SPHERE, PRESS), precision="float64", tolerance=tolerance)
+        for tolerance in (1e-4, 1e-7)
+    )
+    return [
+        same_force("force", tight, loose, SAME),
+        at_most("residual", tight.quality.residual.max(), 1e-7),
+        at_most("balance", tight.quality.balance.max(), BALANCE_TIGHT),
+    ]
+
+
+def metres_and_millimetres(solver: Solver) -> list[Law]:
+    """A scene a thousand times longer gives a million times the force: only ratios matter."""
+    small = Body(size_x=0.8 * MM, size_y=0.8 * MM, thickness=0.2 * MM)
+    large = Body(size_x=0.8, size_y=0.8, thickness=0.2)
+    depths = [0.02 * MM, 0.05 * MM]
+    little = solver.one(Scene(shapes.sphere(0.2 * MM), press(depths), small), spacing=0.05 * MM)
+    big = solver.one(
+        Scene(shapes.sphere(0.2), press([1e3 * depth for depth in depths]), large), spacing=0.05
+    )
+    # The arithmetic is done in thicknesses: what differs is the last digit of float32.
+    return [
+        *sound(little, big, det_f=0.5),
+        at_most("force / 1e6", difference(little.force * 1e6, big.force), 1e-5),
+        at_most("torque / 1e9", difference(little.wrench[:, 3:] * 1e9, big.wrench[:, 3:]), 1e-4),
+        at_most("surface / 1e3", difference(little.surface * 1e3, big.surface), 1e-5),
+    ]
+
+
+def mirror_symmetry(solver: Solver) -> list[Law]:
+    """A centred press is its own mirror image, and its own image with x and y exchanged."""
+    centred = solver.one(Scene(SPHERE, PRESS))
+    return [
+        *sound(centred, det_f=0.5),
+        mirrored(centred, centred, LAST_DIGITS),
+        swapped(centred, centred, LAST_DIGITS),
+    ]
+
+
+def swap_symmetry(solver: Solver) -> list[Law]:
+    """A 3 x 5 mm box along y answers as the same box along x, with x and y exchanged."""
+    along_y, along_x = (
+        solver.one(Scene(indenter, PRESS))
+        for indenter in (_box(3 * MM, 5 * MM), _box(5 * MM, 3 * MM))
+    )
+    return [*sound(along_y, along_x), swapped(along_y, along_x, SAME)]
+
+
+def _box(width: float, length: float) -> Indenter:
+    return shapes.box(width, length, 0.5 * MM)
+
+
+def shift_by_a_cell(solver: Solver) -> list[Law]:
+    """Pressed one element further, the skin under the indenter moves one node further."""
+    here, there = solver.many(
+        [Scene(SPHERE, PRESS, GEL), Scene(SPHERE, press([0.5 * MM, 1 * MM, 1.5 * MM], at=(MM, 0)))]
+    )
+    near, far = here.surface[-1, 7:14, 7:14], there.surface[-1, 8:15, 7:14]
+    # The sides are 10 and 9 mm away: felt as exp(-0.78 * 9 / 4), some 0.1 %.
+    return [
+        *sound(here, there, det_f=0.5),
+        at_most("force", abs(push(there)[-1] / push(here)[-1] - 1), 0.005),
+        at_most("surface: |du| / |u|", difference(near, far), 0.01),
+    ]
+
+
+def batch_against_alone(solver: Solver) -> list[Law]:
+    """Different presses solved side by side are, bit for bit, the presses solved alone."""
+    scenes = [
+        Scene(SPHERE, PRESS, PAD),
+        Scene(shapes.flat_punch(2 * MM, 0.5 * MM), press([0.3 * MM]), PAD),
+        Scene(SPHERE, press([0.9 * MM], at=(MM, 0.0)), replace(PAD, modulus=1e6, poisson=0.3)),
+    ]
+    together = solver.many(scenes)
+    return [
+        _alike(solver.one(scene), result) for scene, result in zip(scenes, together, strict=True)
+    ]
+
+
+def batch_with_friction(solver: Solver) -> list[Law]:
+    """The same with friction, where what each point remembers must not mix between presses."""
+    motion = press_shear_return(0.6 * MM, 0.3 * MM, steps=2)
+    scenes = [
+        Scene(SPHERE, motion, PAD, Effects(friction=Friction(coefficient)))
+        for coefficient in (0.2, 0.9)
+    ]
+    together = solver.many(scenes)
+    return [
+        _alike(solver.one(scene), result) for scene, result in zip(scenes, together, strict=True)
+    ]
+
+
+def repeats(solver: Solver) -> list[Law]:
+    """The same scene twice gives the same bits."""
+    scene = Scene(SPHERE, PRESS, PAD)
+    return [_alike(solver.one(scene), solver.one(scene))]
+
+
+def layer_against_fem(solver: Solver) -> list[Law]:
+    """At 0.2 and 0.3 mm the linear layer and the finite elements agree within 2 %."""
+    scene = Scene(SPHERE, press([0.2 * MM, 0.3 * MM]), MAT)
+    fem = solver.one(scene, spacing=0.5 * MM)
+    layer = simulate(scene, "layer")
+    # Large strain adds 0.7 % at 0.3 mm, elements of 0.5 mm on a contact of 1 mm radius 1 %.
+    return [
+        *sound(fem, det_f=0.5),
+        at_most("force", difference(fem.force, layer.force), 0.02),
+    ]
+
+
+def finer_mesh(solver: Solver) -> list[Law]:
+    """Halving the elements from 1 to 0.5 mm moves the force by no more than 2 %."""
+    coarse, fine = (
+        solver.one(Scene(SPHERE, press([0.75 * MM, 1.5 * MM]), MAT), spacing=spacing)
+        for spacing in (1 * MM, 0.5 * MM)
+    )
+    # Linear elements: error falls with the square of the spacing; it is 0.4 % at 1 mm and 1.5 mm
+    # deep, more where the contact spans two elements only.
+    return [
+        *sound(coarse, fine, det_f=0.5),
+        at_most("force at 1.5 mm", abs(push(fine)[-1] / push(coarse)[-1] - 1), 0.02),
+        at_least("layers of the fine mesh", fine.record["mesh"]["cells"][2], 8),
+    ]
+
+
+def torque_of_a_centred_press(solver: Solver) -> list[Law]:
+    """A centred press has no torque about its tip."""
+    result = solver.one(Scene(SPHERE, PRESS))
+    lever = np.abs(result.wrench[:, 3:]).max() / push(result).max()
+    # A lever of a thousandth of the contact radius (3 mm).
+    return [*sound(result, det_f=0.5), at_most("torque / force [m]", float(lever), 3e-6)]
+
+
+CASES = (
+    Case(float32_against_float64, seconds=3),
+    Case(float32_reaches_its_tolerance, seconds=2),
+    Case(tighter_tolerance, seconds=2),
+    Case(metres_and_millimetres, seconds=0.5),
+    Case(mirror_symmetry, seconds=1),
+    Case(swap_symmetry, seconds=6),
+    Case(shift_by_a_cell, seconds=3),
+    Case(batch_against_alone, seconds=2),
+    Case(batch_with_friction, seconds=12),
+    Case(repeats, seconds=1),
+    Case(layer_against_fem, seconds=8),
+    Case(finer_mesh, seconds=5),
+    Case(torque_of_a_centred_press, seconds=1),
+)

@@ -1,0 +1,126 @@
+"""Runs hard cases, several processes side by side, and judges them by their laws alone."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+
+from benchmarks.sim.stability.case import Case, Solver
+from benchmarks.sim.stability.catalogue import BY_NAME
+from benchmarks.sim.stability.laws import Law
+from benchmarks.sim.stability.planted import planted
+from sim.errors import SimulationDiverged
+from sim.progress import duration
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What came of one case."""
+
+    name: str
+    laws: tuple[Law, ...]
+    seconds: float
+    """Time it took."""
+    trouble: str = ""
+    """Why there are no laws to judge: no converged state, or a crash."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether there are laws, and all hold."""
+        return bool(self.laws) and not self.trouble and all(law.holds for law in self.laws)
+
+    @property
+    def failures(self) -> list[str]:
+        """Each law that does not hold, or the trouble."""
+        said = [self.trouble] if self.trouble else []
+        said += [str(law) for law in self.laws if not law.holds]
+        return said or ([] if self.laws else ["no law was measured"])
+
+
+def run_case(name: str, device: str, mistake: str | None) -> Report:
+    """Run one case here; whatever goes wrong in it is its failure, not the end of the others."""
+    began = time.perf_counter()
+    laws: tuple[Law, ...] = ()
+    trouble = ""
+    try:
+        laws = tuple(BY_NAME[name].run(Solver(device, planted(mistake))))
+    except SimulationDiverged as diverged:
+        trouble = f"no state was found: {diverged}"
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        trouble = f"{type(error).__name__}: {error} ({last.filename}:{last.lineno})"
+    return Report(name, laws, time.perf_counter() - began, trouble)
+
+
+def run_cases(
+    cases: Sequence[Case],
+    *,
+    device: str = "cpu",
+    mistake: str | None = None,
+    processes: int = 2,
+    say: Callable[[str], None] = print,
+) -> list[Report]:
+    """Reports of all cases, in their order; each is told when it is done, with the time left."""
+    reports: dict[str, Report] = {}
+    began = time.perf_counter()
+    expected = {case.name: case.seconds for case in cases}
+    for report in _done(cases, device, mistake, processes):
+        reports[report.name] = report
+        spent = sum(expected[name] for name in reports)
+        left = sum(expected.values()) - spent
+        elapsed = time.perf_counter() - began
+        say(_line(report, len(reports), len(cases), left * elapsed / spent))
+        for failure in report.failures:
+            say(f"      {report.name}: {failure}")
+    return [reports[case.name] for case in cases]
+
+
+def _done(
+    cases: Sequence[Case], device: str, mistake: str | None, processes: int
+) -> Iterator[Report]:
+    """Reports as they come; the longest cases begin first, so that none is left at the end."""
+    order = sorted(cases, key=lambda case: -case.seconds)
+    if processes == 1:
+        for case in order:
+            yield run_case(case.name, device, mistake)
+        return
+    # Spawned: Warp's state does not survive a fork.
+    executor = ProcessPoolExecutor(
+        processes,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        initargs=(device,),
+    )
+    # One thread a process: NumPy's own would compete with the other process for the cores.
+    before = os.environ.get("OMP_NUM_THREADS")
+    os.environ["OMP_NUM_THREADS"] = "1"
+    try:
+        tasks = [executor.submit(run_case, case.name, device, mistake) for case in order]
+        for task in as_completed(tasks):
+            yield task.result()
+    finally:
+        executor.shutdown(cancel_futures=True)
+        if before is None:
+            del os.environ["OMP_NUM_THREADS"]
+        else:
+            os.environ["OMP_NUM_THREADS"] = before
+
+
+def _begin(device: str) -> None:
+    """Start Warp in a new process without its greeting."""
+    from sim.verbs.device import ready_device
+
+    ready_device(device)
+    sys.stdout.flush()
+
+
+def _line(report: Report, done: int, count: int, left: float) -> str:
+    verdict = "passed" if report.passed else "FAILED"
+    text = f"[{done:{len(str(count))}}/{count}] {verdict} {report.name:<38} {report.seconds:6.1f} s"
+    return text if done == count else f"{text}   {duration(left)} left"

@@ -1,0 +1,1 @@
+"""The `layer` and `mpm` tiers beside closed forms and finite elements."""

@@ -1,1 +1,0 @@
-"""What an effect costs that is off, and what one costs that is on: `docs/effects.md`."""

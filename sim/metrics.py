@@ -1,0 +1,256 @@
+"""How far one outcome is from another that is taken for the truth: force, surface, markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator
+
+from sim.body import Body
+from sim.camera import Camera
+from sim.result import Result
+
+# What of a result is compared, and kept in a file to compare with later.
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Force, surface and touched points of F frames; SI units, contact frame."""
+
+    force: Array
+    """Of the indenter on the body (F, 3) [N]."""
+    surface_x: Array
+    """x of the material points of the top (X,) [m], rising, evenly spaced or not."""
+    surface_y: Array
+    """The same for y (Y,) [m]."""
+    surface: NDArray[np.float32]
+    """Displacement of those points (F, X, Y, 3) [m]."""
+    touched: NDArray[np.bool_]
+    """Which of them feel traction (F, X, Y)."""
+
+    def frames(self, chosen: list[int]) -> Outcome:
+        """The same with these frames only."""
+        return Outcome(
+            self.force[chosen],
+            self.surface_x,
+            self.surface_y,
+            self.surface[chosen],
+            self.touched[chosen],
+        )
+
+
+def outcome_of(result: Result) -> Outcome:
+    """What is compared of `result`; no traction (NaN) counts as not touched."""
+    return Outcome(
+        force=np.asarray(result.force, np.float64),
+        surface_x=result.surface_x,
+        surface_y=result.surface_y,
+        surface=result.surface,
+        touched=np.asarray((np.abs(result.traction) > 0).any(axis=-1)),
+    )
+
+
+def save(path: Path, outcomes: dict[str, Outcome]) -> None:
+    """Write outcomes under their names to one `.npz`, whole or not at all."""
+    arrays = {}
+    for name, one in outcomes.items():
+        for field in Outcome.__slots__:
+            arrays[f"{name}/{field}"] = getattr(one, field)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial.npz")
+    with partial.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+    partial.replace(path)
+
+
+def load(path: Path) -> dict[str, Outcome]:
+    """The outcomes that `save` wrote.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+    """
+    with np.load(path) as kept:
+        names = sorted({key.rpartition("/")[0] for key in kept.files})
+        return {
+            name: Outcome(**{field: kept[f"{name}/{field}"] for field in Outcome.__slots__})
+            for name in names
+        }
+
+
+def check_same(one: Outcome, other: Outcome, body: Body) -> None:
+    """Refuse what cannot be compared.
+
+    Raises:
+        ValueError: Unlike numbers of frames, or points beyond the body.
+    """
+    if len(one.force) != len(other.force):
+        raise ValueError(f"{len(one.force)} frames against {len(other.force)} of the reference")
+    for outcome in (one, other):
+        for places, size in ((outcome.surface_x, body.size_x), (outcome.surface_y, body.size_y)):
+            if np.abs(places).max() > 0.501 * size:
+                raise ValueError(f"points up to {np.abs(places).max()} m on a body of {size} m")
+
+
+# Where a camera below the gel sees markers that stick to its top: the paper's pinhole.
+
+MARKERS = 14
+
+"""Markers along each side of the body."""
+
+
+def marker_places(body: Body) -> tuple[Array, Array]:
+    """Places x (14,) and y (14,) of the regular grid of markers on the untouched top [m]."""
+    share = (np.arange(MARKERS) + 0.5) / MARKERS - 0.5
+    return share * body.size_x, share * body.size_y
+
+
+def seen(place: Array) -> Array:
+    """Pixels (..., 2), from the middle of the image, of points (..., 3) in the contact frame [m].
+
+    The paper's camera; x to the right and y up.
+    """
+    return Camera.paper().on_film(place)
+
+
+Array = NDArray[np.float64]
+
+POINTS = 121
+
+"""Points along each side of the grid on which surfaces are compared."""
+
+WEAK = 0.1
+
+"""Share of the largest force below which a frame's error is no longer divided by its own force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Differences from the reference, frame by frame (F,); the last frame is the last number."""
+
+    force: Array
+    """|F_i - Fref_i| along x, y, z (F, 3) [N]."""
+    force_share: Array
+    """The same over max(|Fref| of the frame, `WEAK` of the largest |Fref|) (F, 3)."""
+    surface: Array
+    """Largest distance between the two places of a material point of the top (F,) [m]."""
+    surface_rms: Array
+    """Root of the mean square of that distance (F,) [m]."""
+    outside: Array
+    """Largest such distance where the reference is not touched (F,) [m]; NaN if all of it is."""
+    marker: Array
+    """Largest distance between the two images of a marker (F,) [px]."""
+    marker_rms: Array
+    """Root of the mean square of that distance (F,) [px]."""
+
+    def worst(self) -> dict[str, float]:
+        """The largest of each over frames and axes; `force_last` is that of the last frame."""
+        found = {name: _largest(getattr(self, name)) for name in self.__slots__}
+        found["force_last"] = _largest(self.force_share[-1])
+        return found
+
+
+def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
+    """How far `outcome` is from `reference`, two outcomes of one motion into `body`.
+
+    Surfaces are cubic splines through the points of each, as a picture of it would use, compared
+    where both have points around: up to the outermost points of the coarser one. The spacing of
+    the points may change along the surface.
+
+    Raises:
+        ValueError: Unlike numbers of frames, or points beyond the body.
+    """
+    check_same(outcome, reference, body)
+    force, share = force_errors(outcome, reference)
+    frames = range(len(force))
+    surface = np.array([_surface_errors(outcome, reference, frame) for frame in frames]).T
+    pixels = marker_errors(outcome, reference, body)
+    return Errors(
+        force=force,
+        force_share=share,
+        surface=surface[0],
+        surface_rms=surface[1],
+        outside=surface[2],
+        marker=pixels.max(axis=1),
+        marker_rms=np.sqrt(np.mean(pixels**2, axis=1)),
+    )
+
+
+def force_errors(outcome: Outcome, reference: Outcome) -> tuple[Array, Array]:
+    """`Errors.force` (F, 3) [N] and `Errors.force_share` (F, 3)."""
+    force = np.abs(outcome.force - reference.force)
+    size = np.linalg.norm(reference.force, axis=1)
+    scale = np.maximum(size, max(WEAK * float(size.max()), np.finfo(float).tiny))
+    return force, force / scale[:, None]
+
+
+def marker_errors(outcome: Outcome, reference: Outcome, body: Body) -> Array:
+    """Distance between the two images of every marker (F, 196) [px]."""
+    moved = marker_pixels(outcome, body) - marker_pixels(reference, body)
+    return np.asarray(np.linalg.norm(moved, axis=-1).reshape(len(moved), -1))
+
+
+def marker_pixels(outcome: Outcome, body: Body) -> Array:
+    """Pixels (F, 14, 14, 2) at which the camera sees the markers of each frame."""
+    x, y = marker_places(body)
+    rest = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    height = body.heights(x, y)
+    untouched = np.concatenate([rest, height[..., None]], axis=-1)
+    inner_x = np.clip(x, outcome.surface_x[0], outcome.surface_x[-1])
+    inner_y = np.clip(y, outcome.surface_y[0], outcome.surface_y[-1])
+    frames = range(len(outcome.force))
+    return np.stack(
+        [seen(untouched + _displacement(outcome, frame, inner_x, inner_y)) for frame in frames]
+    )
+
+
+def _surface_errors(outcome: Outcome, reference: Outcome, frame: int) -> tuple[float, float, float]:
+    """Largest, root mean square and largest untouched distance of a frame [m]."""
+    x = _shared(outcome.surface_x, reference.surface_x)
+    y = _shared(outcome.surface_y, reference.surface_y)
+    difference = _displacement(outcome, frame, x, y) - _displacement(reference, frame, x, y)
+    distance = np.linalg.norm(difference, axis=-1)
+    free = ~_touched(reference, frame, x, y)
+    beside = float(distance[free].max()) if free.any() else float("nan")
+    return float(distance.max()), float(np.sqrt(np.mean(distance**2))), beside
+
+
+def _shared(one: Array, other: Array) -> Array:
+    """Places (POINTS,) from end to end of what both cover."""
+    return np.linspace(max(one[0], other[0]), min(one[-1], other[-1]), POINTS)
+
+
+def _displacement(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:
+    """Displacement (X, Y, 3) of the material points at x (X,), y (Y,) [m]."""
+    known = outcome.surface_x, outcome.surface_y
+    degree_x, degree_y = (min(3, len(places) - 1) for places in known)
+    components = []
+    for component in range(3):
+        values = outcome.surface[frame, :, :, component].astype(np.float64)
+        spline = RectBivariateSpline(*known, values, kx=degree_x, ky=degree_y)
+        components.append(spline(x, y))
+    return np.stack(components, axis=-1)
+
+
+def _touched(reference: Outcome, frame: int, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Where the reference is touched, or lies in a cell with a touched corner (X, Y)."""
+    pressed = reference.touched[frame].astype(np.float64)
+    look = RegularGridInterpolator((reference.surface_x, reference.surface_y), pressed)
+    return np.asarray(look(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)) > 0)
+
+
+def _largest(values: Array) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+
+
+def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[str, float]:
+    """How far two outcomes are apart in each kind, in its unit: 1, N, px."""
+    force, share = force_errors(one, other)
+    pixels = marker_errors(one, other, body)
+    return {
+        "share": float(share.max()),
+        "force": float(force.max()),
+        "marker": float(np.sqrt(np.mean(pixels**2, axis=1)).max()),
+    }

@@ -1,0 +1,9 @@
+"""The presses that the paper simulates: five depths at nine places, with friction."""
+
+from __future__ import annotations
+
+FRICTION = 0.8
+"""Coulomb coefficient of the paper's presses."""
+DEPTHS_MM = (0.3, 0.6, 0.9, 1.2, 1.5)
+PLACES_MM = (-4.0, 0.0, 4.0)
+"""Of the tip, along x and y."""
