@@ -9,8 +9,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from recorder import SessionError
 from recorder.check import check
+from recorder.errors import SessionError
 from recorder.export import FORMATS, Options, export
 from recorder.files import is_url
 from recorder.importing import import_session

@@ -1,12 +1,10 @@
 """The simulator: a rigid indenter pressed and sheared into a bonded soft layer."""
 
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import Indenter
-from sim.motion import Motion, from_target, press, press_shear_return, ramp_hold
 from sim.result import Quality, Result
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, from_target, press, press_shear_return, ramp_hold
 from sim.simulate import simulate, simulate_many
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Command line of the simulator: `python -m sim VERB`; every verb is a file of `sim.verbs`."""
+"""Command line of the simulator: `python -m sim VERB`; every verb is a file of `sim.cli`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from sim.cli import archive, hold, loop, press
+from sim.cli.options import joined
 from sim.errors import SceneError, SimulationDiverged
-from sim.verbs import archive, hold, loop, press
-from sim.verbs.numbers import joined
 
 EXIT_DIVERGED = 1
 EXIT_WRONG_INPUT = 2

@@ -17,7 +17,7 @@ import numpy as np
 from sim.errors import SceneError, SimulationDiverged
 from sim.result import Outcome, Result
 from sim.scene import Scene
-from sim.simulate import part_of, simulate_many
+from sim.tiers import part_of, simulate_many
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
@@ -53,8 +53,7 @@ def simulate_extrapolated(
             high where the indenter comes; bodies of several thicknesses.
         WorkerLost: As `simulate_many`.
     """
-    from sim.fem.grading import FOR_EDGES
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import FOR_EDGES, Numerics
 
     if not scenes:
         return []
@@ -62,7 +61,7 @@ def simulate_extrapolated(
     if fine.grading.finer > FINER:
         raise SceneError(
             f"numerics.grading.finer: {fine.grading.finer:g}; allowed where forces are "
-            f"extrapolated: {FINER:g} or less, such as sim.fem.grading.FOR_EDGES"
+            f"extrapolated: {FINER:g} or less, such as sim.fem.numerics.FOR_EDGES"
         )
     coarse = replace(fine, spacing=_coarser(scenes, fine))
     found: list[list[Outcome]] = []
@@ -116,7 +115,7 @@ def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:
 
 def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
     """Size of an element of the coarser mesh [m]."""
-    from sim.fem.window import SPACING_SHARE
+    from sim.fem.mesh import SPACING_SHARE
 
     thicknesses = {scene.body.thickness for scene in scenes}
     if len(thicknesses) > 1:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator
 
-from sim.body import Body
-from sim.camera import Camera
 from sim.result import Result
+from sim.scene import Body
 
 # What of a result is compared, and kept in a file to compare with later.
 
@@ -112,6 +111,9 @@ def seen(place: Array) -> Array:
 
     The paper's camera; x to the right and y up.
     """
+    # Drawing markers loads image libraries, which a machine that only measures may lack.
+    from sim.markers.camera import Camera
+
     return Camera.paper().on_film(place)
 
 

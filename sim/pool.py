@@ -1,4 +1,4 @@
-"""Many scenes on the cores of one machine: worker processes that take one scene after the other."""
+"""Worker processes on the cores of one machine: how they start, end and are missed."""
 
 from __future__ import annotations
 
@@ -7,20 +7,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator, Sequence
 from multiprocessing.context import SpawnContext, SpawnProcess
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sim.errors import SceneError
-from sim.result import Outcome
-from sim.scene import Scene
-from sim.simulate import Tier, simulate_many
-
-if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-    from sim.mpm import MpmNumerics
 
 
 class WorkerLost(RuntimeError):
@@ -42,72 +33,11 @@ def check_processes(processes: int, device: str) -> None:
         )
 
 
-def simulate_in_processes(
-    scenes: Sequence[Scene],
-    tier: Tier,
-    *,
-    numerics: Numerics | MpmNumerics | None,
-    processes: int,
-    progress: Callable[[float], None] | None = None,
-) -> list[Outcome]:
-    """Outcomes of scenes in their order, each solved alone on the CPU by one of the processes.
-
-    Workers are started afresh and import the calling script, whose own work must therefore stand
-    under `if __name__ == "__main__":`. Two that compile the same kernels at once both do the work:
-    Warp builds in a folder of each process and moves it into its cache whole.
-
-    Args:
-        scenes: What is simulated.
-        tier: As for `simulate_many`.
-        numerics: As for `simulate_many`.
-        processes: How many at most.
-        progress: Called with the share of the scenes that are done.
-
-    Raises:
-        SceneError: As `simulate_many`, the other scenes are given up; or meshes that are to agree
-            with those of other processes.
-        WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
-    """
-    if getattr(numerics, "one_topology", False):
-        raise SceneError(
-            f"numerics.one_topology: True with {processes} processes, which solve scenes one by "
-            "one; allowed: False"
-        )
-    context = Spawning()
-    executor = ProcessPoolExecutor(
-        min(processes, len(scenes)), mp_context=context, initializer=make_ready, initargs=(tier,)
-    )
-    done = 0
-    try:
-        with interrupts_kept_off():
-            tasks = [executor.submit(_solve, scene, tier, numerics) for scene in scenes]
-        for task in as_completed(tasks):
-            _raise_error_of(task)
-            done += 1
-            if progress is not None:
-                progress(done / len(scenes))
-        return [task.result() for task in tasks]
-    except BrokenProcessPool as broken:
-        executor.shutdown(wait=True)
-        raise WorkerLost(
-            lost_worker(context.started, f"{done} of {len(scenes)} scenes")
-        ) from broken
-    finally:
-        if done < len(scenes):
-            for worker in context.started:
-                worker.terminate()
-        executor.shutdown(wait=True, cancel_futures=True)
-
-
-def _solve(scene: Scene, tier: Tier, numerics: Numerics | MpmNumerics | None) -> Outcome:
-    return simulate_many([scene], tier, numerics=numerics)[0]
-
-
-def make_ready(tier: Tier, device: str = "cpu") -> None:
+def make_ready(tier: str, device: str = "cpu") -> None:
     """Make a worker end with its parent, and start Warp without a banner of its own."""
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     if tier != "layer":
-        from sim.verbs.device import ready_device
+        from sim.device import ready_device
 
         ready_device(device)
 
@@ -118,12 +48,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _raise_error_of(task: Future[Outcome]) -> None:
-    error = task.exception()
-    if error is not None:
-        raise error
 
 
 class Spawning(SpawnContext):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import types
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SimulationDiverged
+from sim.errors import SceneError, SimulationDiverged
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
@@ -76,3 +79,138 @@ class Result:
 
 Outcome = Result | SimulationDiverged
 """What becomes of a scene."""
+
+
+# Scenes and other values to and from JSON: everything they are, so that the same can be built.
+
+Value = TypeVar("Value")
+
+_KIND, _WORD = "KIND", "kind"
+"""Constant of a class that names it among others, and the key that keeps it."""
+_IN_WORDS = {int: "a whole number", bool: "true or false"}
+
+
+def scene_to_json(scene: Scene) -> dict[str, Any]:
+    """The scene as plain JSON values, SI units; every digit is kept, infinity is "inf"."""
+    return to_json(scene)
+
+
+def scene_from_json(stored: dict[str, Any]) -> Scene:
+    """The scene that `scene_to_json` wrote, equal to the one that was given.
+
+    Raises:
+        SceneError: A field that is missing, unknown or of the wrong kind, or a value that the
+            scene refuses.
+    """
+    return from_json(Scene, stored, "scene")
+
+
+def to_json(value: Any) -> dict[str, Any]:
+    """A frozen dataclass as plain JSON values, SI units; every digit is kept, infinity is "inf".
+
+    A class that has a word for its kind keeps it, so that it can be told from others.
+    """
+    plain: dict[str, Any] = _plain(value)
+    return plain
+
+
+def from_json(kind: type[Value], stored: Any, where: str) -> Value:
+    """The value of dataclass `kind` that `to_json` wrote; `where` names it in errors.
+
+    Raises:
+        SceneError: A field that is missing, unknown or of the wrong kind, or a value that is
+            refused.
+    """
+    return _dataclass(kind, stored, where)
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        fields = {
+            field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+        word = getattr(value, _KIND, None)
+        return fields if word is None else {_WORD: word, **fields}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, str | bool | int) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else str(number)
+
+
+def _dataclass(kind: type[Value], stored: Any, where: str) -> Value:
+    word = getattr(kind, _KIND, None)
+    if word is not None and isinstance(stored, dict):
+        stored = dict(stored)
+        if (found := stored.pop(_WORD, word)) != word:
+            raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {word!r}")
+    known = get_type_hints(kind)
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    # What was stored before a field was thought of lacks it, and means its default.
+    needed = {field.name for field in fields if not _has_default(field)}
+    names = {field.name for field in fields}
+    if not isinstance(stored, dict) or not needed <= set(stored) <= names:
+        found = sorted(stored) if isinstance(stored, dict) else stored
+        raise SceneError(f"{where}: {found!r}; allowed: the fields {sorted(names)}")
+    return kind(
+        **{name: _value(known[name], item, f"{where}.{name}") for name, item in stored.items()}
+    )
+
+
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    missing = dataclasses.MISSING
+    return field.default is not missing or field.default_factory is not missing
+
+
+def _value(hint: Any, stored: Any, where: str) -> Any:
+    """`stored` as the type that the field's annotation names."""
+    kind, inner = get_origin(hint), get_args(hint)
+    if kind in (Union, types.UnionType):
+        if stored is None:
+            return None
+        kinds = [one for one in inner if one is not types.NoneType]
+        return _value(_chosen(kinds, stored, where), stored, where)
+    if kind is tuple:
+        if not isinstance(stored, list):
+            raise SceneError(f"{where}: {stored!r}; allowed: a list")
+        each = inner[:1] * len(stored) if inner[-1] is Ellipsis else inner
+        if len(each) != len(stored):
+            raise SceneError(f"{where}: {len(stored)} values; allowed: {len(each)}")
+        return tuple(
+            _value(one, item, f"{where}[{index}]")
+            for index, (one, item) in enumerate(zip(each, stored, strict=True))
+        )
+    if dataclasses.is_dataclass(hint):
+        return _dataclass(hint, stored, where)  # type: ignore[arg-type]
+    if hint is float:
+        return _number(stored, where)
+    if hint in (int, bool):
+        if type(stored) is not hint:
+            raise SceneError(f"{where}: {stored!r}; allowed: {_IN_WORDS[hint]}")
+        return stored
+    if kind is not Literal and hint is not str:
+        raise TypeError(f"{where}: no rule for {hint!r}")
+    if not isinstance(stored, str):
+        raise SceneError(f"{where}: {stored!r}; allowed: text")
+    return stored
+
+
+def _chosen(kinds: list[Any], stored: Any, where: str) -> Any:
+    """The one of `kinds` that `stored` says it is."""
+    if len(kinds) == 1:
+        return kinds[0]
+    words = {getattr(kind, _KIND, None): kind for kind in kinds}
+    found = stored.get(_WORD) if isinstance(stored, dict) else None
+    if found is None or found not in words:
+        allowed = " or ".join(str(word) for word in words)
+        raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {allowed}")
+    return words[found]
+
+
+def _number(stored: Any, where: str) -> float:
+    if stored in ("inf", "-inf"):
+        return float(stored)
+    if isinstance(stored, bool) or not isinstance(stored, int | float):
+        raise SceneError(f"{where}: {stored!r}; allowed: a number")
+    return stored

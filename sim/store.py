@@ -1,7 +1,7 @@
 """Results on disk: one Zarr v3 directory of arrays with units, readable by any Zarr reader.
 
 Layout: the root group holds one group a result, `0`, `1`, ...; each holds the arrays of `ARRAYS`
-and a group `quality`, and in its attributes the tier, the scene (`sim.stored`) and the record of
+and a group `quality`, and in its attributes the tier, the scene (`sim.result`) and the record of
 the run.
 """
 
@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 import zarr
+from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
-from sim.result import Quality, Result
-from sim.stored import scene_from_json, scene_to_json
+from sim.result import Quality, Result, scene_from_json, scene_to_json
+
+Array = NDArray[np.float64]
 
 FORMAT = "tactile-rig simulation"
 VERSION = 1

@@ -10,10 +10,9 @@ import warp as wp
 from fem_oracles import Array, Material
 
 from sim.fem.contact import face_rule
-from sim.fem.grid import SLOTS, neighbours
-from sim.fem.mesh import Mesh
+from sim.fem.matrix import Stencil
+from sim.fem.mesh import SLOTS, Mesh, neighbours
 from sim.fem.scalars import matrix_of
-from sim.fem.stencil import Stencil
 
 GRID = oracle.domed_mesh()
 MESHES = (GRID, oracle.moved(GRID, 0.06))

@@ -5,11 +5,9 @@ import math
 import numpy as np
 
 from benchmarks.sim.cost_table.measure import conditions_text
-from sim.planner.choices import Choice
-from sim.planner.features import GROUPS, Features
+from sim.planner.error_model import CostRow, Table
+from sim.planner.features import GROUPS, KINDS, Choice, Features
 from sim.planner.seconds import Timed
-from sim.planner.table import CostRow, Table
-from sim.planner.tolerance import KINDS
 
 MESHES = (3, 4, 5, 6)
 

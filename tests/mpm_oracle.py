@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from sim import Scene
 from sim.mpm import MpmNumerics
-from sim.mpm.lattice import Lattice, build_lattice
-from sim.mpm.pace import Pace, pace_of
-from sim.mpm.spline import FIXED_POINT
+from sim.mpm.kernels import FIXED_POINT
+from sim.mpm.lattice import Lattice, Pace, build_lattice, pace_of
 from sim.mpm.state import State
 
 Array = NDArray[np.float64]
@@ -53,7 +52,7 @@ def near(x: Array) -> list[tuple[int, int, int]]:
 
 
 def kirchhoff(gradient: Array, shear: float, bulk: float) -> Array:
-    """Kirchhoff stress P F^T of the law in `sim.body`, from F = I + gradient (3, 3)."""
+    """Kirchhoff stress P F^T of the law in `sim.scene`, from F = I + gradient (3, 3)."""
     f = np.eye(3) + gradient
     det = np.linalg.det(f)
     b = f @ f.T

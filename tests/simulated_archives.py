@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from sim.archives import Begun, Filled, Plan, Solving, Stop, Unit, begin, cost, fill, solving
-from sim.archives.local import make_here
+from sim.dataset import Begun, Filled, Plan, Solving, Stop, Unit, begin, fill, run
+from sim.dataset import plan as solving
+from sim.dataset.run import make_here
 from sim.scene import Scene
 from sim.sensors import sensor
 from sim.simulate import Tier, simulate_many
@@ -65,7 +66,7 @@ def solved_once() -> Iterator[None]:
     """Solve every press of these tests once, and foretell the cost from one press of a family."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solving, "simulate_many", _known)
-        patch.setattr(cost, "SAMPLES", 1)
+        patch.setattr(run, "SAMPLES", 1)
         yield
 
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.body import Body
-from sim.camera.camera import DISTANCE, FOCAL
 from sim.indenters import sphere
 from sim.layer import simulate_layer
+from sim.markers.camera import DISTANCE, FOCAL
 from sim.metrics import (
     POINTS,
     WEAK,
@@ -22,8 +21,7 @@ from sim.metrics import (
     save,
     seen,
 )
-from sim.motion import press
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 
 BODY = Body()
 

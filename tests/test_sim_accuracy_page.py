@@ -21,7 +21,7 @@ from benchmarks.sim.spent import spent_by
 from sim.errors import SceneError
 from sim.layer import simulate_layer
 from sim.metrics import outcome_of
-from sim.motion import press, ramp_hold
+from sim.scene import press, ramp_hold
 
 SPHERE = chosen(("sphere",))[0]
 

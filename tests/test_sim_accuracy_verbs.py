@@ -10,12 +10,12 @@ from benchmarks.sim.accuracy import command as accuracy
 from benchmarks.sim.accuracy.row import read
 from benchmarks.sim.cost_table import command as cost_table
 from benchmarks.sim.cost_table.seconds import write as write_seconds
+from sim.device import ready_device
 from sim.errors import SceneError
+from sim.planner import error_model as table_file
 from sim.planner import seconds as seconds_file
-from sim.planner import table as table_file
-from sim.planner.choices import Choice
+from sim.planner.features import Choice
 from sim.planner.seconds import Timed
-from sim.verbs.device import ready_device
 
 STORED_FILES = ((table_file, "TRAINING"), (table_file, "HELD_OUT"), (seconds_file, "STORED"))
 

@@ -13,8 +13,8 @@ from simulated_archives import IMAGES, SKINS, UNITS, digests, make
 
 from sim import SceneError
 from sim.__main__ import main
-from sim.archives import Stop, begin, cluster, fill
-from sim.archives.cluster import make_on_cluster
+from sim.dataset import Stop, begin, fill, run
+from sim.dataset.run import make_on_cluster
 
 distributed = pytest.importorskip(
     "distributed", reason="dask.distributed is not installed: pip install 'tactile-rig[cluster]'"
@@ -83,7 +83,7 @@ def test_a_stop_leaves_what_no_worker_has(tmp_path: Path, local: Any) -> None:
 def test_nobody_at_the_address_is_wrong_input(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "WORKERS_WITHIN", 2.0)
+    monkeypatch.setattr(run, "WORKERS_WITHIN", 2.0)
     begun = begin(tmp_path / "a.markers.zarr", SKINS)
     missing, rest = begun.missing(), {"device": "cpu", "stop": Stop()}
     with pytest.raises(SceneError, match=r"--scheduler: 'tcp://127.0.0.1:9'.*allowed: one that"):

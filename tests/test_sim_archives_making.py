@@ -16,11 +16,12 @@ from simulated_archives import LAYER, LIVED, SKINS, digests, make, solved_once
 from recorder import MarkerArchive, check
 from recorder.archive import ArchivedSensor, location_pairs
 from sim import Result, Scene, SceneError, SimulationDiverged, simulate
-from sim.archives import Plan, Solving, begin, families, found, gel, solving
-from sim.archives.summary import summary
-from sim.archives.views import crept, reader
+from sim.dataset import Plan, Solving, begin, families, found, gel
+from sim.dataset import plan as solving
+from sim.dataset.generate import crept, reader
+from sim.dataset.summary import summary
 from sim.indenters import named
-from sim.motion import through
+from sim.scene import through
 from sim.sensors import SurfaceField, sensor
 
 __all__ = ["solved_once"]

@@ -13,10 +13,8 @@ import pytest
 
 from rig.bench import load_bench
 from sim import SceneError
-from sim.archives import Plan, Solving, chosen_targets, families, gel, units
-from sim.archives.families import force_scale, scenes
-from sim.archives.plan import code, differing, names
-from sim.archives.states import STATES
+from sim.dataset import Plan, Solving, chosen_targets, families, gel, units
+from sim.dataset.plan import STATES, code, differing, force_scale, names, scenes
 from sim.indenters import NAMES
 from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
 from trajectories import PressShear

@@ -23,9 +23,9 @@ from simulated_archives import SKINS, UNITS, digests, make, solved_once
 
 from recorder import MarkerArchive, check
 from sim.__main__ import main
-from sim.archives import Plan, Stop, Unit, begin, fill, found
-from sim.archives.local import make_here, make_in_processes
-from sim.archives.plan import UNIT_PRESSES
+from sim.dataset import Plan, Stop, Unit, begin, fill, found
+from sim.dataset.plan import UNIT_PRESSES
+from sim.dataset.run import make_here, make_in_processes
 from sim.pool import WorkerLost
 
 __all__ = ["solved_once"]
@@ -87,7 +87,7 @@ def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
 ) -> None:
     path = tmp_path / "a.markers.zarr"
     begin(path, SKINS)
-    monkeypatch.setattr("sim.archives.local.make_in_processes", _here)
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)
     real, room = os.write, [60_000]
 
     def write(fd: int, data: Any) -> int:
@@ -129,7 +129,7 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
         signal.raise_signal(signal.SIGINT)
         return iter(())
 
-    monkeypatch.setattr("sim.archives.local.make_in_processes", stopped)
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", stopped)
     path = tmp_path / "a.markers.zarr"
     assert main(["archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
     said = capsys.readouterr()
@@ -141,7 +141,7 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
 def test_the_verb_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sim.archives.local.make_in_processes", _here)
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)
     path, picture = tmp_path / "a.markers.zarr", tmp_path / "a.png"
     begun = (
         "archive",
@@ -326,8 +326,8 @@ def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
         asked.append((how["processes"], how["device"]))
         return _here(begun, missing, inside, **how)
 
-    monkeypatch.setattr("sim.archives.local.make_in_processes", on_cores)
-    monkeypatch.setattr("sim.verbs.device.ready_device", lambda name: None)
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", on_cores)
+    monkeypatch.setattr("sim.device.ready_device", lambda name: None)
     path = tmp_path / "a.markers.zarr"
     small = ("--indenters", "sphere", "--scale", "0.001", "--steps", "1", "--no-check")
     where = ("--device", "cuda:0", "--out", str(path))

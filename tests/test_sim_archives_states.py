@@ -11,7 +11,7 @@ from simulated_archives import make
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 from recorder.markers import HEIGHT, WIDTH
-from sim.archives import Plan, gel
+from sim.dataset import Plan, gel
 
 SPHERES = {"sphere": (0.09, 0.18), "sphere_s": (0.05, 0.18)}
 """Indenters, and how far the surface moves outwards 6 to 9 mm from a press 1.5 mm deep [mm]; the

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.body import Body
 from sim.errors import SceneError
+from sim.scene import Body
 
 NUMBERS = [field.name for field in fields(Body)]
 

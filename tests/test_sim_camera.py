@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import recorder.markers
-from sim.body import Body
-from sim.camera import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
 from sim.errors import SceneError
+from sim.markers import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
 from sim.metrics import seen
+from sim.scene import Body
 
 PLACES = np.random.default_rng(3).uniform(-8e-3, 8e-3, (200, 2))
 FLAT = np.concatenate([PLACES, np.zeros((200, 1))], axis=1)

@@ -16,10 +16,10 @@ import pytest
 from PIL import Image
 
 from sim.__main__ import arguments, main
+from sim.cli import report
+from sim.cli.options import indenter_of
 from sim.errors import SimulationDiverged
 from sim.store import load_result
-from sim.verbs import running
-from sim.verbs.indenter_options import indenter_of
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "simulation.md").read_text()
@@ -216,7 +216,7 @@ def test_no_solution_is_told_with_what_was_tried(
             "lost at 1 mm; state: /x/state.npz", attempts, Path("/x/state.npz")
         )
 
-    monkeypatch.setattr(running, "simulate", diverge)
+    monkeypatch.setattr(report, "simulate", diverge)
     assert main(["press", *QUICK]) == 1
     said = capsys.readouterr().err
     assert said.startswith("no solution: lost at 1 mm; state: /x/state.npz")

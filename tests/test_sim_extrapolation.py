@@ -22,8 +22,7 @@ from sim import (
 )
 from sim.__main__ import main
 from sim.extrapolation import extrapolated, simulate_extrapolated
-from sim.fem.grading import FOR_EDGES
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import FOR_EDGES, Numerics
 from sim.indenters import named
 from sim.result import Result
 

@@ -10,7 +10,7 @@ import warp as wp
 from fem_oracles import Array
 from fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat_tangent, spread_out
 
-from sim.fem.columns import Columns
+from sim.fem.cg import Columns
 
 FREE = np.repeat(GRID.free, 3)
 REALS = [

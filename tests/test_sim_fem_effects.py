@@ -218,7 +218,7 @@ def test_the_cost_of_an_effect_is_measured_and_told(monkeypatch: pytest.MonkeyPa
     assert found.numbers_on == 3
     assert found.limits[1] == pytest.approx(found.limits[0] / 2, rel=0.05)
     page = render([found], [measure.Combination(("gravity",), 18, 1, 5.0)], repeats=1)
-    assert "| gravity | `sim.fem.nodes.residual_kernel` | yes | yes | 0 |" in page
+    assert "| gravity | `sim.fem.vectors.residual_kernel` | yes | yes | 0 |" in page
     assert "| gravity | 18 | 1 | 5.0 |" in page
     assert "**no**" in render([replace(found, same_code=False)], [], repeats=1)
     assert not replace(found, numbers_off=3).proven

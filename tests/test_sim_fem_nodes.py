@@ -8,10 +8,20 @@ import pytest
 import warp as wp
 from fem_oracles import Array
 
-from sim.fem.nodes import RUN, SUMS, push_kernel, reduce_kernel, residual_kernel
+from sim.fem.assembly import Sums
 from sim.fem.scalars import vector_of
-from sim.fem.sums import Sums
-from sim.fem.vectors import blend, copy_active, extrapolate, fill, walk
+from sim.fem.vectors import (
+    RUN,
+    SUMS,
+    blend,
+    copy_active,
+    extrapolate,
+    fill,
+    push_kernel,
+    reduce_kernel,
+    residual_kernel,
+    walk,
+)
 
 MESHES = oracle.domed_meshes()
 MESH = MESHES[0]

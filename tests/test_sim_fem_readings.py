@@ -11,7 +11,7 @@ import pytest
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
 from sim.fem import solver
 from sim.fem.numerics import Numerics
-from sim.fem.readings import Snapshot
+from sim.fem.solver import Snapshot
 from sim.indenters import named
 from sim.result import Result
 

@@ -12,10 +12,10 @@ from fem_tangents import COUNT, FILLED, GRID, Tangents, spread_out
 
 from benchmarks.sim.speed.left_out import without_rounding
 from sim import Body, Effects, Friction, Scene, press, simulate
-from sim.fem.grid import SLOTS, colour_order, face_slots, neighbours
-from sim.fem.nodes import RUN
+from sim.fem.mesh import SLOTS, colour_order, face_slots, neighbours
 from sim.fem.numerics import Numerics
 from sim.fem.scalars import vector_of
+from sim.fem.vectors import RUN
 from sim.indenters import named
 
 RUNS = -(-COUNT // RUN)

@@ -11,8 +11,8 @@ import warp as wp
 from fem_oracles import Array, Material
 
 from sim import Effects, Scene, Viscosity, press
+from sim.fem.element import Branches
 from sim.fem.mesh import Mesh
-from sim.fem.viscous import Branches
 from sim.indenters import plane
 
 MESHES = oracle.domed_meshes()

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from sim import Body, Indenter, Motion, Scene, SceneError, press, press_shear_return
-from sim.fem.grading import FOR_EDGES, Grading
-from sim.fem.mesh import Window
-from sim.fem.numerics import Numerics
-from sim.fem.window import MARGIN, contact_window, mesh_of, meshes_of
+from sim.fem.mesh import MARGIN, Window, contact_window, mesh_of, meshes_of
+from sim.fem.numerics import FOR_EDGES, Grading, Numerics
 from sim.indenters import cone, flat_punch, named, plane, sphere, torus
 
 RIM = 0.5e-3

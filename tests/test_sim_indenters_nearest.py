@@ -8,8 +8,8 @@ import stl_files as files
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.indenters.field import Grid
 from sim.indenters.nearest import SKIP, Nearest, misplaced_share
+from sim.indenters.solid import Grid
 
 Array = NDArray[np.float64]
 DEVICES = [

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.indenters import extruded, named
-from sim.indenters.outline import Piece, extent, pieces, radius_max
-from sim.indenters.outline_distance import distance, rows
+from sim.indenters.outline import Piece, distance, extent, pieces, radius_max, rows
 from sim.indenters.shapes import bulge
 
 Array = NDArray[np.float64]

@@ -16,11 +16,9 @@ from scipy.ndimage import map_coordinates
 
 from sim.errors import SceneError
 from sim.indenters import Indenter, box, from_stl, rounded_cone, sphere, tube
-from sim.indenters.field import Field, Grid, coefficients
-from sim.indenters.rounding import level_surface
-from sim.motion import press
-from sim.scene import Scene
-from sim.stored import scene_from_json, scene_to_json
+from sim.indenters.solid import Field, Grid, coefficients, level_surface
+from sim.result import scene_from_json, scene_to_json
+from sim.scene import Scene, press
 
 Array = NDArray[np.float64]
 

@@ -27,9 +27,8 @@ from sim.indenters import (
     plane,
     sphere,
 )
-from sim.motion import press
-from sim.scene import Scene
-from sim.stored import scene_from_json, scene_to_json
+from sim.result import scene_from_json, scene_to_json
+from sim.scene import Scene, press
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.indenters import UPS
-from sim.indenters.triangles import METRES, Axis, Triangles, Unit, Up, read_triangles
+from sim.indenters.solid import METRES, Axis, Triangles, Unit, Up, read_triangles
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.body import Body
 from sim.indenters import flat_punch, plane, sphere
-from sim.layer.clearance import Clearance
-from sim.layer.grid import Grid
-from sim.motion import Motion, press
+from sim.layer.contact import Clearance
+from sim.layer.spectral import Grid
+from sim.scene import Body, Motion, press
 
 GRID = Grid(Body(), 128)
 RADIUS = 4e-3

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.sim.reference_solutions import layer_compliance
-from sim.layer.compliance import compliance
+from sim.layer.spectral import compliance
 
 THICKNESS, SHEAR = 4e-3, 5e4
 

@@ -9,16 +9,13 @@ import pytest
 from scipy.optimize import nnls
 
 from benchmarks.sim.reference_solutions import layer_punch, layer_sphere
-from sim.body import Body
 from sim.indenters import flat_punch, named, plane, sphere
-from sim.layer import press as press_module
 from sim.layer import simulate_layer
+from sim.layer import solver as press_module
 from sim.layer.contact import solve_frictionless
-from sim.layer.convolution import Convolutions
-from sim.layer.grid import Grid
-from sim.motion import press
+from sim.layer.spectral import Convolutions, Grid
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 
 DEPTHS = (0.5e-3, 1.0e-3, 1.5e-3)
 OFF_GRID = (0.13e-3, -0.21e-3)

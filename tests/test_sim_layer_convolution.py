@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.sim.reference_solutions import boussinesq, cerruti
-from sim.body import Body
 from sim.errors import SceneError
-from sim.layer.convolution import Convolutions
-from sim.layer.grid import Grid
+from sim.layer.spectral import Convolutions, Grid
+from sim.scene import Body
 
 
 def test_a_window_gives_what_the_whole_top_gives() -> None:

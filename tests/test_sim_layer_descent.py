@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.layer.descent import Problem, descend
+from sim.layer.contact import Problem, descend
 
 COMPLIANCE = np.array([1e-4, 2e-4, 5e-4], np.float32)
 

@@ -13,16 +13,13 @@ from benchmarks.sim.reference_solutions import (
     mindlin_displacement,
     mindlin_stick_radius,
 )
-from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, sphere
 from sim.layer import Grid, Press, contact, simulate_layer
-from sim.layer.compliance import compliance
-from sim.layer.convolution import Convolutions
-from sim.motion import Motion, press, press_shear_return, through
+from sim.layer.spectral import Convolutions, compliance
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, press, press_shear_return, through
 
 
 def _loop(coefficient: float, *, steps: int = 3, grid: int = 64, angle: float = 0.0) -> Result:

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.sim.tiers.layer import main
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import named, sphere
 from sim.layer import simulate_layer
-from sim.motion import press, press_shear_return, through
-from sim.scene import Scene
+from sim.scene import Body, Scene, press, press_shear_return, through
 
 
 @pytest.mark.parametrize(

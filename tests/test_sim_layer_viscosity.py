@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.sim.reference_solutions import hereditary, layer_sphere
-from sim.body import Body
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import simulate_layer
-from sim.motion import Motion, press, ramp_hold, through
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, press, ramp_hold, through
 
 RATIOS, TIMES = (1.0, 0.5), (0.05, 0.3)
 RELAXING = Effects(viscosity=Viscosity(RATIOS, TIMES))

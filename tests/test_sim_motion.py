@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import SceneError
-from sim.motion import Motion, from_target, press, press_shear_return, ramp_hold, through
+from sim.scene import Motion, from_target, press, press_shear_return, ramp_hold, through
 from trajectories import PressShear
 
 

@@ -1,4 +1,4 @@
-"""The law in the displacement gradient: the one `sim.body` states, and exact at rest."""
+"""The law in the displacement gradient: the one `sim.scene` states, and exact at rest."""
 
 # Warp reads the annotations of kernels as values: no `from __future__ import annotations` here.
 from typing import Any
@@ -10,7 +10,7 @@ import warp as wp
 from mpm_oracle import Array
 
 from sim.fem.scalars import matrix_of, numpy_of
-from sim.mpm.law import law_functions
+from sim.mpm.kernels import law_functions
 
 SHEAR, BULK = 0.7, 3.1
 

@@ -24,9 +24,8 @@ from sim import (
 )
 from sim.indenters import sphere
 from sim.mpm import MpmNumerics, simulate_mpm
-from sim.mpm.lattice import build_lattice
+from sim.mpm.lattice import build_lattice, pace_of, wave_speed
 from sim.mpm.numerics import STABLE
-from sim.mpm.pace import pace_of, wave_speed
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
 CELL = 0.5e-3

@@ -12,10 +12,10 @@ import warp as wp
 from benchmarks.sim.tiers.comparison import DEPTHS, FORCE, around
 from sim import Body, Effects, Friction, Gravity, Inertia, Result, Scene, SimulationDiverged, press
 from sim.indenters import flat_punch, plane, sphere
-from sim.motion import through
-from sim.mpm import MpmNumerics, pace, simulate_mpm
-from sim.mpm.frames import end_of_line
-from sim.mpm.pace import wave_speed
+from sim.mpm import MpmNumerics, lattice, simulate_mpm
+from sim.mpm.lattice import wave_speed
+from sim.mpm.solver import end_of_line
+from sim.scene import through
 from sim.store import load_result, save_results
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -183,7 +183,7 @@ def test_a_squeezed_particle_ends_its_press_and_no_other() -> None:
 
 
 def test_an_unstable_time_step_diverges_and_gives_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pace, "STABLE", 3.0)
+    monkeypatch.setattr(lattice, "STABLE", 3.0)
     scaling = 900.0
     step = 2.0 * 1e-3 / wave_speed(SMALL, scaling)
     outcome = simulate_mpm([SCENE], replace(COARSE, mass_scaling=scaling, time_step=step))[0]

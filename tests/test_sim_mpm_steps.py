@@ -13,8 +13,8 @@ from mpm_oracle import Array
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press
 from sim.indenters import sphere
 from sim.mpm import MpmNumerics
-from sim.mpm.nodes import IMPULSE_UNIT
-from sim.mpm.pace import wave_speed
+from sim.mpm.kernels import IMPULSE_UNIT
+from sim.mpm.lattice import wave_speed
 from sim.mpm.state import State
 
 SMALL = Body(size_x=1.5e-3, size_y=1e-3, thickness=1e-3)

@@ -13,9 +13,8 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from benchmarks.sim.pictures.patterns import draw_sheet
-from sim.body import Body
 from sim.errors import SceneError
-from sim.patterns import (
+from sim.markers import (
     HOMOGENEOUS,
     NAMES,
     SIMULATED,
@@ -27,7 +26,8 @@ from sim.patterns import (
     rings,
     staggered,
 )
-from sim.patterns.contour import contour, distance_to
+from sim.markers.image import contour, distance_to
+from sim.scene import Body
 
 COUNTS = {
     "Array": (225, 100, 80, 99),

@@ -7,17 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.indenters import flat_punch, sphere
-from sim.motion import press, press_shear_return
-from sim.picture import draw_page, shown_frame
-from sim.picture.colours import PRESSURE, coloured, round_below, round_numbers
-from sim.picture.maps import sampled
-from sim.picture.page import abscissa
-from sim.picture.sample import surface_of
+from sim.plot import (
+    PRESSURE,
+    abscissa,
+    coloured,
+    draw_page,
+    round_below,
+    round_numbers,
+    sampled,
+    shown_frame,
+    surface_of,
+)
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
 
 

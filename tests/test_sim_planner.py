@@ -1,5 +1,6 @@
 """The planner: what is asked for, what is looked at, what is chosen, refused and promised."""
 
+import importlib
 import math
 from dataclasses import replace
 
@@ -12,23 +13,26 @@ from benchmarks.sim.cost_table.scenes import BATCH, HELD_OUT, TRAINING, batch
 from benchmarks.sim.cost_table.seconds import write as write_seconds
 from benchmarks.sim.cost_table.validation import each_bar, share_covered, share_kept, validate
 from benchmarks.sim.reference_solutions import layer_sphere
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.indenters import flat_punch, sphere
-from sim.motion import press, press_shear_return, through
-from sim.planner import run as run_file
-from sim.planner.choices import COARSER_BY, LADDER, Choice, all_choices, companion
-from sim.planner.features import NAMES, probe
-from sim.planner.model import PROMISED, fit, quantile
-from sim.planner.plan import Planner, plan
-from sim.planner.run import simulate_within, with_error_bar
+from sim.planner.error_model import PROMISED, Table, fit, merged, quantile, read, write
+from sim.planner.features import (
+    COARSER_BY,
+    KINDS,
+    LADDER,
+    NAMES,
+    Choice,
+    all_choices,
+    companion,
+    probe,
+    tolerance_of,
+)
+from sim.planner.plan import Planner, plan, simulate_within, with_error_bar
 from sim.planner.seconds import fit_seconds
 from sim.planner.seconds import read as read_seconds
-from sim.planner.table import Table, merged, read, write
-from sim.planner.tolerance import KINDS, tolerance_of
-from sim.scene import Scene
+from sim.scene import Body, Scene, press, press_shear_return, through
 from sim.simulate import simulate
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
@@ -279,7 +283,8 @@ def test_a_choice_without_a_solution_is_followed_by_the_next_dearer(planner, mon
 
     chosen = plan(SCENE, "45 %", planner=planner)
     assert chosen.chosen.choice.tier == "fem"
-    monkeypatch.setattr(run_file, "simulate", fails_twice)
+    run_file = importlib.import_module("sim.planner.plan")
+    monkeypatch.setattr(run_file, "simulate_one", fails_twice)
     result = run_file.simulate_within(SCENE, "45 %", planner=planner)
     assert asked == [4e-3 / offer.choice.cells for offer in chosen.within[:3]]
     assert len(result.record["plan"]["tried"]) == 2

@@ -5,11 +5,10 @@ import pytest
 from benchmarks.sim.cost_table.measure import conditions_text
 from benchmarks.sim.cost_table.validation import each_bar, share_covered, share_kept, validate
 from sim.indenters import sphere
-from sim.motion import press
-from sim.planner import table as table_file
-from sim.planner.model import fit
+from sim.planner import error_model as table_file
+from sim.planner.error_model import fit
 from sim.planner.plan import plan, stored
-from sim.scene import Scene
+from sim.scene import Scene, press
 
 
 @pytest.fixture(scope="module")

@@ -17,17 +17,22 @@ from benchmarks.sim.render.raycast import cast_rays, marked, smooth
 from benchmarks.sim.render.states import State, dent, fold, state_of
 from benchmarks.sim.render.timing import measure
 from recorder.markers import Lattice, count_markers, pack
-from sim.body import Body
-from sim.camera import Camera
 from sim.errors import SceneError
 from sim.fem.numerics import Numerics
 from sim.indenters import sphere
-from sim.motion import press
-from sim.patterns import SIMULATED, ImagePattern, Pattern, distance_texture, named
-from sim.render import Renderer, Textures
-from sim.render.cubic import cubic_taps
-from sim.render.from_lattice import without_gaps
-from sim.scene import Scene
+from sim.markers import (
+    SIMULATED,
+    Camera,
+    ImagePattern,
+    Pattern,
+    Renderer,
+    Textures,
+    distance_texture,
+    named,
+)
+from sim.markers.kernels import without_gaps
+from sim.markers.top import cubic_taps
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
 PIXEL = 33.93e-6

@@ -7,12 +7,10 @@ from dataclasses import FrozenInstanceError
 
 import pytest
 
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import sphere
-from sim.motion import press
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate, simulate_many
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.body import Body
 from sim.errors import SceneError
+from sim.scene import Body
 from sim.sensors.field import SurfaceField, cubic_weights, outward_normals
 
 Array = NDArray[np.float64]

@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.errors import SceneError
-from sim.fem.frames import Collector
 from sim.fem.numerics import Numerics
-from sim.fem.readings import Snapshot
+from sim.fem.solver import Collector, Snapshot
 from sim.indenters import named
-from sim.motion import press_shear_return
-from sim.scene import Scene
+from sim.scene import Body, Scene, press_shear_return
 from sim.sensors.field import SurfaceField
-from sim.sensors.interior import Interior
+from sim.sensors.taxels import Interior
 from sim.simulate import simulate
 
 Array = NDArray[np.float64]

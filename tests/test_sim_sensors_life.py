@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from sim.errors import SceneError
-from sim.motion import press
+from sim.scene import press
 from sim.sensors import Drift, Framing, Grip, Life, Mount, Placement, Segmentation, Segmenter
-from sim.sensors.pins import tip_coverage
-from sim.sensors.seeds import generator
-from sim.sensors.segmentation import softened
+from sim.sensors.optics import tip_coverage
+from sim.sensors.variation import generator, softened
 
 MANY = [f"sensor {index}" for index in range(400)]
 

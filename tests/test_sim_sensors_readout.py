@@ -9,12 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from recorder.markers import count_markers, find_blobs, marker_centres
-from sim.camera import Camera
 from sim.errors import SceneError
 from sim.indenters import named, sphere
-from sim.motion import press
-from sim.patterns import named as pattern_of
-from sim.render import Renderer
+from sim.markers import Camera, Renderer
+from sim.markers import named as pattern_of
+from sim.scene import press
 from sim.sensors import (
     CameraReadout,
     CameraSignal,

@@ -8,7 +8,7 @@ import pytest
 
 from sim.errors import SceneError
 from sim.indenters import sphere
-from sim.motion import press
+from sim.scene import press
 from sim.sensors import (
     HETEROGENEOUS,
     HOMOGENEOUS,
@@ -20,7 +20,7 @@ from sim.sensors import (
     read_sensor,
     sensor,
 )
-from sim.sensors.catalogue import ROWS
+from sim.sensors.sensor import ROWS
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -10,15 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from recorder.markers import draw_discs, find_blobs
-from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.errors import SceneError
 from sim.indenters import named
-from sim.motion import through
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, through
 from sim.sensors import SurfaceField, TaxelPad, TaxelSignal, readout, sensor
-from sim.sensors.dipoles import flux_density, rotations
+from sim.sensors.taxels import flux_density, rotations
 from sim.simulate import simulate
 
 Array = NDArray[np.float64]

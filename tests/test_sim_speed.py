@@ -35,10 +35,10 @@ from benchmarks.sim.speed.steps import AS_IT_IS, STEPS, assembled_gain, steps_on
 from benchmarks.sim.speed.timing import counted, spent_with_workers
 from benchmarks.sim.speed.work import Press, Work, paper_work, smoke_work
 from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
+from sim.device import ready_device
 from sim.effects import Effects, Friction
 from sim.fem.numerics import Numerics
 from sim.indenters import NAMES, sphere
-from sim.verbs.device import ready_device
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SCENES = [

@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 import zarr
 
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import NAMES, named, plane, rounded_cone, sphere
-from sim.motion import Motion, press, press_shear_return, ramp_hold
-from sim.result import Quality, Result
-from sim.scene import Scene
+from sim.result import Quality, Result, scene_from_json, scene_to_json
+from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 from sim.simulate import simulate
 from sim.store import ARRAYS, load_result, result_count, save_results
-from sim.stored import scene_from_json, scene_to_json
 
 EFFECTS = (
     Effects(),

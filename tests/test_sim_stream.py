@@ -15,8 +15,7 @@ from sim.indenters import named
 from sim.layer import Grid, simulate_layer
 from sim.sensors import Pins, SurfaceField, sensor
 from sim.stream import LiveMarkers, LivePress, LiveSensor, Slope
-from sim.stream.slope import SURE
-from sim.stream.tips import LiveTips
+from sim.stream.stream import SURE, LiveTips
 
 COARSE = 32
 GELSIGHT = sensor("gelsight")

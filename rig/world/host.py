@@ -18,7 +18,8 @@ from rig.clock import SystemClock
 from rig.emulation import add_arguments, serve
 from rig.latest import ARM_TRUTH, WORLD_STATE
 from rig.shared import LatestRecord
-from rig.world import World, build_world
+from rig.world import build_world
+from rig.world.analytic import World
 from rig.world.truth import TruthLog
 
 _POLL_NS = 400_000

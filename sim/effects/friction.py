@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sim.checks import check_range
 from sim.effects.declaration import Memory, Snippet
+from sim.errors import check_range
 
 
 @dataclass(frozen=True, slots=True)

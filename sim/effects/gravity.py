@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sim.checks import check_range
 from sim.effects.declaration import Memory, Snippet
-from sim.errors import SceneError
+from sim.errors import SceneError, check_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +19,7 @@ class Gravity:
 
     STATE: ClassVar[tuple[Memory, ...]] = (Memory("weight", "environment", 3),)
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
-        Snippet("sim.fem.nodes", "residual_kernel", "gravity"),
+        Snippet("sim.fem.vectors", "residual_kernel", "gravity"),
     )
     LIMIT: ClassVar[str] = "acceleration -> 0: a weightless body"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from sim.checks import check_range
 from sim.effects.declaration import Memory, Snippet
+from sim.errors import check_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Inertia:
         Memory("inertia_rate", "environment", 1),
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
-        Snippet("sim.fem.nodes", "residual_kernel", "inertia"),
+        Snippet("sim.fem.vectors", "residual_kernel", "inertia"),
     )
     LIMIT: ClassVar[str] = "scale -> 0: a massless body"
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
-from sim.checks import check_range
 from sim.effects.declaration import Memory, Snippet
-from sim.errors import SceneError
+from sim.errors import SceneError, check_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +30,8 @@ class Viscosity:
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.element", "element_kernels", "viscous"),
-        Snippet("sim.fem.element_blocks", "element_blocks_kernel", "viscous", "sim.fem.stencil"),
-        Snippet("sim.fem.element_rows", "element_rows_kernel", "viscous", "sim.fem.stencil"),
+        Snippet("sim.fem.element", "element_blocks_kernel", "viscous", "sim.fem.matrix"),
+        Snippet("sim.fem.element", "element_rows_kernel", "viscous", "sim.fem.matrix"),
     )
     LIMIT: ClassVar[str] = "ratios -> 0: an elastic body"
 

@@ -14,9 +14,10 @@ thickness and modulus, one thread an element of one environment.
 
 import functools
 
+import numpy as np
 import warp as wp
 
-from sim.fem.scalars import matrix_of, vector_of
+from sim.fem.scalars import matrix_of, numpy_of, vector_of
 
 GAUSS_POINTS = 8
 
@@ -276,3 +277,659 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
         scatter(force_out, env, e, f1, f2, f3, f4, f5, f6, f7)
 
     return residual
+
+
+# The tangent of an element as 3x3 blocks between its nodes, added to the stencil of each node.
+#
+# The derivative of the forces of `fem.element`, written out. With G_r = row r of the inverse
+# Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference directions
+# r and s at one Gauss point is
+#
+# g (G_r.G_s) 1 - 2g/3J (f_r c_s^T + c_r f_s^T) + 5g |F|^2/9J^2 c_r c_s^T + (p - g |F|^2/3J) dcof
+#
+# where dcof v = v x F(G_r x G_s); mean dilatation adds one product of vectors for each element. The
+# modes b = 1..7 of an element are products of reference coordinates, a bit each; the derivative of
+# mode b along r is mode b without bit r. So a block between modes is a sum of Walsh-Hadamard
+# coefficients, over the Gauss points, of the blocks above, and a second transform leads from modes
+# to nodes: about 10,000 operations an element, where 8 nodes times 8 points would take 40,000.
+
+
+@functools.cache
+def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
+    """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node.
+
+    On the CPU, where threads run one after the other, a launch may hold every element.
+    """
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    modes_of, _scatter = mode_functions(real)
+    column = column_function(real)
+    strain, cofactor, det_less_one = strain_functions(real)
+    half, one, two = real(0.5), real(1.0), real(2.0)
+    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
+    third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
+    eighth, abscissa = real(0.125), real(0.5773502691896258)
+
+    @wp.func
+    def spread(bits: int):
+        """Steps along x, y, z packed in 3 bits, as an offset in the 27 slots of a stencil."""
+        return 9 * (bits >> 2) + 3 * ((bits >> 1) & 1) + (bits & 1)
+
+    @wp.func
+    def share(b: int):
+        """Value of one corner in mode b, but for its sign, once its derivative is taken."""
+        size = (b >> 2) + ((b >> 1) & 1) + (b & 1)
+        value = eighth
+        if size > 1:
+            value = value * abscissa
+        if size > 2:
+            value = value * abscissa
+        return value
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def element_blocks(
+        # Mesh, by variant; which elements, from where on, and which nodes move
+        elements: wp.array2d(dtype=wp.int32),
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        first: int,
+        free: wp.array(dtype=wp.int32),
+        corners: int,
+        # Material, by environment:
+        shear: wp.array(dtype=real),
+        bulk: wp.array(dtype=real),
+        factor: wp.array(dtype=real),
+        bulk_factor: wp.array(dtype=real),
+        history: wp.array3d(dtype=mat33),
+        bulk_history: wp.array2d(dtype=real),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vec3),
+        # In and out:
+        matrix_out: wp.array3d(dtype=mat33),
+    ):
+        env, position = wp.tid()
+        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        if active[env] == 0:
+            return
+        e = order[first + position]
+        kind = variant[env]
+        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
+        # Blocks (r, s) in the order 00 11 22 01 02 12, and gradients of the volume, by Gauss
+        # point; later by Walsh function.
+        moments = wp.zeros(shape=(8, 6), dtype=mat33)
+        means = wp.zeros(shape=(8, 3), dtype=vec3)
+        # Blocks between modes; later between nodes.
+        blocks = wp.zeros(shape=(8, 8), dtype=mat33)
+        identity = wp.identity(n=3, dtype=real)
+
+        volume = real(0.0)
+        change = real(0.0)
+        for q in range(corners):
+            h, _sx, _sy, _sz = strain(
+                u1, u2, u3, u4, u5, u6, u7, q, inverse[kind, e, wp.min(q, last)]
+            )
+            volume += weight[kind, e, q]
+            change += weight[kind, e, q] * det_less_one(h)
+        theta = change / volume
+        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
+        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
+        if wp.static(viscous):
+            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
+            stiffness = bulk_factor[env] * stiffness
+        stiffness = stiffness / volume
+
+        for q in range(corners):
+            inv = inverse[kind, e, wp.min(q, last)]
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
+            f = h + identity
+            less = det_less_one(h)
+            j = one + less
+            w = weight[kind, e, q]
+            g = shear[env] * wp.pow(j, power)
+            if wp.static(viscous):
+                g = g * factor[env]
+            if wp.static(full_integration):
+                pressure = half * bulk[env] * less * (two + less) / j
+            over = g * third / j
+            square = wp.ddot(f, f)
+            mixed = w * over * five_thirds * square / j
+            if wp.static(full_integration):
+                mixed += w * half * bulk[env] * (one + one / (j * j))
+            across = wp.transpose(inv)
+            fr = f * across
+            cr = cofactor(f) * across
+            # Half of the c c^T term to either side makes it a product with its transpose.
+            er = cr * (mixed * half) - fr * (w * two * over)
+            metric = (inv * across) * (w * g)
+            if wp.static(viscous):
+                metric += (inv * history[env, e, q] * across) * w
+            turning = w * (pressure - over * square)
+            c0 = column(cr, 0)
+            c1 = column(cr, 1)
+            c2 = column(cr, 2)
+            e0 = column(er, 0)
+            e1 = column(er, 1)
+            e2 = column(er, 2)
+            # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
+            turn = f * wp.transpose(cofactor(inv)) * turning
+            moments[q, 0] = wp.outer(e0, c0) + wp.outer(c0, e0) + identity * metric[0, 0]
+            moments[q, 1] = wp.outer(e1, c1) + wp.outer(c1, e1) + identity * metric[1, 1]
+            moments[q, 2] = wp.outer(e2, c2) + wp.outer(c2, e2) + identity * metric[2, 2]
+            moments[q, 3] = (
+                wp.outer(e0, c1)
+                + wp.outer(c0, e1)
+                + identity * metric[0, 1]
+                - wp.skew(column(turn, 2))
+            )
+            moments[q, 4] = (
+                wp.outer(e0, c2)
+                + wp.outer(c0, e2)
+                + identity * metric[0, 2]
+                + wp.skew(column(turn, 1))
+            )
+            moments[q, 5] = (
+                wp.outer(e1, c2)
+                + wp.outer(c1, e2)
+                + identity * metric[1, 2]
+                - wp.skew(column(turn, 0))
+            )
+            means[q, 0] = c0 * w
+            means[q, 1] = c1 * w
+            means[q, 2] = c2 * w
+
+        # Walsh-Hadamard transform over the Gauss points
+        for axis in range(3):
+            bit = 1 << axis
+            for low in range(corners):
+                if low & bit == 0:
+                    for k in range(6):
+                        one_block = moments[low, k]
+                        other_block = moments[low + bit, k]
+                        moments[low, k] = one_block + other_block
+                        moments[low + bit, k] = other_block - one_block
+                    for k in range(3):
+                        one_mean = means[low, k]
+                        other_mean = means[low + bit, k]
+                        means[low, k] = one_mean + other_mean
+                        means[low + bit, k] = other_mean - one_mean
+
+        # Blocks between modes a <= b
+        for a in range(1, corners):
+            mean_a = vec3()
+            for r in range(3):
+                if (a >> (2 - r)) & 1 == 1:
+                    mean_a += means[a ^ (4 >> r), r]
+            for b in range(a, corners):
+                mean_b = vec3()
+                block = mat33()
+                for s in range(3):
+                    if (b >> (2 - s)) & 1 == 1:
+                        without = b ^ (4 >> s)
+                        mean_b += means[without, s]
+                        for r in range(3):
+                            if (a >> (2 - r)) & 1 == 1:
+                                walsh = without ^ a ^ (4 >> r)
+                                if r == s:
+                                    block += moments[walsh, r]
+                                elif r < s:
+                                    block += moments[walsh, r + s + 2]
+                                else:
+                                    block += wp.transpose(moments[walsh, r + s + 2])
+                if wp.static(not full_integration):
+                    block += wp.outer(mean_a * stiffness, mean_b)
+                block = block * (share(a) * share(b))
+                blocks[a, b] = block
+                if a != b:
+                    blocks[b, a] = wp.transpose(block)
+
+        # Transform back, first the rows to nodes, then the columns
+        for axis in range(3):
+            bit = 1 << axis
+            for low in range(corners):
+                if low & bit == 0:
+                    for b in range(1, corners):
+                        one_block = blocks[low, b]
+                        other_block = blocks[low + bit, b]
+                        blocks[low, b] = one_block - other_block
+                        blocks[low + bit, b] = one_block + other_block
+        for axis in range(3):
+            bit = 1 << axis
+            for low in range(corners):
+                if low & bit == 0:
+                    for a in range(corners):
+                        one_block = blocks[a, low]
+                        other_block = blocks[a, low + bit]
+                        blocks[a, low] = one_block - other_block
+                        blocks[a, low + bit] = one_block + other_block
+        for a in range(corners):
+            n = elements[e, a]
+            if free[n] == 1:
+                own = 13 - spread(a)
+                for b in range(corners):
+                    if free[elements[e, b]] == 1:
+                        slot = own + spread(b)
+                        matrix_out[env, n, slot] = matrix_out[env, n, slot] + blocks[a, b]
+
+    return element_blocks
+
+
+# The tangent of an element, a row of 3x3 blocks a thread: what a GPU assembles.
+#
+# The same blocks as `fem.element_blocks`, a row a thread: 8 blocks stay in registers. All 64 of an
+# element do not: a GPU's threads then wait for memory.
+#
+# With A the reference derivatives of the shape function of the row's node, B those of a mode of the
+# other, and the rest as in `fem.element_blocks`, one Gauss point adds
+#
+#     (A . metric B) 1 + e_A c_B^T + c_A e_B^T - skew(turn (A x B))
+#
+# It is linear in B, so it is worked out for three directions; modes sum those over the Gauss points
+# as they do forces, and blocks are to modes as forces to theirs (`fem.element`). That takes some
+# 65,000 operations an element; node by node it would be 90,000.
+
+
+@functools.cache
+def element_rows_kernel(real, viscous: bool, full_integration: bool = False):
+    """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node."""
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    modes_of, _scatter = mode_functions(real)
+    column = column_function(real)
+    blocks_of = nodal_function(real, mat33)
+    strain, cofactor, det_less_one = strain_functions(real)
+    half, one, two = real(0.5), real(1.0), real(2.0)
+    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
+    third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
+    near, far = real(0.5 + 0.5 / 3.0**0.5), real(0.5 - 0.5 / 3.0**0.5)
+
+    @wp.func
+    def slope(q: int, b: int):
+        """Derivatives of corner b's shape function at Gauss point q, in reference coordinates."""
+        apart = q ^ b
+        x = wp.where((apart >> 2) & 1 == 0, near, far)
+        y = wp.where((apart >> 1) & 1 == 0, near, far)
+        z = wp.where(apart & 1 == 0, near, far)
+        along_x = wp.where((b >> 2) & 1 == 1, half, -half)
+        along_y = wp.where((b >> 1) & 1 == 1, half, -half)
+        along_z = wp.where(b & 1 == 1, half, -half)
+        return vec3(along_x * y * z, along_y * x * z, along_z * x * y)
+
+    @wp.func
+    def along(same: real, ea: vec3, c: vec3, ca: vec3, e: vec3, turned: vec3):
+        """What one Gauss point adds between the row's node and a derivative along one direction."""
+        straight = wp.identity(n=3, dtype=real) * same
+        return straight + wp.outer(ea, c) + wp.outer(ca, e) - wp.skew(turned)
+
+    @wp.func
+    def spread(bits: int):
+        """Steps along x, y, z packed in 3 bits, as an offset in the 27 slots of a stencil."""
+        return 9 * (bits >> 2) + 3 * ((bits >> 1) & 1) + (bits & 1)
+
+    @wp.func
+    def add(
+        elements: wp.array2d(dtype=wp.int32),
+        free: wp.array(dtype=wp.int32),
+        env: int,
+        e: int,
+        a: int,
+        b: int,
+        found: mat33,
+        matrix_out: wp.array3d(dtype=mat33),
+    ):
+        if free[elements[e, b]] == 1:
+            n = elements[e, a]
+            slot = 13 - spread(a) + spread(b)
+            matrix_out[env, n, slot] = matrix_out[env, n, slot] + found
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def element_rows(
+        # Mesh, by variant; which elements, from where on, and which nodes move
+        elements: wp.array2d(dtype=wp.int32),
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        first: int,
+        free: wp.array(dtype=wp.int32),
+        corners: int,
+        # Material, by environment:
+        shear: wp.array(dtype=real),
+        bulk: wp.array(dtype=real),
+        factor: wp.array(dtype=real),
+        bulk_factor: wp.array(dtype=real),
+        history: wp.array3d(dtype=mat33),
+        bulk_history: wp.array2d(dtype=real),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vec3),
+        # In and out:
+        matrix_out: wp.array3d(dtype=mat33),
+    ):
+        env, a, position = wp.tid()
+        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        if active[env] == 0:
+            return
+        e = order[first + position]
+        if free[elements[e, a]] == 0:
+            return
+        kind = variant[env]
+        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
+        identity = wp.identity(n=3, dtype=real)
+
+        volume = real(0.0)
+        change = real(0.0)
+        for q in range(corners):
+            h, _sx, _sy, _sz = strain(
+                u1, u2, u3, u4, u5, u6, u7, q, inverse[kind, e, wp.min(q, last)]
+            )
+            volume += weight[kind, e, q]
+            change += weight[kind, e, q] * det_less_one(h)
+        theta = change / volume
+        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
+        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
+        if wp.static(viscous):
+            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
+            stiffness = bulk_factor[env] * stiffness
+        stiffness = stiffness / volume
+
+        # Blocks of the row and gradients of the volume, by modes of the other node, summed over
+        # Gauss points as `fem.element` sums forces: names, because registers have no numbers.
+        k1 = mat33()
+        k2 = mat33()
+        k3 = mat33()
+        k4 = mat33()
+        k5 = mat33()
+        k6 = mat33()
+        k7 = mat33()
+        m1 = vec3()
+        m2 = vec3()
+        m3 = vec3()
+        m4 = vec3()
+        m5 = vec3()
+        m6 = vec3()
+        m7 = vec3()
+        mean = vec3()
+        for q in range(corners):
+            inv = inverse[kind, e, wp.min(q, last)]
+            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
+            f = h + identity
+            less = det_less_one(h)
+            j = one + less
+            w = weight[kind, e, q]
+            g = shear[env] * wp.pow(j, power)
+            if wp.static(viscous):
+                g = g * factor[env]
+            if wp.static(full_integration):
+                pressure = half * bulk[env] * less * (two + less) / j
+            over = g * third / j
+            square = wp.ddot(f, f)
+            mixed = w * over * five_thirds * square / j
+            if wp.static(full_integration):
+                mixed += w * half * bulk[env] * (one + one / (j * j))
+            across = wp.transpose(inv)
+            cr = cofactor(f) * across
+            # Half of the c c^T term to either side makes it a product with its transpose.
+            er = cr * (mixed * half) - (f * across) * (w * two * over)
+            metric = (inv * across) * (w * g)
+            if wp.static(viscous):
+                metric += (inv * history[env, e, q] * across) * w
+            # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
+            turn = f * wp.transpose(cofactor(inv)) * (w * (pressure - over * square))
+            sa = slope(q, a)
+            ma = wp.transpose(metric) * sa
+            ca = cr * sa
+            ea = er * sa
+            cx = column(cr, 0)
+            cy = column(cr, 1)
+            cz = column(cr, 2)
+            px = column(turn, 0)
+            py = column(turn, 1)
+            pz = column(turn, 2)
+            bx = along(ma[0], ea, cx, ca, column(er, 0), py * sa[2] - pz * sa[1])
+            by = along(ma[1], ea, cy, ca, column(er, 1), pz * sa[0] - px * sa[2])
+            bz = along(ma[2], ea, cz, ca, column(er, 2), px * sa[1] - py * sa[0])
+            k1 += bx
+            k2 += by
+            k3 += bz
+            k4 += bx * sy + by * sx
+            k5 += by * sz + bz * sy
+            k6 += bx * sz + bz * sx
+            k7 += bx * (sy * sz) + by * (sx * sz) + bz * (sx * sy)
+            if wp.static(not full_integration):
+                mean += ca * w
+                cx = cx * w
+                cy = cy * w
+                cz = cz * w
+                m1 += cx
+                m2 += cy
+                m3 += cz
+                m4 += cx * sy + cy * sx
+                m5 += cy * sz + cz * sy
+                m6 += cx * sz + cz * sx
+                m7 += cx * (sy * sz) + cy * (sx * sz) + cz * (sx * sy)
+
+        if wp.static(not full_integration):
+            # The product with the mean of all volume changes is linear in the modes as well.
+            mean = mean * stiffness
+            k1 += wp.outer(mean, m1)
+            k2 += wp.outer(mean, m2)
+            k3 += wp.outer(mean, m3)
+            k4 += wp.outer(mean, m4)
+            k5 += wp.outer(mean, m5)
+            k6 += wp.outer(mean, m6)
+            k7 += wp.outer(mean, m7)
+        b0, b1, b2, b3, b4, b5, b6, b7 = blocks_of(k1, k2, k3, k4, k5, k6, k7)
+        add(elements, free, env, e, a, 0, b0, matrix_out)
+        add(elements, free, env, e, a, 1, b1, matrix_out)
+        add(elements, free, env, e, a, 2, b2, matrix_out)
+        add(elements, free, env, e, a, 3, b3, matrix_out)
+        add(elements, free, env, e, a, 4, b4, matrix_out)
+        add(elements, free, env, e, a, 5, b5, matrix_out)
+        add(elements, free, env, e, a, 6, b6, matrix_out)
+        add(elements, free, env, e, a, 7, b7, matrix_out)
+
+    return element_rows
+
+
+# Prony branches at the Gauss points: what they remember, and how a step changes it.
+#
+# Simo & Hughes, Computational Inelasticity (1998), section 10.3: the stress of branch i after a
+# step dt is h = exp(-dt/time) h_old + ratio a (S - S_old) with a = (1 - exp(-dt/time)) time / dt, S
+# the second Piola-Kirchhoff stress at rest. So within a step the stress is S (1 + sum ratio a) +
+# history, where history = sum(exp(-dt/time) h_old) - sum(ratio a) S_old does not change: that is
+# all the element kernels see. The pressure of an element relaxes in the same way.
+
+
+@functools.cache
+def _kernels(real):
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    modes_of, _scatter = mode_functions(real)
+    strain, cofactor, det_less_one = strain_functions(real)
+    half, one, two = real(0.5), real(1.0), real(2.0)
+    third = real(1.0 / 3.0)
+    power = real(-2.0 / 3.0)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def recall(
+        # In: branch stresses (branch, env, element, point) and gains (env, branch)
+        decay: wp.array2d(dtype=real),
+        gain: wp.array2d(dtype=real),
+        bulk_gain: wp.array2d(dtype=real),
+        points: int,
+        branch: wp.array4d(dtype=mat33),
+        rest: wp.array3d(dtype=mat33),
+        bulk_branch: wp.array3d(dtype=real),
+        bulk_rest: wp.array2d(dtype=real),
+        active: wp.array(dtype=wp.int32),
+        # Out:
+        history_out: wp.array3d(dtype=mat33),
+        bulk_history_out: wp.array2d(dtype=real),
+    ):
+        env, e = wp.tid()
+        if active[env] == 0:
+            return
+        for q in range(points):
+            history = mat33()
+            for i in range(decay.shape[1]):
+                history += branch[i, env, e, q] * decay[env, i] - rest[env, e, q] * gain[env, i]
+            history_out[env, e, q] = history
+        bulk_history = real(0.0)
+        for i in range(decay.shape[1]):
+            bulk_history += (
+                bulk_branch[i, env, e] * decay[env, i] - bulk_rest[env, e] * bulk_gain[env, i]
+            )
+        bulk_history_out[env, e] = bulk_history
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def keep(
+        # Mesh:
+        elements: wp.array2d(dtype=wp.int32),
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
+        points: int,
+        # Material, by environment:
+        shear: wp.array(dtype=real),
+        bulk: wp.array(dtype=real),
+        decay: wp.array2d(dtype=real),
+        gain: wp.array2d(dtype=real),
+        bulk_gain: wp.array2d(dtype=real),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vec3),
+        # In and out:
+        branch_out: wp.array4d(dtype=mat33),
+        rest_out: wp.array3d(dtype=mat33),
+        bulk_branch_out: wp.array3d(dtype=real),
+        bulk_rest_out: wp.array2d(dtype=real),
+    ):
+        env, e = wp.tid()
+        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        if active[env] == 0:
+            return
+        m = variant[env]
+        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
+        volume = real(0.0)
+        change = real(0.0)
+        for q in range(points):
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
+            less = det_less_one(h)
+            volume += weight[m, e, q]
+            change += weight[m, e, q] * less
+            f = h + wp.identity(n=3, dtype=real)
+            c = cofactor(f)
+            j = one + less
+            square = wp.ddot(f, f)
+            g = shear[env] * wp.pow(j, power)
+            # S = F^-1 P with F^-1 = cof(F)^T / J
+            stress = (
+                wp.identity(n=3, dtype=real) - (wp.transpose(c) * c) * (square * third / (j * j))
+            ) * g
+            for i in range(decay.shape[1]):
+                branch_out[i, env, e, q] = (
+                    branch_out[i, env, e, q] * decay[env, i]
+                    + (stress - rest_out[env, e, q]) * gain[env, i]
+                )
+            rest_out[env, e, q] = stress
+        theta = change / volume
+        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
+        for i in range(decay.shape[1]):
+            bulk_branch_out[i, env, e] = (
+                bulk_branch_out[i, env, e] * decay[env, i]
+                + (pressure - bulk_rest_out[env, e]) * bulk_gain[env, i]
+            )
+        bulk_rest_out[env, e] = pressure
+
+    return recall, keep
+
+
+class Branches:
+    """The Prony branches of every Gauss point of a batch; up to 4 branches."""
+
+    def __init__(self, real, scenes, elements: int, device: str) -> None:
+        mat33 = matrix_of(real)
+        series = [scene.effects.viscosity for scene in scenes]
+        most = max(len(viscosity.ratios) for viscosity in series)
+        count = len(scenes)
+        self._ratios = np.zeros((count, most))
+        self._times = np.ones((count, most))
+        self._bulk = np.zeros((count, 1))
+        for env, viscosity in enumerate(series):
+            self._ratios[env, : len(viscosity.ratios)] = viscosity.ratios
+            self._times[env, : len(viscosity.times)] = viscosity.times
+            self._bulk[env] = viscosity.relaxes == "all"
+        self._real, self._device = real, device
+        self._shape = (count, elements)
+        points = (count, elements, GAUSS_POINTS)
+        self._branch = wp.zeros((most, *points), dtype=mat33, device=device)
+        self._rest = wp.zeros(points, dtype=mat33, device=device)
+        self._bulk_branch = wp.zeros((most, count, elements), dtype=real, device=device)
+        self._bulk_rest = wp.zeros((count, elements), dtype=real, device=device)
+        self.history = wp.zeros(points, dtype=mat33, device=device)
+        """Stress that does not change within the step (B, E, 8) [E]."""
+        self.bulk_history = wp.zeros((count, elements), dtype=real, device=device)
+        """The same of the pressure (B, E) [E]."""
+        self._decay = self._gain = self._bulk_gain = None
+
+    def begin(self, active, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fill `history` of `active` environments for a step of `duration` (B,) [s].
+
+        Returns:
+            Factors on stress and pressure (B,), for everyone: whoever is not active must be given
+            the duration of the step it is in.
+        """
+        share = np.maximum(duration, 1e-12)[:, None] / self._times
+        gain = self._ratios * -np.expm1(-share) / share
+        self._decay, self._gain = self._array(np.exp(-share)), self._array(gain)
+        self._bulk_gain = self._array(gain * self._bulk)
+        wp.launch(
+            _kernels(self._real)[0],
+            dim=self._shape,
+            inputs=[
+                self._decay,
+                self._gain,
+                self._bulk_gain,
+                GAUSS_POINTS,
+                self._branch,
+                self._rest,
+                self._bulk_branch,
+                self._bulk_rest,
+                active,
+            ],
+            outputs=[self.history, self.bulk_history],
+            device=self._device,
+        )
+        return 1 + gain.sum(1), 1 + (gain * self._bulk).sum(1)
+
+    def keep(self, mesh, material, active, u) -> None:
+        """Take over the state `u` of `active` environments as the end of the step.
+
+        `mesh` is (elements, inverse, weight, variant), `material` (shear, bulk).
+        """
+        wp.launch(
+            _kernels(self._real)[1],
+            dim=self._shape,
+            inputs=[
+                *mesh,
+                GAUSS_POINTS,
+                *material,
+                self._decay,
+                self._gain,
+                self._bulk_gain,
+                active,
+                u,
+            ],
+            outputs=[self._branch, self._rest, self._bulk_branch, self._bulk_rest],
+            device=self._device,
+        )
+
+    def _array(self, values):
+        return wp.array(
+            np.ascontiguousarray(values, dtype=numpy_of(self._real)),
+            dtype=self._real,
+            device=self._device,
+        )

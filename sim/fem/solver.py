@@ -1,5 +1,7 @@
 # mypy: ignore-errors
 # Drives Warp arrays, typed at run time; mypy cannot follow them.
+# mypy: ignore-errors
+# Reads Warp arrays, typed at run time; mypy cannot follow them.
 """The `fem` tier: every press walks its own path, all of them solved side by side."""
 
 from __future__ import annotations
@@ -8,7 +10,7 @@ import json
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path as File
 
 import numpy as np
@@ -16,16 +18,236 @@ import warp as wp
 
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
-from sim.fem.frames import Collector
-from sim.fem.mesh import Mesh
-from sim.fem.newton import Newton
+from sim.fem.mesh import Mesh, meshes_of
+from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of, sharpest
 from sim.fem.numerics import Numerics
-from sim.fem.path import Path, path_of, sharpest
-from sim.fem.readings import Snapshot
-from sim.fem.window import meshes_of
 from sim.indenters.device import traits_of
-from sim.result import Outcome
+from sim.result import Outcome, Quality, Result
 from sim.scene import Scene
+
+# What the state last evaluated says of one environment: contact, traction, energy, weight.
+
+
+@dataclass(frozen=True, slots=True)
+class ContactPoints:
+    """Contact points of the T faces that touch, of one environment; in thicknesses and moduli."""
+
+    pressure: np.ndarray
+    """(T, P)."""
+    penetration: np.ndarray
+    """How deep they are inside the indenter (T, P); below 0 in a gap that the pressure bridges."""
+    traction: np.ndarray
+    """Shear traction on the body (T, P, 3)."""
+    force: np.ndarray
+    """Force on the body (T, P, 3)."""
+    place: np.ndarray
+    """Where they are (T, P, 3)."""
+    area: np.ndarray
+    """Untouched area of each (T, P)."""
+    slip_excess: float
+    """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
+
+
+class Snapshot:
+    """Arrays of the state last evaluated, on the host, of some of the environments.
+
+    A GPU hands over each array that is asked for once, for all of them; a CPU copies nothing.
+
+    Args:
+        assembly: Whose state.
+        environments: Of which environments.
+        gather: Whether arrays are copied; on a GPU, when not said.
+    """
+
+    def __init__(
+        self, assembly: Assembly, environments: Sequence[int], *, gather: bool | None = None
+    ) -> None:
+        self.assembly = assembly
+        self._gathers = wp.get_device(assembly.device).is_cuda if gather is None else gather
+        self._row = {env: row if self._gathers else env for row, env in enumerate(environments)}
+        self._indices = None
+        self._arrays: dict[int, np.ndarray] = {}
+
+    def of(self, env: int, array) -> np.ndarray:
+        """The part of environment `env` of an array whose first axis is the environment."""
+        found = self._arrays.get(id(array))
+        if found is None:
+            found = self._arrays[id(array)] = self._fetched(array)
+        return found[self._row[env]]
+
+    def _fetched(self, array) -> np.ndarray:
+        if not self._gathers:
+            return array.numpy()
+        if self._indices is None:
+            self._indices = wp.array(list(self._row), dtype=wp.int32, device=array.device)
+        return wp.indexedarray(array, [self._indices, *[None] * (array.ndim - 1)]).numpy()
+
+
+def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
+    """Pressure, force and place of the contact points of environment `env`, displaced by `u`."""
+    assembly = held.assembly
+    state, mesh = assembly.state, assembly.meshes[env]
+    rows = np.flatnonzero(held.of(env, assembly.touched))
+    pressure = held.of(env, state.pressure)[rows].astype(float)
+    deep = (pressure - held.of(env, state.carried)[rows]) / assembly.numerics.penalty
+    push = held.of(env, state.normal)[rows] * pressure[:, :, None]
+    excess = np.nan
+    traction = np.zeros_like(push)
+    if "friction" in assembly.effects:
+        traction = held.of(env, state.traction)[rows].astype(float)
+        most = assembly.coefficients[env] * pressure
+        size = np.linalg.norm(traction, axis=2)
+        excess = float((size - most).max(initial=0.0) / pressure.max(initial=1e-30))
+    faces = mesh.faces[rows]
+    shape, rule = assembly.face_rule
+    area = rule * mesh.face_area[rows, None]
+    return ContactPoints(
+        pressure=pressure,
+        penetration=np.where(pressure > 0, deep, 0.0),
+        traction=traction,
+        force=(push + traction) * area[:, :, None],
+        place=shape @ (mesh.nodes[faces] + u[faces]),
+        area=area,
+        slip_excess=excess,
+    )
+
+
+def surface_traction(held: Snapshot, env: int) -> np.ndarray:
+    """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
+    assembly = held.assembly
+    mesh = assembly.meshes[env]
+    nx, ny, nz = mesh.cells
+    top = nx * ny
+    rows = np.flatnonzero(held.of(env, assembly.touched)[:top])
+    share = held.of(env, assembly.face_force)[rows].astype(float).reshape(-1, 3)
+    columns = mesh.faces[:top] // (nz + 1)  # of nodes, which are numbered upwards
+    count = (nx + 1) * (ny + 1)
+    touched = columns[rows].ravel()
+    force = [np.bincount(touched, share[:, axis], count) for axis in range(3)]
+    area = np.bincount(columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
+    nodal = np.stack(force, axis=-1) / area[:, None]
+    return nodal.reshape(nx + 1, ny + 1, 3)
+
+
+def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
+    """Energy in the material at rest modulus, contact springs and height [E T^3]."""
+    assembly = held.assembly
+    penalty = assembly.numerics.penalty
+    square = (points.traction**2).sum(axis=2) / (assembly.numerics.stick * penalty)
+    springs = ((points.penetration**2 * penalty + square) * points.area / 2).sum()
+    if "gravity" in assembly.effects:
+        weight = assembly.state.weight.numpy()[env].astype(float)
+        springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
+    return float(held.of(env, assembly.element_energy).sum(dtype=float) + springs)
+
+
+def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
+    """Weight less inertia of one environment (3,) [E T^2]."""
+    assembly = held.assembly
+    total = np.zeros(3)
+    if "gravity" in assembly.effects:
+        total += (
+            assembly.state.weight.numpy()[env].astype(float)
+            * assembly.meshes[env].node_volume.sum()
+        )
+    if "inertia" in assembly.effects:
+        rate = assembly.state.rates[env]
+        ahead = u - held.of(env, assembly.state.predicted)
+        free = assembly.meshes[env].node_volume[:, None] * ahead
+        total -= rate * free.sum(axis=0)
+    return total
+
+
+# What is kept of an accepted state: force, surface, and how far it can be trusted.
+
+
+@dataclass(slots=True)
+class Spent:
+    """What the steps to the next frame have cost one press."""
+
+    newton: int = 0
+    cg: int = 0
+    steps: int = 0
+
+
+class Collector:
+    """Frames of one press, filled as they are reached; SI units outside."""
+
+    def __init__(self, scene: Scene, mesh: Mesh, assembly: Assembly) -> None:
+        self._scene, self._mesh = scene, mesh
+        self._unit = scene.body.thickness
+        self._stress = scene.body.modulus
+        nx, ny, _nz = mesh.cells
+        frames = len(scene.motion)
+        self._wrench = np.full((frames, 6), np.nan)
+        self._surface = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
+        self._traction = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
+        self._quality = {
+            name: np.full(frames, np.nan)
+            for name in ("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess")
+        }
+        self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
+        self._work, self._work_most = 0.0, 0.0
+        self._force_before, self._tip_before = np.zeros(3), None
+        self._start: float | None = None
+        self.spent = Spent()
+
+    def moved(self, tip: np.ndarray, force: np.ndarray) -> None:
+        """Count the work of a step that ended with the tip at `tip`, pushing with `force` (3,)."""
+        if self._tip_before is not None:
+            self._work += 0.5 * float((force + self._force_before) @ (tip - self._tip_before))
+            self._work_most = max(self._work_most, self._work)
+        self._force_before, self._tip_before = force.copy(), tip.copy()
+
+    def keep(self, frame: int, env: int, held: Snapshot, residual: float) -> None:
+        """Keep the state of environment `env`, last evaluated, as frame `frame`."""
+        assembly, mesh = held.assembly, self._mesh
+        u = held.of(env, assembly.state.u).astype(float)
+        tip = self._tip_before
+        points = contact_points(held, env, u)
+        force = points.force.sum(axis=(0, 1))
+        lever = points.place - tip
+        torque = np.cross(lever, points.force).sum(axis=(0, 1))
+        unit, push = self._unit, self._stress * self._unit**2
+        self._wrench[frame, :3] = force * push
+        self._wrench[frame, 3:] = torque * push * unit
+        self._surface[frame] = u[mesh.top] * unit
+        self._traction[frame] = surface_traction(held, env) * self._stress
+        depth = max(-float(tip[2]), 1e-6)
+        size = float(np.linalg.norm(force))
+        external = force + body_force(held, env, u)
+        quality = self._quality
+        quality["residual"][frame] = residual
+        quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
+        scale = max(size, float(np.linalg.norm(external)), FORCE_FLOOR[assembly.precision])
+        quality["balance"][frame] = (
+            float(np.linalg.norm(external + assembly.sums.base[env])) / scale
+        )
+        stored = stored_energy(held, env, points, u)
+        if self._start is None:
+            self._start, self._work, self._work_most = stored, 0.0, 0.0
+        lost = self._work - (stored - self._start)
+        quality["energy_gap"][frame] = lost / self._work_most if self._work_most > 1e-9 else 0.0
+        quality["det_f_min"][frame] = assembly.sums.det[env]
+        quality["slip_excess"][frame] = points.slip_excess
+        for name in self._counts:
+            self._counts[name][frame] = getattr(self.spent, name)
+        self.spent = Spent()
+
+    def result(self, record: dict) -> Result:
+        """The result, once every frame was kept."""
+        return Result(
+            scene=self._scene,
+            tier="fem",
+            wrench=self._wrench,
+            surface_x=self._mesh.x * self._unit,
+            surface_y=self._mesh.y * self._unit,
+            surface=self._surface,
+            traction=self._traction,
+            quality=Quality(**self._quality, **self._counts),
+            record=record,
+        )
+
 
 Progress = Callable[[float], None]
 

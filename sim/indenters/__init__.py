@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from sim.indenters.indenter import Indenter
-from sim.indenters.named import NAMES, named
-from sim.indenters.part import Part
+from sim.indenters.outline import Part
 from sim.indenters.shapes import (
+    NAMES,
     bar,
     box,
     cone,
     extruded,
     flat_punch,
+    from_stl,
+    named,
     plane,
     rounded_cone,
     sphere,
     torus,
     tube,
 )
-from sim.indenters.solid import Solid
-from sim.indenters.stl import from_stl
-from sim.indenters.triangles import UNITS, UPS
+from sim.indenters.solid import UNITS, UPS, Solid
 
 __all__ = [
     "NAMES",

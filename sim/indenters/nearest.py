@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from sim.indenters.field import Grid
+from sim.indenters.grid import Grid
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ ACCURACY = 2.0
 winding numbers for soups and clouds, 2018)."""
 TOUCHING = 1e-5
 """Distance below which the triangle's own normal is the direction [mm]."""
-AT_ONCE = 1 << 20
+QUERIES_AT_ONCE = 1 << 20
 """Points of one launch."""
 SKIP = 4
 """Nodes of a grid from one to the next that is asked where nothing is near."""
@@ -86,8 +86,8 @@ class Nearest:
 
     def _asked(self, points: Array, signed: bool, winding: float) -> tuple[Array, Array]:
         gap, direction = np.empty(len(points)), np.empty((len(points), 3))
-        for first in range(0, len(points), AT_ONCE):
-            some = slice(first, first + AT_ONCE)
+        for first in range(0, len(points), QUERIES_AT_ONCE):
+            some = slice(first, first + QUERIES_AT_ONCE)
             given = wp.array(points[some] / MM, dtype=wp.vec3, device=self._device)
             found = wp.empty(len(given), dtype=wp.vec4, device=self._device)
             wp.launch(

@@ -3,21 +3,430 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import math
+import re
+import warnings
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.checks import check_range
-from sim.errors import SceneError
-from sim.indenters.field import Field, Grid, coefficients
-from sim.indenters.rounding import level_surface
-from sim.indenters.triangles import AXES, UNITS, UPS, Axis, Triangles, Unit, Up, read_triangles
+from sim.errors import SceneError, check_range
+from sim.indenters.grid import Grid
+from sim.indenters.outline import Bounds
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
+# A signed distance known at the nodes of a grid, and smooth in between: tricubic B-splines.
 
 Array = NDArray[np.float64]
+
+FLAT = 1e-6
+"""Gradients shorter than this have no direction."""
+AT_ONCE = 1 << 18
+"""Points that are looked up together: their numbers then stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """The distance as a spline: twice differentiable, so that its normal turns smoothly.
+
+    Beyond the sides of the grid and below it the distance goes on along the gradient at its
+    border; above it the body goes on straight up.
+    """
+
+    grid: Grid
+    coefficients: Array
+    """Of the B-splines, one a node (grid.shape) [m]."""
+    drop: float
+    """How much lower than the grid says everything stands [m]."""
+    bounds: Bounds
+    """A box around the body [m]."""
+    notes: tuple[str, ...] = ()
+    """What the making of it did to the body."""
+
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Gap (N,) [m] and unit normal (N, 3) at points (N, 3) [m]."""
+        gap, normal = np.empty(len(points)), np.empty((len(points), 3))
+        for first in range(0, len(points), AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            gap[some], normal[some] = self._distance(points[some])
+        return gap, normal
+
+    @property
+    def origin(self) -> Array:
+        """Where the first node stands (3,) [m]."""
+        return np.array(self.grid.first) * self.grid.spacing - [0.0, 0.0, self.drop]
+
+    def _distance(self, points: Array) -> tuple[Array, Array]:
+        spacing = self.grid.spacing
+        place = (points - self.origin) / spacing
+        held = np.clip(place, 1.0, np.array(self.grid.shape) - 3.0)
+        beyond = (place - held) * spacing
+        beyond[:, 2] = np.minimum(beyond[:, 2], 0.0)
+        node = held.astype(np.int64)
+        weight, slope = _weights((held - node).T)
+        _, ny, nz = self.grid.shape
+        start = ((node[:, 0] - 1) * ny + node[:, 1] - 1) * nz + node[:, 2] - 1
+        flat = self.coefficients.ravel()
+        gap = np.zeros(len(points))
+        gradient = np.zeros((3, len(points)))
+        for i in range(4):
+            for j in range(4):
+                value, upward = np.zeros((2, len(points)))
+                for k in range(4):
+                    taken = flat.take(start + ((i * ny + j) * nz + k))
+                    value += weight[k][2] * taken
+                    upward += slope[k][2] * taken
+                across = weight[i][0] * weight[j][1]
+                gap += across * value
+                gradient[0] += slope[i][0] * weight[j][1] * value
+                gradient[1] += weight[i][0] * slope[j][1] * value
+                gradient[2] += across * upward
+        steepness = np.linalg.norm(gradient, axis=0)
+        some = steepness > FLAT * spacing
+        normal = np.where(some, gradient / np.where(some, steepness, 1.0), [[0.0], [0.0], [-1.0]]).T
+        return gap + np.einsum("ij,ij->i", normal, beyond), normal
+
+
+def coefficients(values: Array) -> Array:
+    """Coefficients of the spline that has these values at the nodes."""
+    from scipy.ndimage import spline_filter
+
+    found: Array = spline_filter(values, order=3, output=np.float64, mode="mirror")
+    return found
+
+
+def _weights(share: Array) -> tuple[list[Array], list[Array]]:
+    """The four cubic B-splines over a cell and their derivatives, at `share` of its width.
+
+    De Boor, A Practical Guide to Splines (1978), chapter X, for even knots.
+    """
+    left = 1 - share
+    weight = [
+        left**3 / 6,
+        (4 + share * share * (3 * share - 6)) / 6,
+        (4 + left * left * (3 * left - 6)) / 6,
+        share**3 / 6,
+    ]
+    slope = [
+        -left * left / 2,
+        share * (3 * share - 4) / 2,
+        -left * (3 * left - 4) / 2,
+        share * share / 2,
+    ]
+    return weight, slope
+
+
+# Triangles of a closed body, read from an STL file, checked, and turned tip down.
+
+Unit = Literal["um", "mm", "cm", "m", "inch"]
+Up = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Axis = Literal["middle", "file"]
+UNITS: tuple[Unit, ...] = get_args(Unit)
+UPS: tuple[Up, ...] = get_args(Up)
+AXES: tuple[Axis, ...] = get_args(Axis)
+METRES: dict[Unit, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 25.4e-3}
+
+HEADER, RECORD = 84, 50
+"""Bytes before the first triangle of a binary file, and of each triangle."""
+SIZE_MIN, SIZE_MAX = 0.5e-3, 0.2
+"""Longest side of an indenter [m]; anything else is taken for a mistake in the unit."""
+FLAT_TRIANGLE = 1e-5
+"""Least volume, as a share of the longest side cubed: a body with less has no inside."""
+END = 0.02
+"""Share of the height that counts as an end of the body, when it is asked which one is wider."""
+WIDER = 1.2
+"""How much wider the lower end has to be for the tip to be taken for the upper one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangles:
+    """A closed surface in the indenter's frame: its lowest point is at z = 0, z points away."""
+
+    vertices: Array
+    """(V, 3) [m]."""
+    faces: NDArray[np.int32]
+    """Vertices of each triangle (F, 3), counterclockwise when seen from outside."""
+    notes: tuple[str, ...]
+    """What was repaired, and what looks odd."""
+
+
+def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Triangles:
+    """The body in an STL file.
+
+    Args:
+        data: The whole file, binary or text.
+        name: What messages call it.
+        unit: Unit of the file's numbers.
+        up: Axis of the file that points away from the skin.
+        axis: What x = y = 0 is: the `middle` of the box around the body, or of the `file`.
+
+    Raises:
+        SceneError: A file that is cut short or no STL file, or triangles that do not enclose a
+            body of a plausible size.
+    """
+    mesh = _read(data, name)
+    if not np.isfinite(mesh.vertices).all():
+        count = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+        raise SceneError(f"{name}: {count} corners that are not finite; allowed: none")
+    size = float(np.ptp(mesh.vertices, axis=0).max()) * METRES[unit]
+    if not SIZE_MIN <= size <= SIZE_MAX:
+        raise SceneError(
+            f"{name}: {size * 1e3:.4g} mm long, read in {unit}; allowed: {SIZE_MIN * 1e3:g} to "
+            f"{SIZE_MAX * 1e3:g} mm (is the file in another unit?)"
+        )
+    mesh.merge_vertices()
+    faces = np.asarray(mesh.faces)
+    # Where corners fell together nothing is left of a triangle; its neighbours then meet.
+    faces = faces[(np.diff(np.sort(faces, axis=1), axis=1) > 0).all(axis=1)]
+    _check_closed(faces, name)
+    vertices = np.asarray(mesh.vertices, np.float64) * METRES[unit]
+    volume = _volume(vertices, faces)
+    if abs(volume) <= FLAT_TRIANGLE * size**3:
+        raise SceneError(
+            f"{name}: encloses {volume * 1e9:.3g} mm^3; allowed: a body, not a flat sheet"
+        )
+    notes = []
+    if volume < 0:
+        faces = faces[:, ::-1]
+        notes.append(f"{name} is inside out: its triangles were turned round")
+    vertices = _turned(vertices, up, axis)
+    notes += _tip_up(vertices, faces, name, up)
+    return Triangles(vertices, np.ascontiguousarray(faces, np.int32), tuple(notes))
+
+
+def _read(data: bytes, name: str) -> Trimesh:
+    """The file's triangles as they are."""
+    import trimesh
+
+    _check_whole(data, name)
+    try:
+        with warnings.catch_warnings():
+            # NumPy warns of numbers that it cannot read, and goes on with what it has.
+            warnings.simplefilter("error", DeprecationWarning)
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
+    except (ValueError, IndexError, DeprecationWarning) as error:
+        raise SceneError(f"{name}: {error}; allowed: numbers that can be read") from error
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise SceneError(f"{name}: no triangles; allowed: a closed body")
+    return mesh
+
+
+def _check_whole(data: bytes, name: str) -> None:
+    """Refuse a file that is not as long as it says itself."""
+    count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
+    if len(data) >= HEADER and len(data) == HEADER + RECORD * count:
+        if count == 0:
+            raise SceneError(f"{name}: no triangles; allowed: a closed body")
+        return
+    if data.lstrip()[:5].lower() != b"solid" or b"\0" in data:
+        said = f"{count} triangles, {HEADER + RECORD * count} bytes" if len(data) >= HEADER else ""
+        raise SceneError(
+            f"{name}: {len(data)} bytes; allowed: an STL file, "
+            + (f"here of {said} (is it cut short?)" if said else f"of {HEADER} bytes or more")
+        )
+    words = re.findall(rb"^[ \t]*(solid|facet|vertex|endfacet|endsolid)\b", data.lower(), re.M)
+    found = Counter(words)
+    if found[b"facet"] == 0 and found[b"solid"] == found[b"endsolid"]:
+        raise SceneError(f"{name}: no triangles; allowed: a closed body")
+    whole = found[b"endfacet"] == found[b"facet"] and found[b"vertex"] == 3 * found[b"facet"]
+    if not whole or found[b"endsolid"] != found[b"solid"]:
+        raise SceneError(
+            f"{name}: {found[b'facet']} triangles begun, {found[b'endfacet']} ended, "
+            f"{found[b'vertex']} corners, {found[b'endsolid']} endsolid; allowed: 3 corners to a "
+            "triangle and all of them ended (is it cut short?)"
+        )
+
+
+def _check_closed(faces: NDArray[np.int64], name: str) -> None:
+    """Refuse triangles that leave a gap, or neighbours that disagree on what is outside."""
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    ends = np.sort(np.column_stack([start, end]), axis=1)
+    _, edge, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    open_ = int((count % 2 == 1).sum())
+    if open_ or not len(faces):
+        raise SceneError(
+            f"{name}: not watertight, {open_} open edges; allowed: none (repair it where it was "
+            "drawn)"
+        )
+    balance = np.bincount(edge.ravel(), weights=np.where(start < end, 1, -1))
+    against = int((balance != 0).sum())
+    if against:
+        raise SceneError(
+            f"{name}: {against} edges whose two triangles disagree on which side is out; allowed: "
+            "none (repair it where it was drawn)"
+        )
+
+
+def _volume(vertices: Array, faces: NDArray[np.int64]) -> float:
+    """Enclosed volume [m^3], below 0 when inside out."""
+    first, second, third = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
+    return float(np.einsum("ij,ij->", first, np.cross(second, third)) / 6)
+
+
+def _turned(vertices: Array, up: Up, axis: Axis) -> Array:
+    """The vertices with `up` as z, their lowest point at z = 0."""
+    along = "xyz".index(up[1])
+    vertices = np.roll(vertices, 2 - along, axis=1)
+    if up[0] == "-":
+        vertices = vertices * [1.0, -1.0, -1.0]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle = (low + high) / 2 if axis == "middle" else np.zeros(3)
+    turned: Array = vertices - [middle[0], middle[1], low[2]]
+    return turned
+
+
+def _tip_up(vertices: Array, faces: NDArray[np.int64], name: str, up: Up) -> list[str]:
+    """A note when the end that would press is the wider one, as the base of an indenter is."""
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    plan = np.abs(np.cross(second - first, third - first)[:, 2]) / 2
+    height = vertices[:, 2].max()
+    lower = (vertices[faces, 2] < END * height).all(axis=1)
+    upper = (vertices[faces, 2] > (1 - END) * height).all(axis=1)
+    below, above = plan[lower].sum() * 1e6, plan[upper].sum() * 1e6
+    if below <= WIDER * above or above == 0:
+        return []
+    other = ("-" if up[0] == "+" else "+") + up[1]
+    return [
+        f"the end of {name} that presses is flat and wider than the other, {below:.3g} against "
+        f"{above:.3g} mm^2: if it is the base, up={other!r} turns the tip down"
+    ]
+
+
+# Where a distance on a grid has a given value, as triangles that keep sharp edges.
+
+Whole = NDArray[np.int64]
+
+AROUND = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+"""The four cells around an edge of the grid, as steps back along the two other axes."""
+PASSES = 3
+"""Looks at every edge that is crossed."""
+SHARP = 0.01
+"""Directions that the planes of a cell hold less firmly than this, against the firmest, are
+free: the normals lie within some 10 degrees of the others' plane."""
+
+
+def level_surface(
+    values: Array, grid: Grid, function: Callable[[Array], tuple[Array, Array]]
+) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (V, 3) [m] and triangles (F, 3) of the surface where `values` [m] pass through 0.
+
+    Dual contouring (Ju et al. 2002): every cell that is crossed gets one vertex, where the planes
+    in which the surface crosses the cell's sides meet; so the corners and edges of a body with flat
+    faces are exact. Triangles are neither oriented nor always apart, which distances do not mind.
+
+    Args:
+        values: A distance at the nodes.
+        grid: The nodes.
+        function: The distance (N,) and its gradient (N, 3) at places (N, 3) near the surface.
+    """
+    lower, axis = _crossed_edges(values <= 0)
+    upper = lower + np.eye(3, dtype=np.int64)[axis]
+    crossing, normal, above = _crossings(
+        (grid.places(lower), values[tuple(lower.T)]),
+        (grid.places(upper), values[tuple(upper.T)]),
+        function,
+    )
+    cells = _cells_around(lower, axis, grid)
+    known = cells >= 0
+    number, vertex = np.unique(cells[known], return_inverse=True)
+    edge = np.nonzero(known)[0]
+    offset = np.einsum("ij,ij->i", normal, crossing) - above
+    corner = grid.places(np.column_stack(np.unravel_index(number, grid.shape)))
+    vertices = _where_planes_meet(vertex, normal[edge], offset[edge], crossing[edge], len(number))
+    # Planes may meet a little outside of their cell, and there is the corner then.
+    vertices = np.clip(vertices, corner - grid.spacing, corner + 2 * grid.spacing)
+
+    quads = np.full(cells.shape, -1)
+    quads[known] = vertex
+    quads = quads[known.all(axis=1)]
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return vertices, faces.astype(np.int32)
+
+
+def _crossed_edges(inside: NDArray[np.bool_]) -> tuple[Whole, Whole]:
+    """Lower node (N, 3) and axis (N,) of every edge of the grid with one end inside."""
+    lower, axes = [], []
+    for axis in range(3):
+        found = np.argwhere(np.diff(inside, axis=axis))
+        lower.append(found)
+        axes.append(np.full(len(found), axis))
+    return np.concatenate(lower), np.concatenate(axes)
+
+
+def _crossings(
+    lower: tuple[Array, Array],
+    upper: tuple[Array, Array],
+    function: Callable[[Array], tuple[Array, Array]],
+) -> tuple[Array, Array, Array]:
+    """Where edges are crossed (N, 3), the gradient there, and what the function still is there.
+
+    The ends are given with the function's values. They are drawn together by false position; what
+    is left of the way is along the gradient, and no matter on a plane.
+    """
+    (low, at_low), (high, at_high) = lower, upper
+    for turn in range(PASSES):
+        share = at_low / (at_low - at_high)
+        place = low + share[:, None] * (high - low)
+        value, gradient = function(place)
+        if turn < PASSES - 1:
+            like_low = (value > 0) == (at_low > 0)
+            low, high = (
+                np.where(like_low[:, None], place, low),
+                np.where(like_low[:, None], high, place),
+            )
+            at_low, at_high = np.where(like_low, value, at_low), np.where(like_low, at_high, value)
+    return place, gradient, value
+
+
+def _cells_around(lower: Whole, axis: Whole, grid: Grid) -> Whole:
+    """Numbers of the four cells around edges (N, 4), by their lowest node; -1 where none is."""
+    cells = np.repeat(lower[:, None, :], 4, axis=1)
+    every = np.arange(len(lower))
+    for turn in (0, 1):
+        cells[every, :, (axis + 1 + turn) % 3] -= AROUND[:, turn]
+    there = ((cells >= 0) & (cells < np.array(grid.shape) - 1)).all(axis=2)
+    numbers = np.full(there.shape, -1)
+    numbers[there] = np.ravel_multi_index(tuple(cells[there].T), grid.shape)
+    return numbers
+
+
+def _where_planes_meet(
+    vertex: Whole, normal: Array, offset: Array, crossing: Array, count: int
+) -> Array:
+    """The point (count, 3) of each vertex that is nearest to its planes, normal . x = offset.
+
+    The least squares are solved from the mean of the crossings, and only along directions that
+    the planes hold.
+    """
+
+    def summed(values: Array) -> Array:
+        total: Array = np.bincount(vertex, values, count).astype(np.float64)
+        return total
+
+    planes = summed(np.ones(len(vertex)))
+    mean = np.stack([summed(crossing[:, i]) / planes for i in range(3)], axis=1)
+    short = offset - np.einsum("ij,ij->i", normal, mean[vertex])
+    pull = np.stack([summed(normal[:, i] * short) for i in range(3)], axis=1)
+    squares = np.empty((count, 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            squares[:, i, j] = squares[:, j, i] = summed(normal[:, i] * normal[:, j])
+    size, along = np.linalg.eigh(squares)
+    firm = size > SHARP * size[:, 2:]
+    step = np.einsum("nij,ni->nj", along, pull) * firm / np.where(firm, size, 1.0)
+    met: Array = mean + np.einsum("nij,nj->ni", along, step)
+    return met
+
 
 SPACING, REACH = 0.1e-3, 5e-3
 """Of the grid, and how far above the tip it goes, unless told otherwise [m]."""

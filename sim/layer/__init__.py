@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from sim.layer.grid import Grid
-from sim.layer.press import Press
-from sim.layer.solver import simulate_layer
+from sim.layer.solver import Press, simulate_layer
+from sim.layer.spectral import Grid
 
 __all__ = ["Grid", "Press", "simulate_layer"]

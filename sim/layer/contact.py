@@ -2,16 +2,79 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.layer.convolution import Elastic
-from sim.layer.descent import Problem, descend
+from sim.indenters import Indenter
+from sim.layer.spectral import Elastic, Grid
+from sim.scene import Motion
+
+# Projected gradient descent: the least of a quadratic energy within simple bounds.
 
 Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Find x within bounds for which 1/2 x.A x + b.x is least."""
+
+    apply: Callable[[Array], Array]
+    """A x; A is symmetric and positive."""
+    project: Callable[[Array], Array]
+    """The nearest point within the bounds."""
+    local: float
+    """A typical element of A's diagonal."""
+    scale: float | None = None
+    """Norm that residuals are compared with; None: the norm of x itself."""
+
+    def residual(self, x: Array, slope: Array) -> float:
+        """|x - project(x - slope / local)| over the scale: 0 at the solution only, at most 1."""
+        distance = float(np.linalg.norm(x - self.project(x - slope / self.local)))
+        scale = float(np.linalg.norm(x)) if self.scale is None else self.scale
+        return distance / max(scale, distance) if distance > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a descent ended."""
+
+    x: Array
+    slope: Array
+    """A x + b there."""
+    residual: float
+    iterations: int
+
+
+def descend(
+    problem: Problem, x: Array, slope: Array, *, tolerance: float, iterations: int
+) -> Found:
+    """Go down from `x` (within the bounds, with its slope) to a residual of `tolerance`.
+
+    Ends earlier after `iterations`. Step lengths are Barzilai and Borwein's (IMA J. Numer. Anal. 8
+    (1988) 141), long and short by turns. The energy falls in each iteration, because a move ends
+    where it is least on the way (Birgin, Martinez & Raydan, SIAM J. Optim. 10 (2000) 1196, with the
+    exact search that a quadratic allows). Each iteration takes one product with A.
+    """
+    step, done = 1 / problem.local, 0
+    residual = problem.residual(x, slope)
+    while residual > tolerance and done < iterations:
+        done += 1
+        move = problem.project(x - step * slope) - x
+        answer = problem.apply(move)
+        curvature, size = float(np.vdot(move, answer)), float(np.vdot(answer, answer))
+        if not (curvature > 0 and size > 0):
+            break  # nothing is left that a number can hold: squares vanish before residuals do
+        share = min(1.0, -float(np.vdot(slope, move)) / curvature)
+        x = x + share * move
+        slope = slope + share * answer
+        step = float(np.vdot(move, move)) / curvature if done % 2 else curvature / size
+        residual = problem.residual(x, slope)
+    return Found(x, slope, residual, done)
+
 
 ITERATIONS = 300
 """Iterations of one descent; 10 are usual, 30 from nothing."""
@@ -123,3 +186,83 @@ def _within(shear: Array, bound: Array) -> Array:
     length = np.sqrt(shear[0] ** 2 + shear[1] ** 2)
     inside: Array = shear * (bound / np.maximum(np.maximum(length, bound), TINY))
     return inside
+
+
+# The gap between the untouched body and the indenter, wherever its tip goes.
+
+FINENESS = 2
+"""Samples of the indenter's lower surface in a pixel's width."""
+
+
+class Clearance:
+    """Heights of an indenter, sampled once, and read between the samples as the tip moves.
+
+    Samples lie under the pixels when the tip is at the motion's first waypoint: a straight press
+    reads the samples themselves. In between, the height is the cubic through the 4 x 4 samples
+    around, kept within those of the cell; in a cell with a corner that cannot touch, the nearest
+    sample's, which keeps a wall's place on average.
+    """
+
+    def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
+        """Sample everything that the motion can bring over the body."""
+        body, tip = grid.body, np.asarray(motion.tip)
+        self._grid, self._anchor = grid, tip[0]
+        self._step = tuple(pixel / FINENESS for pixel in grid.pixel)
+        self.surface = body.heights(grid.x, grid.y)
+        """Height of the untouched top (nx, ny) [m]."""
+        self._cap = 2 * (motion.depth_max - float(self.surface.min())) + body.thickness / 2
+        far = tip[:, :2] - self._anchor[:2]
+        samples = []
+        self._first: list[int] = []
+        for axis, centres in enumerate((grid.x, grid.y)):
+            low, high = -far[:, axis].max(), -far[:, axis].min()
+            first = int(np.floor(low / self._step[axis])) - 2
+            last = FINENESS * (len(centres) - 1) + int(np.ceil(high / self._step[axis])) + 3
+            offsets = np.arange(first, last + 1) * self._step[axis]
+            samples.append(centres[0] - self._anchor[axis] + offsets)
+            self._first.append(first)
+        heights = indenter.heights(samples[0][:, None], samples[1][None, :], reach=self._cap)
+        self._heights = np.minimum(heights, self._cap)
+
+    def at(self, tip: Array) -> Array:
+        """The gap at every pixel (nx, ny) with the tip at (3,) [m]; below 0 they overlap."""
+        whole, rest = [], []
+        for axis in range(2):
+            place = (self._anchor[axis] - tip[axis]) / self._step[axis]
+            whole.append(int(np.floor(place)) - self._first[axis])
+            rest.append(place - np.floor(place))
+        gap: Array = self._read(whole, rest) + tip[2] - self.surface
+        return gap
+
+    def _read(self, whole: list[int], rest: list[float]) -> Array:
+        nx, ny = self._grid.shape
+
+        def sample(i: int, j: int) -> Array:
+            return self._heights[_every(whole[0] + i, nx), _every(whole[1] + j, ny)]
+
+        corners = [sample(i, j) for i in (0, 1) for j in (0, 1)]
+        low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+        rows: Array = np.zeros((nx, self._heights.shape[1]))
+        for i, weight in enumerate(_weights(rest[0])):
+            rows += weight * self._heights[_every(whole[0] + i - 1, nx)]
+        cubic: Array = np.zeros((nx, ny))
+        for j, weight in enumerate(_weights(rest[1])):
+            cubic += weight * rows[:, _every(whole[1] + j - 1, ny)]
+        nearest = sample(int(rest[0] >= 0.5), int(rest[1] >= 0.5))
+        return np.where(high < self._cap, np.clip(cubic, low, high), nearest)
+
+
+def _every(first: int, count: int) -> slice:
+    """The samples under `count` pixels, the first of them given."""
+    return slice(first, first + FINENESS * (count - 1) + 1, FINENESS)
+
+
+def _weights(rest: float) -> tuple[float, float, float, float]:
+    """Lagrange's weights of the samples at -1, 0, 1, 2 for the place `rest`."""
+    before, here, after, beyond = rest + 1, rest, rest - 1, rest - 2
+    return (
+        -here * after * beyond / 6,
+        before * after * beyond / 2,
+        -before * here * beyond / 2,
+        before * here * after / 6,
+    )

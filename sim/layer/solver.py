@@ -2,17 +2,397 @@
 
 from __future__ import annotations
 
+import math
+import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.errors import SceneError
-from sim.layer.frames import Frames
-from sim.layer.grid import Grid
-from sim.layer.press import Press, precision
-from sim.result import Result
+from sim.effects import Viscosity
+from sim.errors import SceneError, SimulationDiverged
+from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
+from sim.layer.spectral import Convolutions, Grid
+from sim.result import Quality, Result
 from sim.scene import Scene
+
+# What a relaxing layer remembers: the stress in its Maxwell branches, pixel by pixel.
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Relaxed:
+    """How a step's traction follows from its elastic part: factor * elastic + held."""
+
+    factor: float
+    held: Array
+    """(3, X, Y) [Pa]."""
+    kept: tuple[float, ...]
+    """What is left of each branch's stress after the step, of 1."""
+    gained: tuple[float, ...]
+    """What each branch takes up of a change in the elastic part."""
+
+
+class History:
+    """Tractions of a layer whose relaxation is the same for all deformations.
+
+    With E(t) = E (1 + sum_i ratio_i exp(-t / time_i)) and a constant Poisson's ratio, the traction
+    is that of the elastic layer with the present displacement, `elastic`, and for each branch the
+    convolution of its change with ratio_i exp(-t / time_i). `elastic` changes evenly within a
+    step, for which the convolution is exact (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2
+    (1970) 45).
+    """
+
+    def __init__(self, viscosity: Viscosity | None, shape: tuple[int, int]) -> None:
+        """Begin at rest and untouched; without viscosity there is nothing to remember."""
+        self._ratios = viscosity.ratios if viscosity else ()
+        self._times = viscosity.times if viscosity else ()
+        self.elastic: Array = np.zeros((3, *shape))
+        """Traction that the elastic layer would need for the present displacement [Pa]."""
+        self._tractions: list[Array] = [np.zeros((3, *shape)) for _ in self._ratios]
+
+    def after(self, duration: float) -> Relaxed:
+        """How the traction follows from the elastic part after `duration` [s]; 0 is a jump."""
+        spans = [duration / time for time in self._times]
+        kept = tuple(math.exp(-span) for span in spans)
+        gained = tuple(
+            ratio * (-math.expm1(-span) / span if span > 0 else 1.0)
+            for ratio, span in zip(self._ratios, spans, strict=True)
+        )
+        held = np.zeros_like(self.elastic) - sum(gained) * self.elastic
+        for share, branch in zip(kept, self._tractions, strict=True):
+            held += share * branch
+        return Relaxed(1 + sum(gained), held, kept, gained)
+
+    def take(self, step: Relaxed, elastic: Array) -> None:
+        """End a step with this elastic part."""
+        change = elastic - self.elastic
+        self._tractions = [
+            share * branch + gain * change
+            for share, gain, branch in zip(step.kept, step.gained, self._tractions, strict=True)
+        ]
+        self.elastic = elastic
+
+    def branches(self) -> list[tuple[float, Array]]:
+        """Stiffness over that at rest, and traction [Pa], of every branch that has any."""
+        return [
+            (ratio, traction)
+            for ratio, traction in zip(self._ratios, self._tractions, strict=True)
+            if ratio > 0
+        ]
+
+
+# A layer under an indenter: the state it is in, and the steps that move it on.
+
+TRAVEL = 0.1
+"""Longest step in radii of the contact. Within a step every pixel slides and relaxes evenly, also
+those touched half-way, and halving the step halves that error. At 0.1 a sphere's shear forces are
+off by 0.1, 0.3, 1.5 % of their peak with friction 0.3, 0.8, 3, against steps 20 times as short."""
+TRAVEL_LEAST = 0.5
+"""The same in pixels, where the contact is small."""
+HALVINGS = 4
+"""How often a step that does not converge is halved."""
+BULGE = 0.2
+"""Share of the overlap by which the skin may rise beside the contact and touch elsewhere."""
+BLOCK = 8
+"""Windows grow by this many pixels, so that few sizes occur."""
+SINGLE = 1e-3
+"""Least tolerance that is left to single precision, which ends at some 1e-5."""
+OVERLAP = 1e-2
+"""Share of the tip's depth that may be left as overlap outside of the window."""
+
+
+def precision(tolerance: float) -> type[np.floating[Any]]:
+    """What contacts are solved in: single precision where it can reach the tolerance."""
+    return np.float32 if tolerance >= SINGLE else np.float64
+
+
+@dataclass(slots=True)
+class Spent:
+    """What moves have cost."""
+
+    iterations: int = 0
+    steps: int = 0
+
+
+class Press:
+    """One scene's layer, moved step by step; `traction` and `displacement` are its state."""
+
+    def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
+        """Start untouched, the tip above the first waypoint."""
+        effects = scene.effects
+        self._scene = scene
+        self.grid = grid
+        self.traction: Array = np.zeros((3, *grid.shape))
+        """Of the indenter on the body (3, nx, ny) [Pa]."""
+        self.history = History(effects.viscosity, grid.shape)
+        x, y, z = scene.motion.tip[0]
+        self.tip = np.array([x, y, max(z, 0.0)])
+        """Where the tip is [m]."""
+        self.residual = 0.0
+        """Of the last step's contact."""
+        self.work = 0.0
+        """Done by the indenter so far, by the trapezoid rule [J]."""
+        self.spent = Spent()
+        self._tolerance = tolerance
+        self._rubs = effects.friction is not None
+        self._coefficient = effects.friction.coefficient if effects.friction else 0.0
+        self._clearance = Clearance(scene.indenter, grid, scene.motion)
+        self._convolutions = Convolutions(grid, precision(tolerance))
+        self._tried: list[str] = []
+        self.displacement: Array = np.zeros((3, *grid.shape), np.float32)
+        """Of the top (3, nx, ny) [m]."""
+
+    @property
+    def force(self) -> Array:
+        """Force of the indenter on the body (3,) [N]."""
+        total: Array = self.traction.sum(axis=(1, 2)) * self.grid.area
+        return total
+
+    @property
+    def gap(self) -> Array:
+        """Between indenter and body (nx, ny) [m]; below 0 they overlap."""
+        gap: Array = self._clearance.at(self.tip) - self.displacement[2]
+        return gap
+
+    @property
+    def wrench(self) -> Array:
+        """Force and torque about the tip of the indenter on the body (6,) [N, N m]."""
+        touched = self.traction.any(axis=0)
+        row, column = np.nonzero(touched)
+        untouched = np.stack(
+            [self.grid.x[row], self.grid.y[column], self._clearance.surface[touched]]
+        )
+        lever = untouched + self.displacement[:, touched] - self.tip[:, None]
+        push = self.traction[:, touched] * self.grid.area
+        return np.concatenate([push.sum(axis=1), np.cross(lever, push, axis=0).sum(axis=1)])
+
+    @property
+    def slip_excess(self) -> float:
+        """Most by which shear exceeds friction, over the largest pressure; NaN without friction."""
+        pressure = -self.traction[2]
+        if not self._rubs or not pressure.any():
+            return 0.0 if self._rubs else math.nan
+        shear = np.hypot(self.traction[0], self.traction[1])
+        return float((shear - self._coefficient * pressure).max() / pressure.max())
+
+    @property
+    def energy(self) -> float:
+        """Held in all springs [J]."""
+        rest = float(np.vdot(self.history.elastic, self.displacement))
+        branches = (
+            float(np.vdot(traction, self._moved_by(traction))) / stiffness
+            for stiffness, traction in self.history.branches()
+        )
+        return 0.5 * self.grid.area * (rest + sum(branches))
+
+    def move(self, tip: Array, duration: float) -> None:
+        """Bring the tip straight to `tip` (3,) [m] in `duration` [s], in as many steps as it takes.
+
+        Raises:
+            SimulationDiverged: A step did not converge, halved again and again.
+        """
+        start, left = self.tip, 1.0
+        length = float(np.linalg.norm(tip - start))
+        while left > 0:
+            share = min(left, self._longest(tip) / length) if length > 0 else left
+            share = left / math.ceil(left / share - 1e-9)
+            left = left - share if share < left else 0.0
+            self._step_or_halve(tip + (start - tip) * left, duration * share, 0)
+
+    def _longest(self, tip: Array) -> float:
+        """How far the next step on the way to `tip` may go [m]."""
+        radius = math.sqrt(np.count_nonzero(self.traction[2]) * self.grid.area / math.pi)
+        longest = max(TRAVEL * radius, TRAVEL_LEAST * min(self.grid.pixel))
+        if radius == 0:
+            here = float(self.gap.min())
+            there = float((self._clearance.at(tip) - self.displacement[2]).min())
+            free = 1.0 if there >= 0 else max(0.0, here) / (max(0.0, here) - there)
+            longest = max(longest, free * float(np.linalg.norm(tip - self.tip)))
+        return longest
+
+    def _step_or_halve(self, tip: Array, duration: float, halvings: int) -> None:
+        self._tried = self._tried if halvings else []
+        if self._step(tip, duration):
+            return
+        if halvings == HALVINGS:
+            raise self._diverged()
+        middle = (self.tip + tip) / 2
+        self._step_or_halve(middle, duration / 2, halvings + 1)
+        self._step_or_halve(tip, duration / 2, halvings + 1)
+
+    def _diverged(self) -> SimulationDiverged:
+        dump = self._dump()
+        x, y, z = self.tip * 1e3
+        return SimulationDiverged(
+            f"no converged state after the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
+            f"{len(self._tried)} steps failed, the last: {self._tried[-1]}; state: "
+            f"{dump or 'could not be written'}",
+            tried=tuple(self._tried),
+            dump=dump,
+        )
+
+    def _dump(self) -> Path | None:
+        """The file that the present state was written to; None where it could not be."""
+        try:
+            path = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
+            np.savez_compressed(
+                path,
+                scene=repr(self._scene),
+                tip=self.tip,
+                traction=self.traction,
+                displacement=self.displacement,
+            )
+        except OSError:
+            return None
+        return path
+
+    def _step(self, tip: Array, duration: float) -> bool:
+        """Whether the step converged; if not, nothing has changed."""
+        gap = self._clearance.at(tip)
+        relaxed = self.history.after(duration)
+        touching = self.history.elastic.any(axis=0)
+        touching |= gap < BULGE * max(0.0, -float(gap.min()))
+        while True:
+            window = self._window(touching)
+            found = self._solve(window, gap, tip, relaxed)
+            self.spent.steps += 1
+            self.spent.iterations += found.iterations
+            if not found.residual <= self._tolerance:
+                travel = float(np.linalg.norm(tip - self.tip))
+                self._tried.append(
+                    f"step of {travel * 1e3:.4g} mm, {found.iterations} iterations, residual "
+                    f"{found.residual:.2e} (allowed {self._tolerance:.2e})"
+                )
+                return False
+            traction = np.zeros_like(self.traction)
+            traction[window] = found.traction
+            elastic = (traction - relaxed.held) / relaxed.factor
+            displacement = self._moved_by(elastic)
+            missed = gap - displacement[2] < -OVERLAP * abs(tip[2])
+            missed[window[1:]] = False
+            if not missed.any():
+                break
+            touching |= missed
+        before = self.force
+        self.traction, self.displacement = traction, displacement
+        self.history.take(relaxed, elastic)
+        self.work += 0.5 * float((before + self.force) @ (tip - self.tip))
+        self.tip, self.residual = tip, found.residual
+        return True
+
+    def _solve(
+        self, window: tuple[slice, ...], gap: Array, tip: Array, relaxed: Relaxed
+    ) -> Contact:
+        """Solve the elastic contact that the step's relaxing one comes down to.
+
+        With traction = factor * elastic + held, the gap is gap - C (traction - held) / factor: that
+        of an elastic layer, all lengths multiplied by the factor.
+        """
+        dtype = self._convolutions.dtype
+        elastic = self.history.elastic[window].astype(dtype)
+        held = relaxed.held[window].astype(dtype)
+        away = (relaxed.factor * gap[window[1:]]).astype(dtype)
+        body = self._convolutions.within(away.shape)
+        relief = body.answer.full(held) if held.any() else np.zeros_like(held)
+        away += relief[2]
+        # A guess: the displacement stays as it is.
+        start = relaxed.factor * elastic + held
+        if not self._coefficient:
+            return solve_frictionless(body, away, start, tolerance=self._tolerance)
+        travel = (tip - self.tip)[:2, None, None].astype(dtype)
+        slip = -relaxed.factor * (body.answer.full(elastic)[:2] + travel) - relief[:2]
+        return solve_frictional(
+            body, away, slip, self._coefficient, start, tolerance=self._tolerance
+        )
+
+    def _moved_by(self, elastic: Array) -> Array:
+        return self._convolutions.whole.full(elastic.astype(np.float32))
+
+    def _window(self, touching: NDArray[np.bool_]) -> tuple[slice, ...]:
+        """The block of pixels to solve on, as slices of (3, nx, ny)."""
+        window: list[slice] = [slice(None)]
+        for axis in range(2):
+            size = self.grid.shape[axis]
+            used = np.flatnonzero(touching.any(axis=1 - axis))
+            first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 1)
+            wide = min(size, BLOCK * math.ceil((last - first + 2) / BLOCK))
+            low = min(max(0, (first + last - wide) // 2), size - wide)
+            window.append(slice(low, low + wide))
+        return tuple(window)
+
+
+# What is kept of a press at each waypoint: force, surface, and how far it can be trusted.
+
+
+class Frames:
+    """Frames of one press, filled one after the other.
+
+    `balance` stays NaN: base and top are in balance wave by wave, there is nothing to compare.
+    """
+
+    def __init__(self, scene: Scene, press: Press) -> None:
+        """Make room for a frame at each waypoint."""
+        self._scene, self._press = scene, press
+        count = len(scene.motion)
+        self._wrench = np.zeros((count, 6))
+        self._surface = np.zeros((count, *press.grid.shape, 3), np.float32)
+        self._traction = np.zeros((count, *press.grid.shape, 3), np.float32)
+        self._quality = {
+            name: np.full(count, np.nan)
+            for name in ("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess")
+        }
+        self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._start: tuple[float, float] | None = None
+        self._work_most = 0.0
+
+    def keep(self, frame: int) -> None:
+        """Keep the press as it is now."""
+        press, quality = self._press, self._quality
+        self._surface[frame] = np.moveaxis(press.displacement, 0, -1)
+        self._traction[frame] = np.moveaxis(press.traction, 0, -1)
+        self._wrench[frame] = press.wrench
+        quality["residual"][frame] = press.residual
+        overlap = max(0.0, -float(press.gap.min()))
+        quality["contact"][frame] = overlap / -press.tip[2] if press.tip[2] < 0 else 0.0
+        quality["energy_gap"][frame] = self._lost()
+        quality["slip_excess"][frame] = press.slip_excess
+        self._newton[frame], self._steps[frame] = press.spent.iterations, press.spent.steps
+        press.spent = Spent()
+
+    def _lost(self) -> float:
+        energy, work = self._press.energy, self._press.work
+        if self._start is None:
+            self._start = energy, work
+        stored, done = energy - self._start[0], work - self._start[1]
+        self._work_most = max(self._work_most, done)
+        return (done - stored) / self._work_most if self._work_most > 0 else 0.0
+
+    def result(self, record: dict[str, Any]) -> Result:
+        """The result, once every frame was kept."""
+        grid = self._press.grid
+        return Result(
+            scene=self._scene,
+            tier="layer",
+            wrench=self._wrench,
+            surface_x=grid.x.astype(np.float64),
+            surface_y=grid.y.astype(np.float64),
+            surface=self._surface,
+            traction=self._traction,
+            quality=Quality(
+                **self._quality,
+                newton=self._newton,
+                cg=np.zeros_like(self._newton),
+                steps=self._steps,
+            ),
+            record=record,
+        )
+
 
 GRID = 128
 """Pixels along the longer side: on a body of 20 mm, forces of spheres within 0.1 %."""

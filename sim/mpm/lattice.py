@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.body import Body
 from sim.errors import SceneError
-from sim.mpm.numerics import MpmNumerics
-from sim.scene import Scene
+from sim.mpm.numerics import STABLE, MpmNumerics
+from sim.scene import Body, Scene
 
 Array = NDArray[np.float64]
 
@@ -150,3 +149,145 @@ def same_body(scenes: Sequence[Scene]) -> Body:
                     f"{getattr(first, name)!r}, as in the batch's first scene"
                 )
     return first
+
+
+# How heavy the body is made, how long a time step is, and at which step each waypoint comes.
+
+QUASI_STATIC = 0.03
+"""Tip speed over wave speed above which a press without inertia is not called quasi-static."""
+STANDING = 4.0
+"""How long the tip of a scene without inertia stands where its motion has it stand still [slowest
+periods of the layer]."""
+SETTLING = 6.0
+"""How long a body is given to come to rest under its weight, with `CRITICAL` damping [periods]."""
+ENTRY_SPEED = 10e-3
+"""Speed of a tip whose motion has none [m/s]."""
+STEPS_MOST = 5_000_000
+"""The readings of that many steps fill 360 MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """One scene's mass, time step and schedule."""
+
+    mass_scaling: float
+    """Mass over real mass."""
+    wave_speed: float
+    """Of pressure waves in the body with that mass [m/s]."""
+    time_step: float
+    """[s]."""
+    courant: float
+    """Wave speed * time step / cell."""
+    tip_speed: float
+    """Fastest the tip goes [m/s]."""
+    corners: Array
+    """Start and waypoints in the contact frame (F + 1, 3) [m]."""
+    at: NDArray[np.int64]
+    """Step after which the tip is at each of them (F + 1,); until the first, the body settles."""
+    window: int
+    """Steps that a frame's force is fitted to."""
+    settling: float
+    """Share of its velocity that the body loses each step until the first corner."""
+
+    @property
+    def steps(self) -> int:
+        """Steps of the whole motion."""
+        return int(self.at[-1])
+
+    @property
+    def speed_ratio(self) -> float:
+        """Tip speed over wave speed."""
+        return self.tip_speed / self.wave_speed
+
+
+def pace_of(scene: Scene, numerics: MpmNumerics, cell: float) -> Pace:
+    """The mass and the schedule of a scene on a grid of this cell [m].
+
+    Raises:
+        SceneError: A time step that is not stable, a mass that is asked for twice, or a motion of
+            more steps than can be counted.
+    """
+    body = scene.body
+    corners = _corners(scene)
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    durations = np.diff(np.asarray(scene.motion.time))
+    speeds = lengths[1:] / durations
+    tip_speed = float(speeds.max(initial=0.0)) or ENTRY_SPEED
+    scaling = _mass_scaling(scene, numerics, tip_speed)
+    speed = wave_speed(body, scaling)
+    step = _time_step(numerics, cell, speed)
+    entry = [lengths[0] / tip_speed]
+    period = 4 * body.thickness / math.sqrt(body.shear_modulus / (body.density * scaling))
+    timeless = scene.effects.inertia is None and numerics.mass_scaling is None
+    if timeless:
+        durations = np.where(lengths[1:] > 0, lengths[1:] / tip_speed, STANDING * period)
+    settling = 0
+    if scene.effects.gravity is not None:
+        settling = math.ceil(SETTLING * period / step)
+    moments = np.concatenate([[0.0], np.cumsum(np.concatenate([entry, durations]))])
+    if moments[-1] / step + settling > STEPS_MOST:
+        raise SceneError(
+            f"motion: {moments[-1]:.3g} s are {moments[-1] / step:.3g} steps of {step:.3g} s; "
+            f"allowed: {STEPS_MOST:,} steps (scale the mass, or leave inertia out)"
+        )
+    at = np.round(moments / step).astype(np.int64)
+    for index in range(1, len(at)):
+        # Each waypoint has a step of its own, except a start that is the first of them.
+        at[index] = max(at[index], at[index - 1] + (index > 1 or lengths[0] > 0))
+    return Pace(
+        mass_scaling=scaling,
+        wave_speed=speed,
+        time_step=step,
+        courant=speed * step / cell,
+        tip_speed=tip_speed,
+        corners=corners,
+        at=at + settling,
+        window=math.ceil(numerics.window * body.thickness / speed / step),
+        # Critical damping of the slowest shear wave, a quarter wave through the thickness.
+        settling=min(1.0, 4 * math.pi / period * step),
+    )
+
+
+def wave_speed(body: Body, mass_scaling: float = 1.0) -> float:
+    """Speed of pressure waves, sqrt((K + 4/3 G) / density) [m/s]."""
+    stiffness = body.bulk_modulus + 4 / 3 * body.shear_modulus
+    return math.sqrt(stiffness / (body.density * mass_scaling))
+
+
+def _corners(scene: Scene) -> Array:
+    """Waypoints, after a start straight above the first where that one is inside the body."""
+    tip = np.asarray(scene.motion.tip, float)
+    start = tip[0].copy()
+    start[2] = max(start[2], 0.0)
+    return np.concatenate([start[None], tip])
+
+
+def _mass_scaling(scene: Scene, numerics: MpmNumerics, tip_speed: float) -> float:
+    inertia = scene.effects.inertia
+    if inertia is None:
+        if numerics.mass_scaling is not None:
+            return numerics.mass_scaling
+        return (numerics.speed_ratio * wave_speed(scene.body) / tip_speed) ** 2
+    if numerics.mass_scaling is not None:
+        raise SceneError(
+            f"numerics.mass_scaling: {numerics.mass_scaling!r} with effects.inertia.scale "
+            f"{inertia.scale!r}; allowed: None, the effect says how heavy the body is"
+        )
+    if inertia.scale < 1e-12:
+        raise SceneError(
+            f"inertia.scale: {inertia.scale!r}; allowed by tier 'mpm': 1e-12 or more, it moves "
+            "masses"
+        )
+    return inertia.scale
+
+
+def _time_step(numerics: MpmNumerics, cell: float, speed: float) -> float:
+    if numerics.time_step is None:
+        return numerics.safety * cell / speed
+    limit = STABLE * cell / speed
+    if numerics.time_step > limit:
+        raise SceneError(
+            f"numerics.time_step: {numerics.time_step!r} s; allowed: up to {limit:.3g} s, in which "
+            f"a wave at {speed:.3g} m/s crosses {STABLE:g} of a cell of {cell * 1e3:.3g} mm"
+        )
+    return numerics.time_step

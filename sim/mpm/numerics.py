@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from sim.checks import check_range
-from sim.errors import SceneError
+from sim.errors import SceneError, check_range
 
 STABLE = 0.9
 """Largest Courant number, wave speed * time step / cell, that is let through. Measured: spheres

@@ -12,14 +12,17 @@ import warp as wp
 
 from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.indenters.device import PartTable
-from sim.mpm.lattice import Lattice
-from sim.mpm.nodes import IMPULSE_UNIT, READINGS, node_kernel
+from sim.mpm.kernels import (
+    FIXED_POINT,
+    IMPULSE_UNIT,
+    READINGS,
+    node_kernel,
+    particle_kernel,
+    reading_kernels,
+    tip_kernel,
+)
+from sim.mpm.lattice import Lattice, Pace
 from sim.mpm.numerics import MpmNumerics
-from sim.mpm.pace import Pace
-from sim.mpm.particles import particle_kernel
-from sim.mpm.readings import reading_kernels
-from sim.mpm.spline import FIXED_POINT
-from sim.mpm.tip import tip_kernel
 from sim.scene import Scene
 
 ROUND = 64

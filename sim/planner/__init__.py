@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from sim.planner.choices import Choice
-from sim.planner.plan import Offer, Plan, plan
-from sim.planner.run import simulate_within, with_error_bar
-from sim.planner.tolerance import Tolerance, tolerance_of
+from sim.planner.features import Choice, Tolerance, tolerance_of
+from sim.planner.plan import Offer, Plan, plan, simulate_within, with_error_bar
 
 __all__ = [
     "Choice",

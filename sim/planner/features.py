@@ -7,18 +7,77 @@ the contact is, how large the force, and how far the markers move.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import astuple, dataclass, fields
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.fem.path import path_of, sharpest
+from sim.fem.newton import path_of, sharpest
 from sim.layer import simulate_layer
 from sim.metrics import WEAK, Outcome, marker_pixels, outcome_of
-from sim.planner.tolerance import Kind
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+
+
+# What error a person accepts: "2 %", "0.05 N" or "0.5 px".
+
+Kind = Literal["share", "force", "marker"]
+KINDS: tuple[Kind, ...] = ("share", "force", "marker")
+ALLOWED = 'a number above 0 with its unit: "2 %", "0.05 N" or "0.5 px"'
+_UNITS: dict[str, tuple[Kind, float]] = {
+    "%": ("share", 0.01),
+    "N": ("force", 1.0),
+    "mN": ("force", 1e-3),
+    "px": ("marker", 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """The largest error accepted at any frame.
+
+    `share`: |F_i - Ftrue_i| along x, y or z over max(|Ftrue| of the frame, a tenth of the largest);
+    `force`: |F_i - Ftrue_i| [N]; `marker`: root mean square of the distances between 14 x 14
+    markers' images and where they should be [px], seen by the paper's camera.
+    """
+
+    kind: Kind
+    value: float
+
+    def __str__(self) -> str:
+        """As a person writes it."""
+        return said(self.kind, self.value)
+
+
+def tolerance_of(text: str) -> Tolerance:
+    """The tolerance that `text` writes.
+
+    Raises:
+        SceneError: It is none.
+    """
+    match = re.fullmatch(r"\s*(\S+?)\s*(%|mN|N|px)\s*", text) if isinstance(text, str) else None
+    try:
+        number = float(match[1]) if match else math.nan
+    except ValueError:
+        number = math.nan
+    if match is None or not (math.isfinite(number) and number > 0):
+        raise SceneError(f"tolerance: {text!r}; allowed: {ALLOWED}")
+    kind, unit = _UNITS[match[2]]
+    return Tolerance(kind, number * unit)
+
+
+def said(kind: Kind, value: float) -> str:
+    """A value of a kind with its unit."""
+    if kind == "share":
+        return f"{100 * value:.3g} %"
+    return f"{value:.3g} {'N' if kind == 'force' else 'px'}"
+
 
 Array = NDArray[np.float64]
 
@@ -190,3 +249,62 @@ def _steps(scene: Scene) -> float:
         path.segment = segment
         total += round(1 / path.limit)
     return max(total, 1.0)
+
+
+# What a planner can choose: the tier, the mesh, the precision.
+
+LADDER = (3, 4, 5, 6, 8)
+"""Meshes of `fem`, as elements that one thickness is long: an element is thickness / cells."""
+COARSER_BY = 1.3
+"""An error bar comes from a mesh with elements at least so much larger."""
+LAYER_COMPANION = 4
+"""The mesh of `fem` that an error bar of `layer` comes from."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Choice:
+    """One way to solve a scene. `mpm` is none: `fem` is faster at every error."""
+
+    tier: Literal["layer", "fem"]
+    cells: int = 0
+    """Elements that one thickness is long; 0 for `layer`."""
+    precision: Literal["float32", "float64"] = "float32"
+    """float32 goes on in float64 by itself where it must."""
+
+    def __str__(self) -> str:
+        """In words."""
+        if self.tier == "layer":
+            return "layer"
+        return f"fem, element 1/{self.cells} of the thickness, {self.precision}"
+
+    def numerics(self, body: Body) -> Numerics | None:
+        """The settings of `fem` for a body; None for `layer`."""
+        if self.tier == "layer":
+            return None
+        from sim.fem.numerics import Numerics
+
+        precision: Literal["auto", "float64"] = "auto" if self.precision == "float32" else "float64"
+        return Numerics(spacing=body.thickness / self.cells, precision=precision)
+
+
+def all_choices() -> list[Choice]:
+    """Every choice there is, the two precisions of a mesh side by side."""
+    meshes = [Choice("fem", cells, p) for cells in LADDER for p in ("float32", "float64")]
+    return [Choice("layer"), *meshes]
+
+
+def companion(choice: Choice) -> Choice:
+    """The other mesh that an error bar of `choice` is made with.
+
+    Raises:
+        SceneError: There is no coarser mesh.
+    """
+    if choice.tier == "layer":
+        return Choice("fem", LAYER_COMPANION)
+    coarser = [cells for cells in LADDER if cells * COARSER_BY <= choice.cells]
+    if not coarser:
+        raise SceneError(
+            f"error_bar: {choice}; allowed: {COARSER_BY * LADDER[0]:.2g} elements or more in a "
+            "thickness, so that there is a coarser mesh"
+        )
+    return Choice("fem", max(coarser))

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from sim.errors import SceneError
-from sim.planner.choices import Choice
-from sim.planner.features import Features
-from sim.planner.model import Fit, inputs, ridge
-from sim.planner.table import Table
+from sim.planner.error_model import Fit, Table, inputs, ridge
+from sim.planner.features import Choice, Features
 
 Array = NDArray[np.float64]
 

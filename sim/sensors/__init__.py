@@ -8,15 +8,30 @@ One deformation serves them all: a signal is made from the displacement of the t
 assume, and where from: docs/sensors.md.
 """
 
-from sim.sensors.catalogue import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, NAMES, read_sensor, sensor
 from sim.sensors.field import SurfaceField
-from sim.sensors.life import Drift, Framing, Grip, Life, Mount, Placement
-from sim.sensors.pins import Pins
+from sim.sensors.optics import Lamp, Pins, Shading
 from sim.sensors.readout import CameraReadout, Readout, TaxelReadout, readout
-from sim.sensors.segmentation import Segmentation, Segmenter
-from sim.sensors.sensor import CameraSignal, SimulatedSensor
-from sim.sensors.shading import Lamp, Shading
+from sim.sensors.sensor import (
+    HETEROGENEOUS,
+    HOMOGENEOUS,
+    MATERIAL,
+    NAMES,
+    CameraSignal,
+    SimulatedSensor,
+    read_sensor,
+    sensor,
+)
 from sim.sensors.taxels import TaxelPad, TaxelSignal
+from sim.sensors.variation import (
+    Drift,
+    Framing,
+    Grip,
+    Life,
+    Mount,
+    Placement,
+    Segmentation,
+    Segmenter,
+)
 
 __all__ = [
     "HETEROGENEOUS",

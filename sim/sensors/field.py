@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import map_coordinates
 
-from sim.body import Body
 from sim.errors import SceneError
 from sim.result import Result
+from sim.scene import Body
 
 Array = NDArray[np.float64]
 Places = NDArray[np.float32]

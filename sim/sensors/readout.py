@@ -9,18 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.markers import HEIGHT, WIDTH, Lattice, draw_discs, pack
-from sim.camera import Camera
 from sim.errors import SceneError
-from sim.patterns import Pattern
-from sim.render import Renderer
+from sim.markers import Camera, Pattern, Renderer
 from sim.sensors.field import SurfaceField
-from sim.sensors.life import Placement
-from sim.sensors.pins import tip_coverage
-from sim.sensors.seeds import generator
-from sim.sensors.segmentation import Segmenter
+from sim.sensors.optics import skin_normals, tip_coverage
 from sim.sensors.sensor import CameraSignal, SimulatedSensor
-from sim.sensors.shading import skin_normals
 from sim.sensors.taxels import Counts, TaxelPad, TaxelSignal
+from sim.sensors.variation import Placement, Segmenter, generator
 
 Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]

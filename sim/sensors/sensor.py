@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import ClassVar
 
-from sim.body import Body
-from sim.camera import Camera
-from sim.checks import check_range
 from sim.effects import Effects
-from sim.errors import SceneError
+from sim.errors import SceneError, check_range
 from sim.indenters import Indenter
-from sim.motion import Motion
-from sim.patterns import Pattern, named
-from sim.scene import Scene
-from sim.sensors.life import Life
-from sim.sensors.pins import Pins
-from sim.sensors.shading import Shading
+from sim.markers import Camera, Pattern, named
+from sim.scene import Body, Motion, Scene
+from sim.sensors.config import build, read_mapping
+from sim.sensors.optics import Pins, Shading
 from sim.sensors.taxels import TaxelPad, TaxelSignal
+from sim.sensors.variation import Life
 from trajectories import ForceDepth, PressShear
 
 
@@ -32,7 +29,7 @@ class CameraSignal:
     KIND: ClassVar[str] = "camera"
 
     patterns: tuple[str, ...]
-    """Patterns of markers by name (`sim.patterns`); with several, each makes images of its own."""
+    """Patterns of markers by name (`sim.markers`); with several, each makes images of its own."""
     scale: float | None = field(default=None, metadata={"unit": "mm_per_px"})
     """What a pixel sees of the untouched top [m/px], or else:"""
     distance: float | None = field(default=None, metadata={"unit": "mm"})
@@ -68,7 +65,7 @@ class CameraSignal:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSensor:
-    """Everything that a simulated sensor is. Rows of them: `sim.sensors.catalogue`.
+    """Everything that a simulated sensor is. Rows of them: `sim.sensors.sensor`.
 
     Raises:
         SceneError: Values that do not fit each other.
@@ -150,3 +147,42 @@ class SimulatedSensor:
             about_x, about_y = self.life.grip.drawn(seed, self.name, indenter.name)
             indenter = indenter.tilted(about_x, about_y)
         return self.scene(indenter, motion)
+
+
+# The sensors that come with the simulator, by name, and sensors from files of one's own.
+
+ROWS = Path(__file__).parent / "rows"
+"""A file a sensor; its name is the sensor's."""
+
+NAMES: tuple[str, ...] = tuple(sorted(path.stem for path in ROWS.glob("*.yaml")))
+"""The names that `sensor` knows."""
+
+HOMOGENEOUS = ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i")
+"""The paper's five GelSights of one material and different markers."""
+MATERIAL = ("r6", "r8", "r10", "r12", "r14", "r16", "r18")
+"""Its seven skins of different hardness, from hard to soft."""
+HETEROGENEOUS = ("uskin", "gelsight", "tacpalm")
+"""Its three kinds of sensors, from hard to soft."""
+
+
+def sensor(name: str) -> SimulatedSensor:
+    """The sensor of that name.
+
+    Raises:
+        SceneError: No such name.
+    """
+    if name not in NAMES:
+        raise SceneError(f"sensor: {name!r}; allowed: {', '.join(NAMES)}")
+    return read_sensor(ROWS / f"{name}.yaml")
+
+
+def read_sensor(path: Path) -> SimulatedSensor:
+    """The sensor that a YAML file describes; it is named as the file is.
+
+    Raises:
+        SceneError: Names the file and the key of what is wrong.
+    """
+    content = read_mapping(path)
+    if "name" in content:
+        raise SceneError(f"{path}: unknown ['name']; a sensor is named as its file is")
+    return build(SimulatedSensor, {"name": path.stem, **content}, str(path))

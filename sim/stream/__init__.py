@@ -9,9 +9,7 @@ knows the pose that it is told and the one before.
 """
 
 from sim.stream.outlines import LiveMarkers
-from sim.stream.press import GRID, TOLERANCE, LivePress
-from sim.stream.sensor import Answer, LiveSensor
-from sim.stream.slope import Slope
+from sim.stream.stream import GRID, TOLERANCE, Answer, LivePress, LiveSensor, Slope
 
 __all__ = [
     "GRID",

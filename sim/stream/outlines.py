@@ -1,7 +1,7 @@
 """Where a camera sees the rims of markers, quickly: each rim is a ring of material points.
 
-An image is then a fill of polygons. `sim.render` finds for every pixel what it sees, which is right
-for any pattern and for skins that fold over, and takes ten times as long.
+An image is then a fill of polygons. `sim.markers` finds for every pixel what it sees, which is
+right for any pattern and for skins that fold over, and takes ten times as long.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.layer import Grid
-from sim.patterns import Pattern
-from sim.render.cubic import cubic_taps
-from sim.render.top import heights
+from sim.markers import Pattern
+from sim.markers.top import cubic_taps, heights
 from sim.sensors import CameraSignal, SimulatedSensor
-from sim.stream.tips import LiveTips
+from sim.stream.stream import LiveTips
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,9 @@ from benchmarks.sim.launches import in_launches
 from benchmarks.sim.spent import spent_by
 from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import WEAK, compare, outcome_of
-from sim.motion import press
 from sim.progress import duration
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Scene, press
 
 WARM = 0.02e-3
 """Depth of the press that loads the kernels before a measurement [m]."""
@@ -135,7 +134,7 @@ def _measured(case: Case, one: Competitor, device: str, truth: Sequence[Referenc
 
 
 def _measure_there(case: str, competitor: str, device: str, truth: list[Reference | None]) -> Row:
-    from sim.verbs.device import ready_device
+    from sim.device import ready_device
 
     ready_device(device)
     return measure_here(chosen((case,))[0], by_name(competitor), device, truth)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sim.body import Body
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import NAMES, Indenter, flat_punch, named, rounded_cone, sphere, tube
-from sim.motion import press, press_shear_return, ramp_hold
-from sim.scene import Scene
+from sim.scene import Body, Scene, press, press_shear_return, ramp_hold
 
 MM = 1e-3
 DEPTHS = (0.5 * MM, 1.0 * MM, 1.5 * MM)

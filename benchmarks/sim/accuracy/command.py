@@ -9,12 +9,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sim.cli.options import metres
 from sim.errors import SceneError
-from sim.verbs.numbers import metres
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.competitors import Competitor
-    from sim.verbs.options import Verbs
+    from sim.cli.options import Verbs
 
 SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem float32 1.25 mm", "fem float32 1 mm")
 SMOKE_REFERENCE = 0.8
@@ -88,7 +88,7 @@ def _measure(options: argparse.Namespace) -> None:
     from benchmarks.sim.accuracy.campaign import Plan, measure
     from benchmarks.sim.accuracy.cases import chosen
     from benchmarks.sim.accuracy.competitors import competitors
-    from sim.verbs.device import ready_device
+    from sim.device import ready_device
 
     ready_device(options.device)
     if not options.reference > 0:

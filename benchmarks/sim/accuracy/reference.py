@@ -13,9 +13,8 @@ import numpy as np
 from benchmarks.sim.launches import in_launches
 from sim.errors import SimulationDiverged
 from sim.metrics import Outcome, compare, load, outcome_of, save
-from sim.motion import Motion
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Motion, Scene
 from sim.simulate import simulate_many
 
 if TYPE_CHECKING:

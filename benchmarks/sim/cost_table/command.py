@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmarks.sim.cost_table.measure import Campaign
+    from sim.cli.options import Verbs
     from sim.planner.seconds import Timed
-    from sim.verbs.options import Verbs
 
 TRAINING_SEED, HELD_OUT_SEED = 1, 2
 TRAINING_BATCHES, HELD_OUT_BATCHES = 11, 14
@@ -59,7 +59,7 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--meshes",
         metavar="N,...",
-        help="elements that one thickness is long (those of sim.planner.choices)",
+        help="elements that one thickness is long (those of sim.planner.features)",
     )
     parser.add_argument("--reference", type=int, metavar="N", help="the same of the reference (12)")
     parser.add_argument(
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         SceneError: An option that means nothing, a device that is not there, or nothing stored.
     """
-    from sim.verbs.device import ready_device
+    from sim.device import ready_device
 
     names = ("table", "seconds", "validate", "page")
     wanted = [name for name in names if getattr(options, name)] or list(names)
@@ -130,7 +130,7 @@ def _campaign(
     options: argparse.Namespace, name: str, seed: int, batches: int, ranges: object
 ) -> Campaign:
     from benchmarks.sim.cost_table.measure import REFERENCE_CELLS, Campaign
-    from sim.planner.choices import LADDER
+    from sim.planner.features import LADDER
 
     ladder: tuple[int, ...] = LADDER
     if options.meshes is not None:
@@ -157,11 +157,11 @@ def _campaign(
 
 def _measure(options: argparse.Namespace, campaign: Campaign, target: str) -> None:
     from benchmarks.sim.cost_table.measure import measure
-    from sim.planner import table
+    from sim.planner import error_model
 
     found = measure(campaign, options.work, lambda line: print(line, flush=True))
-    path: Path = getattr(table, target)
-    table.write(path, found)
+    path: Path = getattr(error_model, target)
+    error_model.write(path, found)
     print(f"{path}: {len(found.rows)} rows written")
 
 
@@ -195,13 +195,13 @@ def _store_seconds(found: Sequence[Timed]) -> None:
 
 def _take(folder: Path) -> None:
     """Store the tables and seconds that a folder has."""
-    from sim.planner import seconds, table
+    from sim.planner import error_model, seconds
 
     taken = 0
-    for name, target in (("training", table.TRAINING), ("held-out", table.HELD_OUT)):
+    for name, target in (("training", error_model.TRAINING), ("held-out", error_model.HELD_OUT)):
         path = folder / f"{name}.csv"
         if path.exists():
-            table.write(target, table.read(path))
+            error_model.write(target, error_model.read(path))
             print(f"{target}: from {path}")
             taken += 1
     for path in sorted(folder.glob("seconds-*.csv")):
@@ -217,15 +217,15 @@ def _take(folder: Path) -> None:
 def _draw(path: Path) -> None:
     from benchmarks.sim.cost_table.page import write_page
     from benchmarks.sim.cost_table.validation import validate
-    from sim.planner import seconds, table
-    from sim.planner.model import fit
+    from sim.planner import error_model, seconds
+    from sim.planner.error_model import fit
 
-    for stored in (table.TRAINING, seconds.STORED):
+    for stored in (error_model.TRAINING, seconds.STORED):
         if not stored.exists():
             raise SceneError(f"{stored}: not there; allowed: --page once it was measured")
-    known = table.read(table.TRAINING)
+    known = error_model.read(error_model.TRAINING)
     model, timed = fit(known), seconds.read()
-    held_out = table.read(table.HELD_OUT) if table.HELD_OUT.exists() else None
+    held_out = error_model.read(error_model.HELD_OUT) if error_model.HELD_OUT.exists() else None
     validation = None if held_out is None else validate(model, held_out)
     predicted = seconds.fit_seconds(known, timed)
     write_page(path, known, model, predicted, timed, held_out, validation)

@@ -10,18 +10,16 @@ from typing import Literal
 
 import numpy as np
 
-import sim.planner.table as table_file
+import sim.planner.error_model as table_file
 from benchmarks.sim.accuracy.reference import VISCOUS_PARTS, reference_numerics, solve_references
 from benchmarks.sim.cost_table.scenes import BATCH, Ranges, batch
 from benchmarks.sim.launches import in_launches
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.metrics import Outcome, outcome_of, worst_errors
-from sim.planner.choices import LADDER, Choice, companion
-from sim.planner.features import Probe, probe
+from sim.planner.error_model import CostRow, Table
+from sim.planner.features import KINDS, LADDER, Choice, Kind, Probe, companion, probe
 from sim.planner.plan import conditions_text
-from sim.planner.table import CostRow, Table
-from sim.planner.tolerance import KINDS, Kind
 from sim.progress import duration
 from sim.result import Result
 from sim.scene import Scene

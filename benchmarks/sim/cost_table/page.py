@@ -18,12 +18,9 @@ from benchmarks.sim.cost_table.validation import (
     share_covered,
     share_kept,
 )
-from sim.planner.choices import Choice
-from sim.planner.features import GROUPS, NAMES, WHAT
-from sim.planner.model import BAR_FLOOR, FEW, PROMISED, Model
+from sim.planner.error_model import BAR_FLOOR, FEW, PROMISED, CostRow, Model, Table
+from sim.planner.features import GROUPS, KINDS, NAMES, WHAT, Choice, Kind
 from sim.planner.seconds import SecondsModel, Timed
-from sim.planner.table import CostRow, Table
-from sim.planner.tolerance import KINDS, Kind
 
 LINE = 99
 """Longest line of a paragraph."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.body import Body
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import (
     NAMES,
@@ -22,8 +21,7 @@ from sim.indenters import (
     torus,
     tube,
 )
-from sim.motion import Motion, ramp_hold, through
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, ramp_hold, through
 
 MM = 1e-3
 SPEED = 10 * MM

@@ -11,11 +11,9 @@ from benchmarks.sim.cost_table.measure import work_of
 from benchmarks.sim.cost_table.scenes import TRAINING, batch
 from benchmarks.sim.spent import spent_by
 from sim.errors import SimulationDiverged
-from sim.motion import press
-from sim.planner.choices import LADDER, Choice
-from sim.planner.features import probe
+from sim.planner.features import LADDER, Choice, probe
 from sim.planner.seconds import COLUMNS, Timed, device_kind
-from sim.scene import Scene
+from sim.scene import Scene, press
 from sim.simulate import simulate
 
 SEED = 77

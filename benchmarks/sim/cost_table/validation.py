@@ -6,11 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from sim.planner.choices import Choice
-from sim.planner.features import GROUPS, Features
-from sim.planner.model import BAR_FLOOR, Model
-from sim.planner.table import CostRow, Table
-from sim.planner.tolerance import KINDS, Kind
+from sim.planner.error_model import BAR_FLOOR, CostRow, Model, Table
+from sim.planner.features import GROUPS, KINDS, Choice, Features, Kind
 
 TOLERANCES: dict[Kind, tuple[float, ...]] = {
     "share": (0.2, 0.1, 0.05, 0.03, 0.02, 0.01),

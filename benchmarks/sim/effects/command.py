@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.verbs.options import Verbs
+    from sim.cli.options import Verbs
 
 
 def add_to(verbs: Verbs) -> None:
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace, cache: str) -> int:
     import warp as wp
 
-    from sim.verbs.device import ready_device
+    from sim.device import ready_device
 
     # A cache of its own, empty: what is read from the usual one would not be compiled.
     wp.config.kernel_cache_dir = cache

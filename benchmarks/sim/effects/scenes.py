@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.fem.numerics import Numerics
 from sim.indenters import sphere
-from sim.motion import Motion
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene
 
 BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
 NUMERICS = Numerics(spacing=1e-3, precision="float64")

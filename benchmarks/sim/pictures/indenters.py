@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from sim.indenters.indenter import Indenter
-from sim.indenters.named import NAMES, named
+from sim.indenters.shapes import NAMES, named
 
 Array = NDArray[np.float64]
 

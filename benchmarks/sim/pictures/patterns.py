@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from recorder.plot import INK, PANEL, PAPER, SOFT, font
-from sim.camera import HEIGHT, WIDTH, Camera
-from sim.patterns.named import HOMOGENEOUS, NAMES, SIMULATED, named
-from sim.patterns.pattern import Pattern
+from sim.markers import HEIGHT, WIDTH, Camera
+from sim.markers.pattern import HOMOGENEOUS, NAMES, SIMULATED, Pattern, named
 
 COLUMNS = 6
 CAPTION = 42

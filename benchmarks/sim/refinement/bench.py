@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.reference_solutions import NEO_HOOKEAN_SPHERE
-from sim.body import Body
 from sim.fem.numerics import Numerics
 from sim.indenters import sphere
-from sim.motion import press
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
 FAR = 4e-3

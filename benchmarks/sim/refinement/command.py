@@ -10,10 +10,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim.verbs.numbers import MM, numbers
+from sim.cli.options import MM, numbers
 
 if TYPE_CHECKING:
-    from sim.verbs.options import Verbs
+    from sim.cli.options import Verbs
 
 
 def add_to(verbs: Verbs) -> None:
@@ -54,8 +54,10 @@ def run(options: argparse.Namespace) -> int:
         SceneError: A mesh that cannot be built, or a device that is not there.
         SimulationDiverged: The bench problem was not solved.
     """
-    from benchmarks.sim.refinement import bench_rows, shape_rows, write_page
-    from sim.verbs.device import ready_device
+    from benchmarks.sim.refinement.bench import bench_rows
+    from benchmarks.sim.refinement.page import write_page
+    from benchmarks.sim.refinement.shapes import shape_rows
+    from sim.device import ready_device
 
     ready_device(options.device)
     bench, shapes = [], []

@@ -10,9 +10,8 @@ from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.indenters import NAMES, Indenter, named
-from sim.motion import press_shear_return
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Scene, press_shear_return
 from sim.simulate import simulate_many
 
 DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5

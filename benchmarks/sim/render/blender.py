@@ -20,12 +20,11 @@ from PIL import Image
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import smooth
 from benchmarks.sim.render.states import State, dent, solved
-from sim.camera import HEIGHT, WIDTH, Camera
-from sim.camera.camera import FILM, LENS
-from sim.patterns import named
-from sim.render.renderer import Renderer
-from sim.render.top import heights
-from sim.verbs.device import ready_device
+from sim.device import ready_device
+from sim.markers import HEIGHT, WIDTH, Camera, named
+from sim.markers.camera import FILM, LENS
+from sim.markers.renderer import Renderer
+from sim.markers.top import heights
 
 PATTERNS = ("Array1", "Circle1", "Diamond1")
 TEXTURE = 4096

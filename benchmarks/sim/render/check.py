@@ -16,11 +16,9 @@ from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked
 from benchmarks.sim.render.states import State, dent, fold, solved
 from recorder.markers import Lattice
-from sim.camera import Camera
-from sim.patterns import named
-from sim.render.renderer import SPACING, Renderer
-from sim.render.view import View
-from sim.verbs.device import ready_device
+from sim.device import ready_device
+from sim.markers import Camera, named
+from sim.markers.renderer import SPACING, Renderer, View
 
 Masks = NDArray[np.bool_]
 

@@ -16,10 +16,9 @@ from PIL import Image, ImageDraw
 
 from benchmarks.sim.render.states import State, solved
 from recorder.plot import INK, PANEL, PAPER, SOFT, font
-from sim.camera import Camera
-from sim.patterns import named
-from sim.render.renderer import Renderer
-from sim.verbs.device import ready_device
+from sim.device import ready_device
+from sim.markers import Camera, named
+from sim.markers.renderer import Renderer
 
 PATTERNS = ("Array3", "Circle1", "Diamond4")
 TILE = (360, 270)

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
-from sim.body import Body
-from sim.camera import HEIGHT, WIDTH, Camera
-from sim.patterns import Pattern
-from sim.render.top import heights
+from sim.markers import HEIGHT, WIDTH, Camera, Pattern
+from sim.markers.top import heights
+from sim.scene import Body
 
 Array = NDArray[np.float64]
 

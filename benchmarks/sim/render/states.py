@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.fem.numerics import Numerics
 from sim.indenters import named, sphere
-from sim.motion import press, press_shear_return
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
 
 Array = NDArray[np.float64]

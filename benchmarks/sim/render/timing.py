@@ -11,18 +11,21 @@ import numpy as np
 import warp as wp
 
 from benchmarks.sim.render.states import dent
-from sim.body import Body
-from sim.camera import Camera
-from sim.patterns import SIMULATED, named
-from sim.render.cubic import cubic_taps
-from sim.render.lens import lens_of
-from sim.render.raster import find_material, see_triangles
-from sim.render.renderer import SPACING, Renderer
-from sim.render.sampling import coverages, packed_masks
-from sim.render.textures import textures_of
-from sim.render.top import top_of
-from sim.render.vertices import DeviceTop, see_vertices
-from sim.verbs.device import ready_device
+from sim.device import ready_device
+from sim.markers import SIMULATED, Camera, named
+from sim.markers.kernels import (
+    DeviceTop,
+    coverages,
+    find_material,
+    lens_of,
+    packed_masks,
+    see_triangles,
+    see_vertices,
+)
+from sim.markers.renderer import SPACING, Renderer
+from sim.markers.textures import textures_of
+from sim.markers.top import cubic_taps, top_of
+from sim.scene import Body
 
 REPEATS = 5
 

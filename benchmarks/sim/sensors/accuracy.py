@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.fit import SPACING
+from sim.device import ready_device
 from sim.errors import SimulationDiverged
-from sim.fem.grading import FOR_EDGES
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import FOR_EDGES, Numerics
 from sim.indenters import Indenter, named
-from sim.motion import Motion, press_shear_return
+from sim.scene import Motion, press_shear_return
 from sim.sensors import HETEROGENEOUS, SimulatedSensor, sensor
 from sim.simulate import simulate
-from sim.stream.press import GRID, LivePress
-from sim.verbs.device import ready_device
+from sim.stream.stream import GRID, LivePress
 
 Array = NDArray[np.floating[Any]]
 

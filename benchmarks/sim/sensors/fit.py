@@ -21,19 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
+from sim.device import ready_device
 from sim.effects import Viscosity
-from sim.fem.grading import FOR_EDGES
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import FOR_EDGES, Numerics
 from sim.indenters import named
-from sim.motion import Motion, through
 from sim.result import Result
-from sim.scene import Scene
-from sim.sensors.catalogue import sensor
+from sim.scene import Motion, Scene, through
 from sim.sensors.field import SurfaceField
-from sim.sensors.sensor import SimulatedSensor
+from sim.sensors.sensor import SimulatedSensor, sensor
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.simulate import simulate
-from sim.verbs.device import ready_device
 
 Array = NDArray[np.float64]
 

@@ -20,17 +20,15 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion
 
 from recorder.plot import INK, PAPER, SOFT, font
-from sim.fem.grading import FOR_EDGES
-from sim.fem.numerics import Numerics
+from sim.device import ready_device
+from sim.fem.numerics import FOR_EDGES, Numerics
 from sim.indenters import named
-from sim.motion import press
 from sim.result import Result
-from sim.sensors.catalogue import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
+from sim.scene import press
 from sim.sensors.field import SurfaceField
 from sim.sensors.readout import CameraReadout, readout
-from sim.sensors.sensor import SimulatedSensor
+from sim.sensors.sensor import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, SimulatedSensor, sensor
 from sim.simulate import Tier, simulate
-from sim.verbs.device import ready_device
 
 Colours = NDArray[np.uint8]
 

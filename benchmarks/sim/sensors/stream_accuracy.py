@@ -3,7 +3,7 @@
     python -m benchmarks live-session sessions/x.zarr
 
 The offline simulation solves the `layer` tier at every recorded pose, on a finer grid; its images
-are `sim.render`'s. What it differs in from the recording is what the live one costs: poses that
+are `sim.markers`'s. What it differs in from the recording is what the live one costs: poses that
 were passed over, answers in between, a coarser grid, images of filled rims, JPEG and noise.
 """
 
@@ -36,7 +36,7 @@ from sim.sensors import (
     readout,
     sensor,
 )
-from sim.stream.press import LivePress
+from sim.stream.stream import LivePress
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from functools import partial
 import numpy as np
 
 from recorder.markers import draw_discs
-from sim.body import Body
-from sim.sensors.catalogue import sensor
+from sim.device import ready_device
+from sim.scene import Body
 from sim.sensors.field import SurfaceField
 from sim.sensors.readout import CameraReadout, TaxelReadout, readout
-from sim.verbs.device import ready_device
+from sim.sensors.sensor import sensor
 
 REPEATS = 3
 POINTS = 41

@@ -77,8 +77,7 @@ class Plan:
     @property
     def numerics(self) -> Numerics:
         """Of the timed presses."""
-        from sim.fem.grading import FOR_EDGES
-        from sim.fem.numerics import Numerics
+        from sim.fem.numerics import FOR_EDGES, Numerics
 
         return Numerics(
             spacing=self.spacing,

@@ -10,12 +10,12 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sim.cli.options import metres
 from sim.errors import SceneError
-from sim.verbs.numbers import metres
 
 if TYPE_CHECKING:
+    from sim.cli.options import Verbs
     from sim.mpm import MpmNumerics
-    from sim.verbs.options import Verbs
 
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
 """What is measured; `page` draws."""
@@ -106,8 +106,8 @@ def _cpu(options: argparse.Namespace) -> bool:
 def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
     from benchmarks.sim.speed.campaign import Plan, measure
     from benchmarks.sim.speed.work import paper_work, smoke_work
+    from sim.device import ready_device
     from sim.pool import check_processes
-    from sim.verbs.device import ready_device
 
     processes = options.processes
     if processes is None:

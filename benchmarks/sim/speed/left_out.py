@@ -15,8 +15,8 @@ def without_prediction() -> Iterator[None]:
 
     Both are arguments of methods that the solver calls, but of none that a caller can reach.
     """
+    from sim.fem.assembly import State
     from sim.fem.newton import Newton
-    from sim.fem.state import State
 
     begin, begin_step = Newton.begin, State.begin_step
 
@@ -32,7 +32,7 @@ def without_prediction() -> Iterator[None]:
 
 def without_keeping() -> contextlib.AbstractContextManager[None]:
     """Every iteration of Newton's assembles the elastic part of its tangent."""
-    from sim.fem.stencil import Stencil
+    from sim.fem.matrix import Stencil
 
     return _made_with(Stencil, keep=False)
 
@@ -53,7 +53,7 @@ def without_gathering() -> contextlib.AbstractContextManager[None]:
 
 def without_rounding() -> contextlib.AbstractContextManager[None]:
     """Products read the tangent as it was assembled."""
-    from sim.fem.stencil import Stencil
+    from sim.fem.matrix import Stencil
 
     return _made_with(Stencil, half=False)
 

@@ -24,7 +24,7 @@ from benchmarks.sim.speed.step_tables import floor_section, steps_section
 from benchmarks.sim.speed.tacchi import CITED, SOURCE
 from benchmarks.sim.speed.work import DENSE_X, DENSE_Y
 from sim.extrapolation import left_of_difference
-from sim.fem.grading import FOR_EDGES
+from sim.fem.numerics import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 
 GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01))}

@@ -63,7 +63,7 @@ def _changed(**values: Any) -> Callable[[Numerics, str, int], Solve]:
 
 
 def _coarser_in_plan(numerics: Numerics, device: str, _processes: int) -> Solve:
-    from sim.fem.grading import Grading
+    from sim.fem.numerics import Grading
 
     return fem(replace(numerics, grading=Grading()), device)
 

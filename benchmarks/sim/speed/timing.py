@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.speed.record import Run
 from benchmarks.sim.spent import Spent, peak_memory, spent_by
-from sim.body import Body
 from sim.errors import SimulationDiverged
-from sim.motion import press
 from sim.progress import Progress
 from sim.result import Outcome, Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate_many
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ import numpy as np
 
 from sim.effects import Effects, Friction
 from sim.indenters import NAMES, named
-from sim.motion import press
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
-from sim.scene import Scene
+from sim.scene import Scene, press
 
 DENSE_X, DENSE_Y = 9, 5
 """Places along x and y between the outermost when 810 presses are asked for."""

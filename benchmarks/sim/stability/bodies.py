@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sim.body import Body
 from sim.indenters import shapes
+from sim.scene import Body
 
 MM = 1e-3
 

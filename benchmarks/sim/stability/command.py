@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from benchmarks.sim.stability.case import Case
     from benchmarks.sim.stability.runner import Report
-    from sim.verbs.options import Verbs
+    from sim.cli.options import Verbs
 
 
 def add_to(verbs: Verbs) -> None:
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     from benchmarks.sim.stability.page import page
     from benchmarks.sim.stability.planted import MISTAKES
     from benchmarks.sim.stability.runner import run_cases
-    from sim.verbs.device import ready_device
+    from sim.device import ready_device
 
     if options.list:
         for case in CASES:

@@ -19,8 +19,7 @@ from benchmarks.sim.stability.laws import (
     swapped,
 )
 from sim.indenters import NAMES, named, shapes
-from sim.motion import press
-from sim.scene import Scene
+from sim.scene import Scene, press
 
 PALM_SPHERE = shapes.sphere(8 * MM)
 PALM_STEPS = [0.5 * MM * step for step in range(1, 10)]

@@ -20,10 +20,8 @@ from benchmarks.sim.stability.laws import (
     smooth,
     sound,
 )
-from sim.body import Body
 from sim.indenters import Indenter, named, shapes
-from sim.motion import press
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 
 CONE = shapes.cone(math.radians(30), 0.3 * MM, 0.1 * MM)
 PUNCH = shapes.flat_punch(3 * MM, 0.3 * MM)

@@ -26,9 +26,8 @@ from benchmarks.sim.stability.laws import (
     swapped,
 )
 from sim.effects import Effects, Friction
-from sim.motion import Motion, press, press_shear_return, through
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Motion, Scene, press, press_shear_return, through
 
 LOOP = press_shear_return(1 * MM, 1 * MM, steps=5)
 ASIDE, BACK = 10, 15

@@ -25,10 +25,8 @@ from benchmarks.sim.stability.laws import (
     slides,
     sound,
 )
-from sim.body import Body
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
-from sim.motion import Motion, press, press_shear_return, ramp_hold
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 
 RATIO, TIME = 0.5, 0.2
 """Stiffness of the one branch over the rest, and its relaxation time [s]."""

@@ -7,9 +7,7 @@ from dataclasses import replace
 from benchmarks.sim.stability.bodies import GEL, MM, SPHERE
 from benchmarks.sim.stability.case import Case, Solver
 from benchmarks.sim.stability.laws import Law, at_most, difference, push, rises, same_force, sound
-from sim.body import Body
-from sim.motion import press
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 
 PRESS = press([0.5 * MM, 1.0 * MM])
 LIGHT = press([0.2 * MM, 1.0 * MM])

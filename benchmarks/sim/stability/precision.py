@@ -21,12 +21,10 @@ from benchmarks.sim.stability.laws import (
     sound,
     swapped,
 )
-from sim.body import Body
 from sim.effects import Effects, Friction
 from sim.indenters import Indenter, shapes
-from sim.motion import press, press_shear_return
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
 
 BALANCE_TIGHT = 1e-6

@@ -19,8 +19,7 @@ from benchmarks.sim.stability.laws import (
     sound,
     swapped,
 )
-from sim.motion import press
-from sim.scene import Scene
+from sim.scene import Scene, press
 
 DEPTHS = [0.1 * MM * step for step in range(1, 16)]
 

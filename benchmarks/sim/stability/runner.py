@@ -114,7 +114,7 @@ def _done(
 
 def _begin(device: str) -> None:
     """Start Warp in a new process without its greeting."""
-    from sim.verbs.device import ready_device
+    from sim.device import ready_device
 
     ready_device(device)
     sys.stdout.flush()

@@ -20,11 +20,9 @@ from benchmarks.sim.stability.laws import (
     smooth,
     sound,
 )
-from sim.body import Body
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named
-from sim.motion import Motion, press, ramp_hold, through
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, press, ramp_hold, through
 
 UNLIMITED = 1.0
 """A longest step of the tip [m] that limits nothing."""

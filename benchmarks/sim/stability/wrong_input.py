@@ -13,13 +13,11 @@ from benchmarks.sim.stability.bodies import MM, PAD, SPHERE
 from benchmarks.sim.stability.case import Case, Solver
 from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import Law, at_least, at_most
-from sim.body import Body
 from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.indenters import Part, named, shapes
-from sim.motion import Motion, press, press_shear_return, ramp_hold
-from sim.scene import Scene
+from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 from sim.simulate import simulate, simulate_many
 
 Make = Callable[[float], object]

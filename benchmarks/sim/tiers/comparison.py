@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from sim.body import Body
 from sim.errors import SimulationDiverged
 from sim.indenters import sphere
-from sim.motion import press
 from sim.mpm.numerics import AUTHORS_CELL, MpmNumerics
 from sim.mpm.solver import simulate_mpm
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
 Array = NDArray[np.float64]

@@ -10,14 +10,11 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.sim.reference_solutions import layer_sphere
-from sim.body import Body
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import sphere
-from sim.layer.grid import Grid
-from sim.layer.press import Press
-from sim.layer.solver import GRID, TOLERANCE, simulate_layer
-from sim.motion import Motion, press, through
-from sim.scene import Scene
+from sim.layer.solver import GRID, TOLERANCE, Press, simulate_layer
+from sim.layer.spectral import Grid
+from sim.scene import Body, Motion, Scene, press, through
 
 PLACES = ((0.0, 0.0), (0.13e-3, -0.21e-3), (1.037e-3, 0.512e-3))
 """Where spheres are pressed [m]: on a corner of four pixels, and off it."""

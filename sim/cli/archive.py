@@ -1,0 +1,352 @@
+"""`python -m sim archive`: archives of simulated sensors, begun, resumed and drawn."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from sim.cli.options import metres
+from sim.errors import SceneError
+
+if TYPE_CHECKING:
+    from sim.cli.options import Verbs
+    from sim.dataset import Begun, Made, Plan, Solving, Stop, Unit
+    from sim.sensors import SimulatedSensor
+
+EXIT_STOPPED, EXIT_INTERRUPTED = 2, 130
+GROUPS = ("homogeneous", "material", "heterogeneous")
+SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
+"""Indenters with --smoke, and elements that a thickness is high."""
+SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
+TOGETHER_GPU = 162
+"""Presses that a GPU solves at once: all of the paper's."""
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "archive",
+        help="marker archives: the paper's states, its trajectories on our sensors; pictures",
+        description="Makes archives of binary marker images with forces and displacement. Started "
+        "again with the same options it goes on where it was; so does `resume PATH`.",
+    )
+    kinds = parser.add_subparsers(dest="kind", required=True)
+    states = kinds.add_parser(
+        "states",
+        help="18 indenters x 9 places x 5 depths under 12 patterns: the paper's simulated data",
+    )
+    states.add_argument("--patterns", metavar="NAME,...", help="some of the gel's (all 12)")
+    states.add_argument("--smoke", action="store_true", help="2 indenters on a coarse mesh")
+    _add_plan_options(states, Path("data/states.markers.zarr"))
+    states.set_defaults(run=_states)
+    sensors = kinds.add_parser(
+        "sensors", help="press, shear and release of the paper's sensors, and force-depth presses"
+    )
+    sensors.add_argument("--group", choices=GROUPS, help="sensors of one of the paper's tests")
+    sensors.add_argument(
+        "--sensors", metavar="NAME,...", help="rows of sim/sensors or YAML files, in their place"
+    )
+    sensors.add_argument(
+        "--scale",
+        default="0.1",
+        metavar="SHARE",
+        help="share of the targets, smoke or full (%(default)s)",
+    )
+    sensors.add_argument("--steps", type=int, metavar="N", help="frames of a phase (10; smoke: 3)")
+    _add_plan_options(sensors, None)
+    sensors.set_defaults(run=_sensors)
+    resume = kinds.add_parser("resume", help="go on with an archive as it was begun")
+    resume.add_argument("path", type=Path)
+    _add_run_options(resume)
+    resume.set_defaults(run=_resume)
+    sheet = kinds.add_parser("sheet", help="a picture of every sensor and indenter of an archive")
+    sheet.add_argument("path", type=Path)
+    sheet.add_argument("--out", type=Path, default=Path("docs/images/simulated.png"))
+    sheet.set_defaults(run=_sheet)
+
+
+def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None:
+    group = parser.add_argument_group("what is made")
+    group.add_argument("--indenters", metavar="NAME,...", help="some of the 18 (all)")
+    group.add_argument("--seed", type=int, default=0, help="of all that is drawn (%(default)s)")
+    shown = out or "data/GROUP.markers.zarr"
+    group.add_argument("--out", type=Path, default=out, metavar="PATH", help=f"archive ({shown})")
+    group = parser.add_argument_group("how presses are solved")
+    group.add_argument(
+        "--tier", choices=("layer", "fem"), help="layer: small strain, milliseconds (fem)"
+    )
+    group.add_argument(
+        "--spacing",
+        type=float,
+        metavar="MM",
+        help="height of an element of fem [mm] (a fifth of the thickness, 1.2 at most)",
+    )
+    group.add_argument(
+        "--tolerance", metavar="ERROR", help='in place of both: "3 %%", "0.05 N" or "0.5 px"'
+    )
+    _add_run_options(parser)
+
+
+def _add_run_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("who makes it")
+    group.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    group.add_argument(
+        "--processes",
+        type=int,
+        metavar="N",
+        help="on a CPU, or of --tier layer for a GPU's images (2); with fem a GPU takes one",
+    )
+    group.add_argument(
+        "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out"
+    )
+    group.add_argument("--no-check", action="store_true", help="do not count markers at the end")
+
+
+def _states(options: argparse.Namespace) -> int:
+    from sim.dataset import Plan, gel
+
+    patterns = None if options.patterns is None else tuple(options.patterns.split(","))
+    plan = Plan(
+        "states",
+        (gel(patterns),),
+        indenters=_indenters(options.indenters, smoke=options.smoke),
+        solving=_solving(options, smoke=options.smoke),
+        seed=options.seed,
+    )
+    return _make(options, options.out, plan)
+
+
+def _sensors(options: argparse.Namespace) -> int:
+    from sim.dataset import Plan
+
+    smoke, share = _share(options.scale)
+    chosen = _chosen_sensors(options)
+    out = options.out
+    if out is None:
+        out = Path(f"data/{options.group or 'sensors'}.markers.zarr")
+    steps = options.steps or (SMOKE_STEPS if smoke else 10)
+    plan = Plan(
+        "targets",
+        chosen,
+        indenters=_indenters(options.indenters, smoke=smoke),
+        solving=_solving(options, smoke=smoke),
+        seed=options.seed,
+        steps=steps,
+        share=share,
+    )
+    return _make(options, out, plan)
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from sim.dataset import found
+
+    begun = found(options.path)
+    return _fill(options, begun)
+
+
+def _sheet(options: argparse.Namespace) -> int:
+    from recorder import SessionError
+    from sim.dataset.summary import draw_sheet
+
+    try:
+        draw_sheet(options.path, options.out)
+    except SessionError as error:
+        raise SceneError(str(error)) from error
+    print(options.out)
+    return 0
+
+
+def _make(options: argparse.Namespace, out: Path, plan: Plan) -> int:
+    from sim.dataset import begin
+    from sim.device import ready_device
+
+    ready_device("cpu" if options.scheduler else options.device)
+    if options.device != "cpu" and plan.solving.tier == "fem":
+        solving = replace(plan.solving, one_topology=True)
+        plan = replace(plan, together=TOGETHER_GPU, solving=solving)
+    return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
+
+
+def _fill(options: argparse.Namespace, begun: Begun) -> int:
+    """Make what is missing, tell of it before, meanwhile and at the end; the exit code."""
+    from recorder import SessionError
+
+    try:
+        return _filled(options, begun) or _summed(options, begun)
+    except SessionError as error:
+        raise SceneError(f"{error}; {_go_on(begun)}") from error
+
+
+def _filled(options: argparse.Namespace, begun: Begun) -> int:
+    """Make what is missing; 0 when the archive is whole, else the exit code."""
+    from sim.dataset import Stop, fill
+    from sim.device import ready_device
+    from sim.pool import WorkerLost
+    from sim.progress import Progress
+
+    kernels = ready_device("cpu" if options.scheduler else options.device)
+    processes = _processes(options, begun)
+    missing = begun.missing()
+    _tell_cost(begun, missing, processes, options)
+    with Stop(lambda line: print(f"\n{line}", file=sys.stderr, flush=True)) as stop:
+        maker = _maker(options, begun, processes, stop)
+        try:
+            with Progress("archive", sys.stderr, kernels=kernels) as progress:
+                filled = fill(begun, maker, stop, progress)
+        except KeyboardInterrupt:
+            print(f"interrupted; what was written is kept; {_go_on(begun)}", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        except (OSError, WorkerLost) as error:
+            print(f"stopped: {error}; what was written is kept; {_go_on(begun)}", file=sys.stderr)
+            return EXIT_STOPPED
+    if not filled.complete:
+        print(f"interrupted, {filled.left} units are missing; {_go_on(begun)}", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    if filled.images:
+        rate = filled.images / max(filled.seconds, 1e-9)
+        print(
+            f"{filled.images:,} images in {filled.seconds:.0f} s, {rate:.0f} images/s; "
+            f"presses {filled.solving:.0f} s, images and writing {filled.seeing:.0f} s"
+        )
+    return 0
+
+
+def _summed(options: argparse.Namespace, begun: Begun) -> int:
+    """Tell what a whole archive is; the exit code."""
+    from sim.dataset.summary import summary
+    from sim.progress import Progress
+
+    try:
+        with Progress("counting markers", sys.stderr) as progress:
+            for line in summary(begun.path, check=not options.no_check, progress=progress):
+                print(line, flush=True)
+    except KeyboardInterrupt:
+        print(f"interrupted while counting; {begun.path} is complete", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    return 0
+
+
+def _go_on(begun: Begun) -> str:
+    return f"to go on: python -m sim archive resume {begun.path}"
+
+
+def _maker(
+    options: argparse.Namespace, begun: Begun, processes: int, stop: Stop
+) -> partial[Iterator[Made]]:
+    """Who makes units: this process, several, or a cluster."""
+    if options.scheduler:
+        from sim.dataset.run import make_on_cluster
+
+        return partial(
+            make_on_cluster, begun, address=options.scheduler, device=options.device, stop=stop
+        )
+    from sim.dataset.run import make_here, make_in_processes
+
+    if _on_cores(options, begun):
+        return partial(
+            make_in_processes, begun, processes=processes, stop=stop, device=options.device
+        )
+    return partial(make_here, begun, device=options.device, stop=stop)
+
+
+def _tell_cost(
+    begun: Begun, missing: Sequence[Unit], processes: int, options: argparse.Namespace
+) -> None:
+    from sim.dataset.run import cost
+    from sim.progress import duration
+
+    device = options.device
+    if not missing:
+        print(f"{begun.path}: nothing is missing")
+        return
+    taken = cost(begun.plan, missing, "cluster" if options.scheduler else device)
+    print(
+        f"{begun.path}: {taken.presses:,} presses ({'; '.join(taken.how)}), "
+        f"{taken.frames:,} frames, {taken.images:,} images, about {taken.size / 1e6:,.0f} MB"
+    )
+    seconds = taken.seconds(processes)
+    if seconds is None:
+        print("how long that takes shows after the first unit", flush=True)
+    else:
+        print(
+            f"about {duration(seconds)} with --processes {processes}, on a CPU like that of the "
+            "cost table",
+            flush=True,
+        )
+
+
+def _on_cores(options: argparse.Namespace, begun: Begun) -> bool:
+    """Whether presses are solved on the CPU, wherever images are made."""
+    return bool(options.device == "cpu" or begun.plan.solving.tier == "layer")
+
+
+def _processes(options: argparse.Namespace, begun: Begun) -> int:
+    from sim.pool import check_processes
+
+    processes: int | None = options.processes
+    if options.scheduler and processes is not None:
+        raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
+    on_cores = _on_cores(options, begun)
+    if processes is None:
+        processes = 2 if on_cores else 1
+    check_processes(processes, "cpu" if on_cores else options.device)
+    return processes
+
+
+def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:
+    from sim.dataset import Solving
+
+    tier: Literal["layer", "fem"] = options.tier or "fem"
+    if options.tolerance is not None and options.tier is not None:
+        raise SceneError(f"--tier: {options.tier!r} with --tolerance; allowed: either")
+    spacing = None if options.spacing is None else metres(options.spacing)
+    solving = Solving(tier=tier, spacing=spacing, tolerance=options.tolerance)
+    if smoke and spacing is None and tier == "fem" and options.tolerance is None:
+        return replace(solving, cells=SMOKE_CELLS, for_edges=False)
+    return solving
+
+
+def _indenters(listed: str | None, *, smoke: bool) -> tuple[str, ...]:
+    from sim.indenters import NAMES
+
+    if listed is None:
+        return tuple(name for name in NAMES if not smoke or name in SMOKE_SHAPES)
+    wanted = listed.split(",")
+    if unknown := [name for name in wanted if name not in NAMES]:
+        raise SceneError(f"--indenters: {', '.join(unknown)}; allowed: {', '.join(NAMES)}")
+    return tuple(name for name in NAMES if name in wanted)
+
+
+def _share(text: str) -> tuple[bool, float]:
+    """Whether it is a smoke sample, and the share of the targets."""
+    if text in ("smoke", "full"):
+        return text == "smoke", SMOKE_SHARE if text == "smoke" else 1.0
+    try:
+        share = float(text)
+    except ValueError:
+        share = -1.0
+    if not 0 < share <= 1:
+        raise SceneError(f"--scale: {text!r}; allowed: smoke, full, or above 0 to 1")
+    return False, share
+
+
+def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
+    from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, read_sensor, sensor
+
+    if (options.group is None) == (options.sensors is None):
+        raise SceneError(
+            f"--group: {options.group!r}, --sensors: {options.sensors!r}; allowed: one of both"
+        )
+    if options.group is not None:
+        of_group = dict(zip(GROUPS, (HOMOGENEOUS, MATERIAL, HETEROGENEOUS), strict=True))
+        return tuple(sensor(name) for name in of_group[options.group])
+    files = [name for name in options.sensors.split(",")]
+    return tuple(
+        read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
+        for name in files
+    )

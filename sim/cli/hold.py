@@ -1,0 +1,63 @@
+"""`python -m sim hold`: press within a time, then hold still and watch the force relax."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from sim.cli.options import add_scene_options, check_motion, metres
+from sim.scene import ramp_hold
+
+if TYPE_CHECKING:
+    from sim.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser("hold", help="press within a time and hold: relaxation")
+    group = parser.add_argument_group("motion")
+    group.add_argument(
+        "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
+    )
+    group.add_argument(
+        "--ramp",
+        type=float,
+        default=0.1,
+        metavar="S",
+        help="time that the way down takes [s] (%(default)s)",
+    )
+    group.add_argument(
+        "--hold",
+        type=float,
+        default=2.0,
+        metavar="S",
+        help="time at that depth [s] (%(default)s)",
+    )
+    group.add_argument(
+        "--steps",
+        type=int,
+        default=10,
+        metavar="N",
+        help="frames of the way down, and as many of the hold (%(default)s)",
+    )
+    add_scene_options(parser, viscosity="0.5:0.5")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Press and hold, and show every frame; the exit code.
+
+    Raises:
+        SceneError, SimulationDiverged: Before anything was written.
+    """
+    from sim.cli.report import run_motion
+
+    check_motion(options, {"depth": "mm", "ramp": "s", "hold": "s"})
+    motion = ramp_hold(
+        metres(options.depth),
+        ramp=options.ramp,
+        hold=options.hold,
+        steps=options.steps,
+        at=(metres(options.at[0]), metres(options.at[1])),
+    )
+    return run_motion(options, motion)

@@ -1,0 +1,66 @@
+"""`python -m sim loop`: press, shear, shear back, lift."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import TYPE_CHECKING
+
+from sim.cli.options import add_scene_options, add_speed, check_motion, metres
+from sim.scene import press_shear_return
+
+if TYPE_CHECKING:
+    from sim.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser("loop", help="press, shear, return and lift: hysteresis and slip")
+    group = parser.add_argument_group("motion")
+    group.add_argument(
+        "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
+    )
+    group.add_argument(
+        "--shear",
+        type=float,
+        default=1.0,
+        metavar="MM",
+        help="way to the side at that depth [mm] (%(default)s)",
+    )
+    group.add_argument(
+        "--angle",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="direction of it, from x towards y [deg] (%(default)s)",
+    )
+    group.add_argument(
+        "--steps",
+        type=int,
+        default=5,
+        metavar="N",
+        help="frames of each of the 4 phases (%(default)s)",
+    )
+    add_speed(group)
+    add_scene_options(parser, friction=0.5)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Press, shear, return and lift, and show every frame; the exit code.
+
+    Raises:
+        SceneError, SimulationDiverged: Before anything was written.
+    """
+    from sim.cli.report import run_motion
+
+    check_motion(options, {"depth": "mm", "shear": "mm"})
+    motion = press_shear_return(
+        metres(options.depth),
+        metres(options.shear),
+        angle=math.radians(options.angle),
+        steps=options.steps,
+        at=(metres(options.at[0]), metres(options.at[1])),
+        speed=metres(options.speed),
+    )
+    return run_motion(options, motion)

@@ -1,0 +1,499 @@
+"""Options that every verb which simulates has, and the scene that they describe."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
+from sim.errors import SceneError
+from sim.scene import Body
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+    from sim.indenters import Indenter
+
+    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+# What a person types, read: numbers, lists of numbers, pairs.
+
+MM = 1e-3
+
+
+def metres(millimetres: float) -> float:
+    """A length in [m]; divided, so that 9 mm are 0.009 m to the last digit."""
+    return millimetres / 1e3
+
+
+def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
+    """The reader of numbers between commas: `count` of them, or one and more."""
+    allowed = f"{count} numbers" if count else "numbers"
+    example = ",".join(["1.5", "2", "0"][: count or 3])
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if not values or (count is not None and len(values) != count):
+            raise argparse.ArgumentTypeError(
+                f"{text!r}; allowed: {allowed} between commas, such as {example}"
+            )
+        return values
+
+    return read
+
+
+def branches(text: str) -> tuple[tuple[float, float], ...] | None:
+    """Pairs `ratio:time` between commas; `none` is None."""
+    if text == "none":
+        return None
+    try:
+        pairs = [part.split(":") for part in text.split(",")]
+        return tuple((float(ratio), float(time)) for ratio, time in pairs)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}; allowed: ratio:seconds between commas, such as 0.3:0.1,0.5:2, or none"
+        ) from None
+
+
+def joined(argv: Sequence[str]) -> list[str]:
+    """`argv` with values such as `-4,0` tied to the option before them.
+
+    argparse would take them for options: it knows negative numbers, but no lists of them.
+    """
+    tied: list[str] = []
+    for word in argv:
+        after_option = bool(tied) and tied[-1].startswith("--") and "=" not in tied[-1]
+        if after_option and re.match(r"-[.\d][^=]*,", word):
+            tied[-1] += f"={word}"
+        else:
+            tied.append(word)
+    return tied
+
+
+# Which indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
+
+Measures = dict[str, float]
+"""Measures that were given: lengths in [m], angles in [rad]."""
+
+MEASURES = {
+    "radius": "radius of a sphere, a punch or a bar [mm]",
+    "width": "width of a box along x [mm]",
+    "length": "length of a box or a bar along y [mm]",
+    "half_angle": "angle between the axis and the side of a cone [deg]",
+    "tip_radius": "radius of a cone's tip, flat or round [mm]",
+    "ring_radius": "radius of a torus's middle line [mm]",
+    "tube_radius": "radius of a torus's tube [mm]",
+    "outer_radius": "outer radius of a tube [mm]",
+    "inner_radius": "inner radius of a tube [mm]",
+}
+NEEDS: dict[str, tuple[str, ...]] = {
+    "sphere": ("radius",),
+    "punch": ("radius",),
+    "cone": ("half_angle", "tip_radius"),
+    "rounded-cone": ("half_angle", "tip_radius"),
+    "box": ("width", "length"),
+    "bar": ("radius", "length"),
+    "torus": ("ring_radius", "tube_radius"),
+    "tube": ("outer_radius", "inner_radius"),
+    "plane": (),
+}
+"""Shapes by measure, and the measures that each must be given."""
+EDGE_MM = 0.3
+"""Edge radius of a shape by measure when none is given, as far as there is room: the same as most
+of the named shapes have, since a sharp edge is never solved reproducibly."""
+ROUND = ("sphere", "torus", "rounded-cone", "plane")
+"""Shapes without an edge to round."""
+FILE = ".stl"
+"""How the name of a file ends, in place of a shape."""
+FILE_OPTIONS = ("stl_unit", "stl_up")
+
+
+def add_indenter_options(parser: argparse.ArgumentParser) -> None:
+    """`--shape`, its measures or file, `--edge-radius`, `--tilt` and `--at`."""
+    from sim.indenters import NAMES, UNITS, UPS
+
+    group = parser.add_argument_group("indenter")
+    by_measure = "; ".join(
+        f"{shape} ({', '.join(_option(name) for name in needs) or 'no measure'})"
+        for shape, needs in NEEDS.items()
+    )
+    group.add_argument(
+        "--shape",
+        default="sphere",
+        metavar="NAME",
+        help=f"without measures one of {', '.join(NAMES)}; with all of its measures: {by_measure}; "
+        "or an STL file (%(default)s)",
+    )
+    for name, meaning in MEASURES.items():
+        unit = "DEG" if name == "half_angle" else "MM"
+        group.add_argument(_option(name), type=float, metavar=unit, help=meaning)
+    group.add_argument(
+        "--edge-radius",
+        type=float,
+        metavar="MM",
+        help=f"radius of every convex edge [mm] (default: the named shape's own, else {EDGE_MM} as "
+        "far as there is room)",
+    )
+    group.add_argument("--stl-unit", choices=UNITS, help="unit of the numbers in an STL file (mm)")
+    group.add_argument(
+        "--stl-up",
+        choices=UPS,
+        help="axis of an STL file that points away from the skin; --stl-up=-z where the tip is up "
+        "(+z)",
+    )
+    group.add_argument(
+        "--tilt",
+        type=numbers(2),
+        default=(0.0, 0.0),
+        metavar="X,Y",
+        help="how the indenter leans, a rotation vector about x and y [deg] (0,0)",
+    )
+    group.add_argument(
+        "--at",
+        type=numbers(2),
+        default=(0.0, 0.0),
+        metavar="X,Y",
+        help="where the tip goes down, from the middle of the body [mm] (0,0)",
+    )
+
+
+def indenter_of(options: argparse.Namespace) -> Indenter:
+    """The indenter that the options describe, leaning as they say.
+
+    Raises:
+        FileNotFoundError: There is no such STL file.
+        SceneError: An unknown shape, measures that it does not have or lacks, sizes or a file that
+            make no body, or a tilt that it cannot have.
+    """
+    upright = _upright(options)
+    about_x, about_y = map(math.radians, options.tilt)
+    return upright.tilted(about_x, about_y) if about_x or about_y else upright
+
+
+def _upright(options: argparse.Namespace) -> Indenter:
+    from sim.indenters import NAMES, named
+
+    shape: str = options.shape
+    given = {name for name in MEASURES if getattr(options, name) is not None}
+    edge = None if options.edge_radius is None else metres(options.edge_radius)
+    if shape.lower().endswith(FILE):
+        return _from_file(options, given, edge)
+    for name in FILE_OPTIONS:
+        if getattr(options, name) is not None:
+            raise SceneError(
+                f"{_option(name)}: given with --shape {shape}; allowed: an STL file, or nothing"
+            )
+    if shape in NAMES and not given:
+        return named(shape, edge)
+    if shape not in NEEDS:
+        if shape in NAMES:
+            raise SceneError(
+                f"{_option(sorted(given)[0])}: given with --shape {shape}; allowed: no "
+                "measure, they are known"
+            )
+        allowed = dict.fromkeys((*NAMES, *NEEDS))
+        raise SceneError(f"--shape: {shape!r}; allowed: {', '.join(allowed)}")
+    needs = set(NEEDS[shape])
+    if given != needs:
+        listed = ", ".join(_option(name) for name in NEEDS[shape]) or "no measure"
+        found = ", ".join(_option(name) for name in sorted(given)) or "nothing"
+        raise SceneError(f"--shape {shape}: {found} given; allowed: {listed}")
+    return _measured(shape, {name: _si(name, getattr(options, name)) for name in given}, edge)
+
+
+def _from_file(options: argparse.Namespace, given: set[str], edge: float | None) -> Indenter:
+    from sim.device import ready_device
+    from sim.indenters import from_stl
+    from sim.indenters.solid import REACH
+
+    if given:
+        raise SceneError(
+            f"{_option(sorted(given)[0])}: given with --shape {options.shape}; allowed: no "
+            "measure, the file has them"
+        )
+    # Distances to the file's triangles are found by Warp, whichever the tier.
+    ready_device(options.device)
+    indenter = from_stl(
+        options.shape,
+        unit=options.stl_unit or "mm",
+        up=options.stl_up or "+z",
+        edge_radius=metres(EDGE_MM) if edge is None else edge,
+        # No press goes deeper than the body is thick.
+        reach=max(REACH, metres(options.size[2])),
+    )
+    for note in indenter.solid.notes if indenter.solid else ():
+        print(f"note: {note}", file=sys.stderr)
+    return indenter
+
+
+def _measured(shape: str, sizes: Measures, edge: float | None) -> Indenter:
+    from sim import indenters
+
+    makers: dict[str, Callable[..., Indenter]] = {
+        "sphere": indenters.sphere,
+        "punch": indenters.flat_punch,
+        "cone": indenters.cone,
+        "rounded-cone": indenters.rounded_cone,
+        "box": indenters.box,
+        "bar": indenters.bar,
+        "torus": indenters.torus,
+        "tube": indenters.tube,
+        "plane": indenters.plane,
+    }
+    made = makers[shape](**sizes)
+    if shape in ROUND:
+        if edge is not None:
+            raise SceneError(f"--edge-radius: given with --shape {shape}, which has no edge")
+        return made
+    if edge is None:
+        edge = min(metres(EDGE_MM), made.edge_radius_max)
+    return replace(made, edge_radius=edge)
+
+
+def _si(name: str, value: float) -> float:
+    return math.radians(value) if name == "half_angle" else metres(value)
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+PRECISIONS = ("auto", "float32", "float64")
+
+
+def add_scene_options(
+    parser: argparse.ArgumentParser, *, friction: float = 0.0, viscosity: str = "none"
+) -> None:
+    """Indenter, body, effects, numerics and output; `friction`, `viscosity` are the defaults."""
+    add_indenter_options(parser)
+    _add_body_options(parser)
+    _add_effect_options(parser, friction, viscosity)
+    _add_solver_options(parser)
+    _add_output_options(parser)
+
+
+def add_speed(group: argparse._ArgumentGroup) -> None:
+    """The option of verbs whose tip moves at one speed."""
+    group.add_argument(
+        "--speed",
+        type=float,
+        default=10.0,
+        metavar="MM/S",
+        help="speed of the tip, felt by viscosity and inertia only [mm/s] (%(default)s)",
+    )
+
+
+def check_motion(options: argparse.Namespace, units: dict[str, str]) -> None:
+    """Refuse measures of a motion, named with their units, that are not above 0; and its steps.
+
+    Raises:
+        SceneError: Names the option, what was given and what is allowed.
+    """
+    for name, unit in units.items():
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0):
+            raise SceneError(f"--{name}: {value!r} {unit}; allowed: above 0")
+    if not 1 <= options.steps <= 1000:
+        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
+
+
+def body_of(options: argparse.Namespace) -> Body:
+    """The body that the options describe.
+
+    Raises:
+        SceneError: A value outside of what is allowed.
+    """
+    x, y, z = options.size
+    return Body(
+        size_x=metres(x),
+        size_y=metres(y),
+        thickness=metres(z),
+        modulus=options.modulus * 1e6,
+        poisson=options.poisson,
+        dome_radius=None if options.dome is None else metres(options.dome),
+        density=options.density,
+    )
+
+
+def effects_of(options: argparse.Namespace) -> Effects:
+    """The effects that the options ask for; friction 0 asks for none.
+
+    Raises:
+        SceneError: A value outside of what is allowed.
+    """
+    friction, viscosity = options.friction, options.viscosity
+    return Effects(
+        friction=None if friction == 0 else Friction(friction),
+        viscosity=None
+        if viscosity is None
+        else Viscosity(
+            ratios=tuple(ratio for ratio, _ in viscosity),
+            times=tuple(time for _, time in viscosity),
+            relaxes=options.relaxes,
+        ),
+        inertia=None if options.inertia is None else Inertia(options.inertia),
+        gravity=None if options.gravity is None else Gravity(options.gravity),
+    )
+
+
+def numerics_of(options: argparse.Namespace) -> Numerics | None:
+    """The numerics of tier `fem` that the options ask for; None for `layer` or a tolerance.
+
+    Raises:
+        SceneError: An option that tier `layer` or a tolerance does not have.
+    """
+    if options.tolerance is not None:
+        for name, default in (("tier", None), ("mesh", None), ("precision", "auto")):
+            if getattr(options, name) != default:
+                raise SceneError(
+                    f"--{name}: {getattr(options, name)!r} with --tolerance; allowed: either"
+                )
+        return None
+    if options.tier == "layer":
+        for name, default in (("mesh", None), ("precision", "auto"), ("device", "cpu")):
+            if getattr(options, name) != default:
+                raise SceneError(
+                    f"--{name}: {getattr(options, name)!r} with --tier layer; allowed: --tier fem"
+                )
+        return None
+    from sim.fem.numerics import FOR_EDGES, Grading, Numerics
+
+    if options.mesh is not None and not options.mesh > 0:
+        raise SceneError(f"--mesh: {options.mesh!r} mm; allowed: above 0")
+    spacing = None if options.mesh is None else metres(options.mesh)
+    grading = FOR_EDGES if options.extrapolate else Grading()
+    return Numerics(spacing=spacing, precision=options.precision, grading=grading)
+
+
+def _add_body_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("body")
+    group.add_argument(
+        "--size",
+        type=numbers(3),
+        default=(20.0, 20.0, 4.0),
+        metavar="X,Y,Z",
+        help="width along x and y, and thickness [mm] (20,20,4)",
+    )
+    group.add_argument(
+        "--dome", type=float, metavar="MM", help="radius of a spherical top [mm] (flat)"
+    )
+    group.add_argument(
+        "--modulus",
+        type=float,
+        default=0.145,
+        metavar="MPA",
+        help="Young's modulus at rest [MPa] (%(default)s)",
+    )
+    group.add_argument(
+        "--poisson",
+        type=float,
+        default=0.45,
+        metavar="RATIO",
+        help="Poisson's ratio at rest, 0 to 0.49995 (%(default)s)",
+    )
+    group.add_argument(
+        "--density",
+        type=float,
+        default=1070.0,
+        metavar="KG/M3",
+        help="density, for inertia and gravity [kg/m^3] (%(default)s)",
+    )
+
+
+def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscosity: str) -> None:
+    group = parser.add_argument_group("effects")
+    group.add_argument(
+        "--friction",
+        type=float,
+        default=friction,
+        metavar="MU",
+        help="coefficient of Coulomb friction; 0 is frictionless (%(default)s)",
+    )
+    group.add_argument(
+        "--viscosity",
+        type=branches,
+        default=branches(viscosity),
+        metavar="RATIO:S[,...]",
+        help="branches that relax: stiffness over the stiffness at rest, and time [s]; or none "
+        f"({viscosity})",
+    )
+    group.add_argument(
+        "--relaxes",
+        choices=("all", "shear"),
+        default="all",
+        help="whether pressure relaxes as well, or shear alone (%(default)s)",
+    )
+    group.add_argument(
+        "--inertia",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="SCALE",
+        help="let mass resist, scaled by this factor (off; alone: 1)",
+    )
+    group.add_argument(
+        "--gravity",
+        type=numbers(3),
+        nargs="?",
+        const=(0.0, 0.0, -9.81),
+        metavar="X,Y,Z",
+        help="let the body have weight, this acceleration [m/s^2] (off; alone: 0,0,-9.81)",
+    )
+
+
+def _add_solver_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("solver")
+    group.add_argument(
+        "--tier",
+        choices=("layer", "fem"),
+        help="layer: linear, milliseconds a step; fem: large strain, seconds to minutes (fem)",
+    )
+    group.add_argument(
+        "--tolerance",
+        metavar="ERROR",
+        help='the error that is accepted, "2 %%", "0.05 N" or "0.5 px": in place of --tier, '
+        "--mesh and --precision, the cheapest that keeps it",
+    )
+    group.add_argument(
+        "--error-bar", action="store_true", help="solve a coarser mesh too, and tell the error"
+    )
+    group.add_argument(
+        "--extrapolate",
+        action="store_true",
+        help="solve a coarser mesh too, and tell the force that both lead to",
+    )
+    group.add_argument(
+        "--mesh",
+        type=float,
+        metavar="MM",
+        help="edge of an element of fem [mm] (a sixth of the thickness)",
+    )
+    group.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default="auto",
+        help="of fem; auto goes from float32 to float64 where it must (%(default)s)",
+    )
+    group.add_argument(
+        "--device", default="cpu", help="where fem runs: cpu, or cuda:0 and the like (%(default)s)"
+    )
+
+
+def _add_output_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("output")
+    group.add_argument("--json", action="store_true", help="print one JSON object, no picture")
+    group.add_argument(
+        "--out", type=Path, metavar="PNG", help="picture to write (default: VERB-SHAPE.png)"
+    )
+    group.add_argument(
+        "--save", type=Path, metavar="ZARR", help="keep everything in this new Zarr directory"
+    )

@@ -1,0 +1,53 @@
+"""`python -m sim press`: straight down, to one depth after the other."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from sim.cli.options import add_scene_options, add_speed, metres, numbers
+from sim.errors import SceneError
+from sim.scene import press
+
+if TYPE_CHECKING:
+    from sim.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser("press", help="press straight down: force, surface, pressure")
+    group = parser.add_argument_group("motion")
+    group.add_argument(
+        "--depths",
+        type=numbers(),
+        default=(0.5, 1.0, 1.5),
+        metavar="MM,...",
+        help="depths to go to in turn, from the touched surface [mm] (0.5,1,1.5)",
+    )
+    add_speed(group)
+    add_scene_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Press, and show the frame of every depth; the exit code.
+
+    Raises:
+        SceneError, SimulationDiverged: Before anything was written.
+    """
+    from sim.cli.report import run_motion
+
+    before = 0.0
+    for index, depth in enumerate(options.depths):
+        if depth == before:
+            raise SceneError(
+                f"--depths[{index}]: {depth!r} mm; allowed: another depth than {before!r} mm, "
+                "where the tip already is"
+            )
+        before = depth
+    motion = press(
+        [metres(depth) for depth in options.depths],
+        at=(metres(options.at[0]), metres(options.at[1])),
+        speed=metres(options.speed),
+    )
+    return run_motion(options, motion, first=1)

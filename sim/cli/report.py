@@ -1,0 +1,266 @@
+"""What the verbs share: simulate the scene of the options, and hand its result over."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.cli.options import body_of, effects_of, indenter_of, numerics_of
+from sim.errors import SceneError
+from sim.progress import Progress
+from sim.result import Quality, Result
+from sim.scene import Motion, Scene
+from sim.simulate import simulate
+
+# A result in millimetres and newtons: one JSON object, or a table to read.
+
+Array = NDArray[np.float64]
+
+EDGE_NOTE_SHARE = 0.999
+"""An edge radius below this share of an element is worth a note."""
+
+
+def as_json(result: Result, *, first: int, seconds: float) -> dict[str, Any]:
+    """Everything but the fields of the surface, from frame `first` on, as plain JSON values.
+
+    Args:
+        result: What was simulated.
+        first: First frame that counts.
+        seconds: Wall-clock time of the whole.
+    """
+    scene, frames = result.scene, slice(first, None)
+    tip = np.array(scene.motion.tip, float)[frames] * 1e3
+    force, torque = result.wrench[frames, :3], result.wrench[frames, 3:]
+    quality = {
+        one.name: _plain(getattr(result.quality, one.name)[frames]) for one in fields(Quality)
+    }
+    return {
+        "depth_mm": _plain(-tip[:, 2]),
+        "force_n": _plain(-force[:, 2]),
+        "seconds": round(seconds, 4),
+        "time_s": _plain(np.array(scene.motion.time, float)[frames]),
+        "tip_mm": _plain(tip),
+        "wrench_n_nm": _plain(np.concatenate([force, torque], axis=1)),
+        "indenter": {
+            "name": scene.indenter.name,
+            "edge_radius_mm": scene.indenter.edge_radius * 1e3,
+            "tilt_deg": [math.degrees(angle) for angle in scene.indenter.tilt],
+        },
+        "tier": result.tier,
+        "effects": list(scene.effects.key),
+        "mesh": result.record["mesh"],
+        "precision": result.record["precision"],
+        "device": result.record["device"],
+        "plan": result.record.get("plan"),
+        "error_bar": result.record.get("error_bar"),
+        "extrapolated": result.record.get("extrapolated"),
+        "seconds_by_stage": result.record["seconds"],
+        "quality": quality,
+        "notes": notes(result),
+    }
+
+
+def table(result: Result, *, first: int) -> list[str]:
+    """Lines of a table with a row for each frame from `first` on; empty columns are left out."""
+    motion, quality, force = result.scene.motion, result.quality, result.force
+    tip = np.array(motion.tip, float) * 1e3
+    timed = {"viscosity", "inertia"} & set(result.scene.effects.key)
+    sheared = np.abs(force[:, :2]).max(axis=0) > 1e-3 * np.abs(force).max()
+    columns: list[tuple[str, str, Array, bool]] = [
+        ("time [s]", ".4g", np.array(motion.time, float), bool(timed)),
+        ("x [mm]", "z.3f", tip[:, 0], bool(tip[:, 0].any())),
+        ("y [mm]", "z.3f", tip[:, 1], bool(tip[:, 1].any())),
+        ("depth [mm]", "z.3f", -tip[:, 2], True),
+        ("force [N]", "z.4f", -force[:, 2], True),
+        ("Fx [N]", "z.4f", force[:, 0], bool(sheared[0])),
+        ("Fy [N]", "z.4f", force[:, 1], bool(sheared[1])),
+        ("residual", ".0e", quality.residual, True),
+        ("contact", ".0e", quality.contact, True),
+        ("balance", ".0e", quality.balance, True),
+        ("energy gap", "z.4f", quality.energy_gap, True),
+        ("det F min", "z.3f", quality.det_f_min, True),
+        ("slip excess", ".0e", quality.slip_excess, True),
+        ("newton", "z.0f", quality.newton.astype(float), True),
+        ("cg", "z.0f", quality.cg.astype(float), bool(quality.cg.any())),
+    ]
+    shown = [
+        [heading, *(format(value, form) for value in values[first:])]
+        for heading, form, values, wanted in columns
+        if wanted and np.isfinite(values).any()
+    ]
+    widths = [max(len(cell) for cell in column) for column in shown]
+    return [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in zip(*shown, strict=True)
+    ]
+
+
+def heading(result: Result) -> str:
+    """One line on what was simulated, and how."""
+    scene, body = result.scene, result.scene.body
+    size = "x".join(f"{side * 1e3:g}" for side in (body.size_x, body.size_y, body.thickness))
+    dome = f", dome {body.dome_radius * 1e3:g} mm" if body.dome_radius else ""
+    edge = scene.indenter.edge_radius
+    edges = f", edges {edge * 1e3:g} mm" if edge else ""
+    cells = result.record["mesh"].get("cells") or result.record["mesh"]["grid"]
+    mesh = "x".join(str(count) for count in cells)
+    effects = ", ".join(scene.effects.key) or "no effects"
+    return (
+        f"{scene.indenter.name}{edges}; body {size} mm{dome}, {body.modulus / 1e6:g} MPa, nu "
+        f"{body.poisson:g}; {effects}; {result.tier} {mesh}, {result.record['precision']}, "
+        f"{result.record['device']}"
+    )
+
+
+def stages(result: Result, seconds: float) -> str:
+    """One line on where the time went."""
+    parts = ", ".join(f"{name} {value:.2f}" for name, value in result.record["seconds"].items())
+    return f"{seconds:.2f} s ({parts})"
+
+
+def notes(result: Result) -> list[str]:
+    """What a reader of the numbers should know about them; empty when there is nothing."""
+    solid = result.scene.indenter.solid
+    said = [] if solid is None else list(solid.notes)
+    if result.tier == "fem":
+        from sim.fem.newton import sharpest
+
+        body = result.scene.body
+        size = max(
+            body.size_x / result.record["mesh"]["cells"][0],
+            body.size_y / result.record["mesh"]["cells"][1],
+        )
+        edge = sharpest(result.scene.indenter)
+        if edge < EDGE_NOTE_SHARE * size:
+            said.append(
+                f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "
+                f"{size * 1e3:.3g} mm: the force still depends on --mesh"
+            )
+    if "plan" in result.record:
+        said += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
+    if "error_bar" in result.record:
+        bar = result.record["error_bar"]
+        said.append(
+            f"error bar: {100 * bar['force_share']:.2g} % of the force, {bar['force']:.2g} N, "
+            f"markers {bar['marker_rms']:.2g} px"
+        )
+    if "extrapolated" in result.record:
+        how = result.record["extrapolated"]
+        coarse, fine = how["cells"]
+        said.append(
+            f"forces extrapolated from {coarse} and {fine} elements over the depth, which changed "
+            f"them by {100 * how['force_share']:.2g} %"
+        )
+    if "precision_reason" in result.record:
+        said.append(result.record["precision_reason"])
+    return said
+
+
+def _plain(values: NDArray[Any]) -> list[Any]:
+    """Lists of numbers; None where a number is not finite, which JSON cannot say."""
+    return [_plain_item(value) for value in values.tolist()]
+
+
+def _plain_item(value: Any) -> Any:
+    if isinstance(value, Iterable):
+        return [_plain_item(one) for one in value]
+    if isinstance(value, float):
+        return value + 0.0 if math.isfinite(value) else None
+    return value
+
+
+def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -> int:
+    """Simulate `motion` with the rest of the options, show and keep the result; the exit code.
+
+    `first` is the first frame that is told of.
+
+    Raises:
+        SceneError, SimulationDiverged: Before anything was written.
+    """
+    began = time.perf_counter()
+    scene = Scene(
+        indenter=indenter_of(options),
+        motion=motion,
+        body=body_of(options),
+        effects=effects_of(options),
+    )
+    picture = _picture_path(options)
+    _make_room(options.save, picture)
+    result = _simulated(scene, options)
+    seconds = time.perf_counter() - began
+    if options.save is not None:
+        from sim.store import save_results
+
+        save_results(options.save, [result])
+    if picture is not None:
+        from sim.plot import save_picture
+
+        save_picture(result, picture)
+    if options.json:
+        print(json.dumps(as_json(result, first=first, seconds=seconds), allow_nan=False))
+        return 0
+    print(heading(result))
+    print()
+    for line in table(result, first=first):
+        print(line)
+    print()
+    print(stages(result, seconds))
+    for note in notes(result):
+        print(f"note: {note}")
+    for path in (options.save, picture):
+        if path is not None:
+            print(path)
+    return 0
+
+
+def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
+    numerics = numerics_of(options)
+    kernels = None
+    if options.tier != "layer":
+        from sim.device import ready_device
+
+        kernels = ready_device(options.device)
+    with Progress(options.verb, sys.stderr, kernels=kernels) as progress:
+        return simulate(
+            scene,
+            options.tier,
+            tolerance=options.tolerance,
+            error_bar=options.error_bar,
+            extrapolate=options.extrapolate,
+            numerics=numerics,
+            device=options.device,
+            progress=progress,
+        )
+
+
+def _picture_path(options: argparse.Namespace) -> Path | None:
+    """Where the picture goes; None when none is wanted."""
+    path: Path | None = options.out
+    if path is None:
+        return None if options.json else Path(f"{options.verb}-{Path(options.shape).stem}.png")
+    if path.suffix.lower() != ".png":
+        raise SceneError(f"--out: {path}; allowed: a name that ends in .png")
+    return path
+
+
+def _make_room(save: Path | None, picture: Path | None) -> None:
+    """Find out before the work whether its results can be written."""
+    if save is not None and save.exists():
+        raise SceneError(f"--save: {save} exists; allowed: a new path")
+    for path in (save, picture):
+        if path is None:
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(f"{path.parent}: not writable")

@@ -1,0 +1,39 @@
+"""Archives of simulated sensors: the paper's states, and its trajectories on sensors of ours.
+
+A plan says what an archive holds; it is stored in the archive, and everything follows from it.
+Units of it are made by one process, by several, or by a cluster, in any order and twice.
+"""
+
+from sim.dataset.generate import Made, make_unit
+from sim.dataset.plan import (
+    UNSEEN,
+    Family,
+    Plan,
+    Solving,
+    Unit,
+    chosen_targets,
+    families,
+    gel,
+    units,
+)
+from sim.dataset.run import Begun, Filled, Stop, begin, fill, found
+
+__all__ = [
+    "UNSEEN",
+    "Begun",
+    "Family",
+    "Filled",
+    "Made",
+    "Plan",
+    "Solving",
+    "Stop",
+    "Unit",
+    "begin",
+    "chosen_targets",
+    "families",
+    "fill",
+    "found",
+    "gel",
+    "make_unit",
+    "units",
+]

@@ -1,0 +1,664 @@
+"""What an archive of simulated sensors is made from: one frozen value, stored in the archive."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from sim.effects import Friction
+from sim.errors import SceneError, SimulationDiverged, check_range
+from sim.indenters import NAMES, named
+from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
+from sim.result import Result, from_json, to_json
+from sim.scene import Body, Motion, Scene, from_target, press, through
+from sim.sensors import CameraSignal, SimulatedSensor, sensor
+from sim.simulate import simulate, simulate_many
+from trajectories import PHASES, ForceDepth, Point, PressShear, Target
+
+if TYPE_CHECKING:
+    from sim.fem.numerics import Numerics
+
+
+# A press that is simulated once, and which of its frames become rows of an archive.
+
+NO_PHASE = -1
+NO_LOCATION = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Frames of one target: rows of an archive that are compressed together."""
+
+    target: int
+    """Its number within the indenter, as in the whole plan."""
+    number: int
+    """Its number among all that a sensor could ever have: what is drawn for a frame follows it."""
+    session_point: int
+    """Number of its contact point in the sensor's life, 0 where nothing creeps."""
+    frames: tuple[int, ...]
+    """Frames of the press's motion."""
+    phases: tuple[int, ...]
+    """Code of the phase of each, or -1."""
+    locations: tuple[int, ...]
+    """Location of each, or -1."""
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.frames)
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """One indenter on one motion, as the robot was told."""
+
+    indenter: str
+    motion: Motion
+    recordings: tuple[Recording, ...]
+    """All of equal length."""
+
+
+# How the presses of an archive are solved, and what is tried where one finds no solution.
+
+ArchiveTier = Literal["layer", "fem"]
+
+SPACING_MAX = 1.2e-3
+"""Largest element unless said otherwise [m]: the edges of a thick body's indenters ask for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solving:
+    """Tier and mesh, or the error that is accepted in place of both.
+
+    Raises:
+        SceneError: A value outside of what is allowed, or both.
+    """
+
+    tier: ArchiveTier = "fem"
+    spacing: float | None = None
+    """Height of an element [m]; None: as many as `cells` say, but 1.2 mm at most."""
+    cells: int = 5
+    """Elements that one thickness is high, without a spacing: 0.8 mm in the paper's gel."""
+    for_edges: bool = True
+    """Whether elements are narrower where the indenter comes (`sim.fem.numerics.FOR_EDGES`)."""
+    one_topology: bool = False
+    """Whether all meshes of one call are alike, so that a GPU solves them in one launch."""
+    tolerance: str | None = None
+    """Such as "3 %": each press as cheaply as that allows; tier and mesh are then the planner's."""
+
+    def __post_init__(self) -> None:
+        if self.tier not in get_args(ArchiveTier):
+            raise SceneError(f"solving.tier: {self.tier!r}; allowed: {get_args(ArchiveTier)}")
+        if self.spacing is not None:
+            check_range("solving", "spacing", self.spacing, 0.0, 1.0, unit="m", open_low=True)
+            if self.tier == "layer" or self.tolerance is not None:
+                given = "tier layer" if self.tolerance is None else "a tolerance"
+                raise SceneError(f"solving.spacing: {self.spacing!r} m with {given}; allowed: None")
+        check_range("solving", "cells", self.cells, 1, 1000)
+        if self.tolerance is not None:
+            if self.tier != "fem":
+                raise SceneError(f"solving.tier: {self.tier!r} with a tolerance; allowed: none")
+            from sim.planner import tolerance_of
+
+            tolerance_of(self.tolerance)
+
+    def numerics(self, body: Body) -> Numerics | None:
+        """Settings of `fem` for a body; None for `layer`."""
+        if self.tier == "layer":
+            return None
+        from sim.fem.numerics import FOR_EDGES, Grading, Numerics
+
+        spacing = self.spacing
+        if spacing is None:
+            spacing = min(body.thickness / self.cells, SPACING_MAX)
+        return Numerics(
+            spacing=spacing,
+            grading=FOR_EDGES if self.for_edges else Grading(),
+            one_topology=self.one_topology,
+        )
+
+    @property
+    def scales_with_modulus(self) -> bool:
+        """Whether forces may be scaled with the modulus: not where an error in newton is asked."""
+        return self.tolerance is None or not self.tolerance.strip().endswith("N")
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """What became of one press."""
+
+    result: Result | None
+    """None where no attempt found a solution."""
+    how: dict[str, Any]
+    """How it was made, as plain values without times: what is kept with each of its frames."""
+
+
+def solve(
+    scenes: Sequence[Scene],
+    solving: Solving,
+    *,
+    device: str = "cpu",
+    progress: Callable[[float], None] | None = None,
+) -> list[Solved]:
+    """Solve scenes of bodies that are equally thick, each again in other ways if it must be.
+
+    Raises:
+        SceneError: What `simulate` refuses.
+    """
+    if solving.tolerance is not None:
+        return [_within(scene, solving.tolerance, device) for scene in scenes]
+    first = solving.numerics(scenes[0].body)
+    outcomes = simulate_many(scenes, solving.tier, numerics=first, device=device, progress=progress)
+    attempts = [] if first is None else _attempts(first, scenes[0].body)
+    return [
+        _again(scene, outcome, solving, attempts, device)
+        for scene, outcome in zip(scenes, outcomes, strict=True)
+    ]
+
+
+def _attempts(first: Numerics, body: Body) -> list[tuple[str, Numerics]]:
+    """What is tried after the first settings, in words and as settings."""
+    careful = replace(
+        first, precision="float64", step_travel=body.thickness / 100, newton_max=120, halvings=16
+    )
+    from sim.fem.numerics import Grading
+
+    return [
+        ("steps of 1/100 of the thickness, float64", careful),
+        (
+            "even elements, steps of 1/100 of the thickness, float64",
+            replace(careful, grading=Grading()),
+        ),
+    ]
+
+
+def _again(
+    scene: Scene,
+    outcome: Result | SimulationDiverged,
+    solving: Solving,
+    attempts: Sequence[tuple[str, Numerics]],
+    device: str,
+) -> Solved:
+    """The first solution: `outcome` itself, or that of one of `attempts`."""
+    if isinstance(outcome, Result):
+        return Solved(outcome, _how(outcome))
+    failed = [_reason("as asked for", outcome)]
+    for words, numerics in attempts:
+        (outcome,) = simulate_many([scene], solving.tier, numerics=numerics, device=device)
+        if isinstance(outcome, Result):
+            return Solved(outcome, {**_how(outcome), "again": words, "failed": failed})
+        failed.append(_reason(words, outcome))
+    return Solved(None, {"tier": solving.tier, "device": device, "failed": failed})
+
+
+def _within(scene: Scene, tolerance: str, device: str) -> Solved:
+    """Solved by the planner's choices, which tries dearer ones by itself."""
+    try:
+        result = simulate(scene, tolerance=tolerance, device=device)
+    except SimulationDiverged as diverged:
+        failed = [_reason(f"within {tolerance}", diverged)]
+        return Solved(None, {"tolerance": tolerance, "device": device, "failed": failed})
+    how = {**_how(result), "tolerance": tolerance}
+    tried = result.record["plan"]["tried"]
+    return Solved(result, {**how, "failed": [_one_line(line) for line in tried]} if tried else how)
+
+
+def _how(result: Result) -> dict[str, Any]:
+    record = result.record
+    how: dict[str, Any] = {
+        "tier": result.tier,
+        "mesh": record["mesh"].get("cells") or record["mesh"].get("grid"),
+        "precision": record["precision"],
+        "device": record["device"],
+    }
+    if result.tier == "layer":
+        how["small strain"] = True
+    return how
+
+
+def _reason(attempt: str, diverged: SimulationDiverged) -> str:
+    if diverged.dump is not None:
+        # The provenance says all there is to say; a dump of every attempt would fill the disk.
+        shutil.rmtree(diverged.dump.parent, ignore_errors=True)
+    return f"{attempt}: {_one_line(str(diverged))}"
+
+
+def _one_line(text: str) -> str:
+    """The first line of a message, without the path of a dump: that differs from run to run."""
+    return " ".join(text.split("state:")[0].split()).rstrip(" ;,.")
+
+
+@functools.cache
+def described(solving: Solving, body: Body) -> str:
+    """How presses on a body are solved, in a few words."""
+    if solving.tolerance is not None:
+        return f"within {solving.tolerance}"
+    numerics = solving.numerics(body)
+    if numerics is None:
+        return "layer (small strain)"
+    shape = "for edges" if solving.for_edges else "even"
+    return f"fem, elements {1e3 * (numerics.spacing or 0):.3g} mm high, graded {shape}"
+
+
+Work = Literal["states", "targets"]
+
+UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
+"""Indenters that models of the paper are tested on and never trained on."""
+STEPS_MAX = 1000
+UNIT_PRESSES = 9
+"""Presses that are solved and written together at most: the nine places of the paper's states."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that decides what an archive holds, byte by byte on one kind of machine.
+
+    Raises:
+        SceneError: A value outside of what is allowed.
+    """
+
+    work: Work
+    """`states`: presses at nine places to five depths; `targets`: the sensors' recorded presses."""
+    sensors: tuple[SimulatedSensor, ...]
+    """Rows of `sim.sensors`, with different names."""
+    indenters: tuple[str, ...] = NAMES
+    """Names, in the order of `sim.indenters.NAMES`."""
+    solving: Solving = field(default_factory=Solving)
+    """How presses are solved."""
+    seed: int = 0
+    """Of everything that is drawn."""
+    steps: int = 10
+    """Frames of a phase of a target; states have none."""
+    share: float = 1.0
+    """Share of the targets that is taken, spread evenly over points, depths and directions."""
+    unit_presses: int = UNIT_PRESSES
+    """Presses of one indenter whose frames share a file, at most."""
+    together: int = UNIT_PRESSES
+    """Presses that are solved in one call, at most, but whole files: a GPU wants many."""
+
+    def __post_init__(self) -> None:
+        if self.work not in get_args(Work):
+            raise SceneError(f"plan.work: {self.work!r}; allowed: {get_args(Work)}")
+        _check_names("sensors", [each.name for each in self.sensors])
+        _check_names("indenters", list(self.indenters))
+        if unknown := [name for name in self.indenters if name not in NAMES]:
+            raise SceneError(f"plan.indenters: {unknown}; allowed: {', '.join(NAMES)}")
+        if self.indenters != tuple(name for name in NAMES if name in self.indenters):
+            raise SceneError(f"plan.indenters: {self.indenters}; allowed: in the order of {NAMES}")
+        check_range("plan", "seed", self.seed, 0, 2**32)
+        check_range("plan", "steps", self.steps, 1, STEPS_MAX)
+        check_range("plan", "share", self.share, 0.0, 1.0, open_low=True)
+        check_range("plan", "unit_presses", self.unit_presses, 1, 10_000)
+        check_range("plan", "together", self.together, 1, 100_000)
+        for each in self.sensors:
+            if self.work == "targets" and each.trajectory is None:
+                raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
+            if self.work == "states" and not isinstance(each.signal, CameraSignal):
+                raise SceneError(f"{each.name}.signal: taxels; allowed for states: a camera")
+        _check_names(
+            "names in the archive", [name for each in self.sensors for name in names(each)]
+        )
+
+    def document(self) -> dict[str, Any]:
+        """The plan as plain JSON values."""
+        return to_json(self)
+
+    @classmethod
+    def of(cls, document: Any) -> Plan:
+        """The plan that `document` gave.
+
+        Raises:
+            SceneError: Not such a document.
+        """
+        return from_json(cls, document, "plan")
+
+
+def names(sensor: SimulatedSensor) -> tuple[str, ...]:
+    """What a sensor is called in an archive: by its patterns where they are all that matters."""
+    signal = sensor.signal
+    simulated = sensor.trajectory is None
+    if isinstance(signal, CameraSignal) and (simulated or len(signal.patterns) > 1):
+        return signal.patterns
+    return (sensor.name,)
+
+
+def code(indenter: str) -> int:
+    """Code of an indenter in every archive, a part of them or not."""
+    return NAMES.index(indenter)
+
+
+def differing(one: dict[str, Any], other: dict[str, Any], where: str = "") -> list[str]:
+    """Keys in which two documents of plans differ, down to the innermost: `sensors[0].seed`."""
+    found: list[str] = []
+    for key in sorted(one.keys() | other.keys()):
+        found += _differing(one.get(key, ...), other.get(key, ...), f"{where}{key}")
+    return found
+
+
+def _differing(one: Any, other: Any, where: str) -> list[str]:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return differing(one, other, f"{where}.")
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        pairs = enumerate(zip(one, other, strict=True))
+        return [key for i, pair in pairs for key in _differing(*pair, f"{where}[{i}]")]
+    return [] if one == other else [where]
+
+
+def _check_names(what: str, found: list[str]) -> None:
+    if not found or len(set(found)) != len(found):
+        raise SceneError(f"plan.{what}: {found}; allowed: one or more, all different")
+
+
+# The real trajectories: press, shear, shear back, release; and the force-depth presses.
+#
+# A target is one press of `4 steps + 1` frames: p0, clear of the surface, then `steps` frames of
+# each phase. The force-depth presses come last: one path that goes down and up again `repeats`
+# times, each repeat a target beyond the others, as long as they are, without a location.
+
+FORCE_DEPTH_INDENTER = "prism"
+"""The paper's force-depth presses are made with it."""
+
+
+def target_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
+    """All presses of a sensor: the chosen targets indenter by indenter, then force and depth.
+
+    Raises:
+        SceneError: A sensor without a trajectory.
+    """
+    if each.trajectory is None:
+        raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
+    targets = chosen_targets(each.trajectory, plan.share)
+    presses = [
+        _target_press(plan, each, each.trajectory, indenter, target)
+        for indenter in plan.indenters
+        for target in targets
+    ]
+    if each.force_depth is not None:
+        presses.append(_force_depth(plan, each, each.trajectory, each.force_depth))
+    return tuple(presses)
+
+
+def chosen_targets(trajectory: PressShear, share: float) -> tuple[Target, ...]:
+    """A share of the targets, one at least: evenly over points, depths and directions.
+
+    One after the other, always one whose point, depth, direction and pairs of them came least
+    often so far, so that a smaller share is a part of a larger one.
+    """
+    targets = list(trajectory.targets())
+    count = max(1, round(share * len(targets)))
+    if count == len(targets):
+        return tuple(targets)
+    met: dict[tuple[object, ...], int] = {}
+    chosen: list[Target] = []
+    rest = targets
+    while len(chosen) < count:
+        best = min(rest, key=lambda one: (*_often(met, _traits(one)), one.index))
+        chosen.append(best)
+        rest = [one for one in rest if one is not best]
+        for trait in _traits(best):
+            met[trait] = met.get(trait, 0) + 1
+    return tuple(sorted(chosen, key=lambda one: one.index))
+
+
+def session_points(trajectory: PressShear) -> int:
+    """Contact points at which all indenters have pressed by the end of a sensor's session."""
+    from sim.indenters import NAMES
+
+    return len(NAMES) * len(trajectory.points)
+
+
+def _traits(target: Target) -> tuple[tuple[object, ...], ...]:
+    point, depth, direction = target.point, target.depth, target.direction
+    singles = (("point", point), ("depth", depth), ("direction", direction))
+    return (*singles, *((*a, *b) for a, b in pairwise((*singles, singles[0]))))
+
+
+def _often(
+    met: dict[tuple[object, ...], int], traits: Sequence[tuple[object, ...]]
+) -> tuple[int, int]:
+    """How often single traits came, and pairs of them."""
+    often = [met.get(trait, 0) for trait in traits]
+    return sum(often[:3]), sum(often[3:])
+
+
+def _target_press(
+    plan: Plan, each: SimulatedSensor, trajectory: PressShear, indenter: str, target: Target
+) -> Press:
+    count = 4 * plan.steps + 1
+    phases = (0, *(phase for phase in range(len(PHASES)) for _ in range(plan.steps)))
+    location = code(indenter) * len(trajectory) + target.index
+    recording = Recording(
+        target=target.index,
+        number=_number(each, trajectory, indenter, target.index),
+        session_point=_session_point(trajectory, indenter, target.point),
+        frames=tuple(range(count)),
+        phases=phases,
+        locations=(location,) * count,
+    )
+    motion = _motion(trajectory, target, plan.steps, each.speed)
+    return Press(indenter, motion, (recording,))
+
+
+@functools.lru_cache(maxsize=4096)
+def _motion(trajectory: PressShear, target: Target, steps: int, speed: float) -> Motion:
+    """All indenters and most sensors of a group walk the same way."""
+    return from_target(trajectory, target, steps=steps, speed=speed)
+
+
+def _force_depth(
+    plan: Plan, each: SimulatedSensor, trajectory: PressShear, spec: ForceDepth
+) -> Press:
+    """Loading and unloading in `2 steps` frames each, again and again without a pause."""
+    half = 2 * plan.steps
+    places: list[Point] = [next(spec.targets()).origin]
+    recordings = []
+    for target in spec.targets():
+        first = len(places) - 1
+        for move in spec.moves(target):
+            places += _along(move.start, move.end, half)
+        recordings.append(
+            Recording(
+                target=len(trajectory) + target.index,
+                number=_number(
+                    each, trajectory, FORCE_DEPTH_INDENTER, len(trajectory) + target.index
+                ),
+                session_point=_session_point(trajectory, FORCE_DEPTH_INDENTER, target.point),
+                frames=tuple(range(first, first + 2 * half + 1)),
+                phases=(
+                    *(PHASES.index("normal_inc"),) * (half + 1),
+                    *(PHASES.index("normal_dec"),) * half,
+                ),
+                locations=(NO_LOCATION,) * (2 * half + 1),
+            )
+        )
+    return Press(FORCE_DEPTH_INDENTER, through(places, speed=each.speed), tuple(recordings))
+
+
+def _along(start: Point, end: Point, steps: int) -> list[Point]:
+    """Points behind `start`, `steps` of them, evenly up to `end`."""
+    points: list[Point] = []
+    for index in range(1, steps + 1):
+        x, y, z = (a + (b - a) * index / steps for a, b in zip(start, end, strict=True))
+        points.append((x, y, z))
+    return points
+
+
+def _number(each: SimulatedSensor, trajectory: PressShear, indenter: str, target: int) -> int:
+    repeats = 0 if each.force_depth is None else each.force_depth.repeats
+    return code(indenter) * (len(trajectory) + repeats) + target
+
+
+def _session_point(trajectory: PressShear, indenter: str, point: int) -> int:
+    """Indenter by indenter and point by point, as a lab would; force and depth with the prism's."""
+    points = trajectory.points
+    place = points.index(point) if point in points else 0
+    return code(indenter) * len(points) + place
+
+
+# The paper's simulated states: 18 indenters, 9 places, 5 depths, a location each.
+
+PLACES = tuple((x, y) for x in PLACES_MM for y in PLACES_MM)
+"""Where the tip goes down, x and y [mm]; the target is the number of the place."""
+STATES = len(PLACES) * len(DEPTHS_MM)
+"""States of one indenter."""
+
+
+def gel(patterns: tuple[str, ...] | None = None) -> SimulatedSensor:
+    """The paper's gel with the friction of its presses, under some patterns or all 12.
+
+    Raises:
+        SceneError: An unknown pattern.
+    """
+    each = sensor("gel")
+    each = replace(each, effects=replace(each.effects, friction=Friction(FRICTION)))
+    if patterns is None or not isinstance(each.signal, CameraSignal):
+        return each
+    return replace(each, signal=replace(each.signal, patterns=patterns))
+
+
+def state_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
+    """All presses of a sensor: indenter by indenter, each to all depths at all places."""
+    return tuple(
+        _state_press(each, indenter, target)
+        for indenter in plan.indenters
+        for target in range(len(PLACES))
+    )
+
+
+def _state_press(each: SimulatedSensor, indenter: str, target: int) -> Press:
+    x, y = PLACES[target]
+    motion = press([depth / 1e3 for depth in DEPTHS_MM], at=(x / 1e3, y / 1e3), speed=each.speed)
+    count = len(DEPTHS_MM)
+    number = code(indenter) * len(PLACES) + target
+    recording = Recording(
+        target=target,
+        number=number,
+        session_point=0,
+        # The first frame of the motion only touches.
+        frames=tuple(range(1, count + 1)),
+        phases=(NO_PHASE,) * count,
+        locations=tuple(number * count + depth for depth in range(count)),
+    )
+    return Press(indenter, motion, (recording,))
+
+
+# Which sensors share their deformations, and how the work is cut into units.
+
+MODULUS = Body().modulus
+"""What presses are solved with where forces are proportional to the modulus [Pa]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Sensors that differ in what is measured of a deformation only, or in modulus.
+
+    Without mass and weight a layer that is twice as stiff takes the same shape under the same
+    motion, with twice the force: friction, contact and the branches of viscosity are ratios.
+    """
+
+    sensors: tuple[SimulatedSensor, ...]
+    presses: tuple[Press, ...]
+    unit_presses: int
+    """Recordings of a unit of files."""
+
+    @property
+    def rows_each(self) -> int:
+        """Rows of a recording."""
+        return len(self.presses[0].recordings[0])
+
+    @property
+    def recordings(self) -> int:
+        """Recordings of each of its sensors."""
+        return sum(len(press.recordings) for press in self.presses)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its sensors in the archive, pattern by pattern."""
+        return tuple(name for each in self.sensors for name in names(each))
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Presses that are solved in one call, and written whole."""
+
+    number: int
+    """Its place in the plan."""
+    family: int
+    first: int
+    """Number of its first press in the family."""
+    last: int
+    """Number of the press behind its last."""
+    files: range
+    """Units of the archive that it writes, of every sensor of the family."""
+
+
+@functools.cache
+def families(plan: Plan) -> tuple[Family, ...]:
+    """The sensors of a plan by what they share, in their order."""
+    together: dict[Hashable, list[SimulatedSensor]] = {}
+    for each in plan.sensors:
+        together.setdefault(_deformation(plan, each), []).append(each)
+    return tuple(_family(plan, tuple(sensors)) for sensors in together.values())
+
+
+@functools.cache
+def units(plan: Plan) -> tuple[Unit, ...]:
+    """All units of a plan; every cut is the plan's, whatever has been done of it."""
+    cut: list[Unit] = []
+    for index, family in enumerate(families(plan)):
+        step = max(1, plan.together // family.unit_presses) * family.unit_presses
+        single = [press for press in family.presses if len(press.recordings) == 1]
+        for first in range(0, len(single), step):
+            last = min(first + step, len(single))
+            files = range(first // family.unit_presses, -(-last // family.unit_presses))
+            cut.append(Unit(len(cut), index, first, last, files))
+        if len(single) < len(family.presses):
+            # The presses of several recordings come last, behind whole units of the others.
+            files = range(
+                len(single) // family.unit_presses, -(-family.recordings // family.unit_presses)
+            )
+            cut.append(Unit(len(cut), index, len(single), len(family.presses), files))
+    return tuple(cut)
+
+
+def scenes(plan: Plan, family: Family, presses: tuple[Press, ...]) -> list[Scene]:
+    """What is simulated: as the first sensor is mounted, with the modulus that all share."""
+    lead = family.sensors[0]
+    made = [lead.placed(named(press.indenter), press.motion, seed=plan.seed) for press in presses]
+    if not _proportional(plan, lead):
+        return made
+    body = replace(lead.body, modulus=MODULUS)
+    return [replace(scene, body=body) for scene in made]
+
+
+def force_scale(plan: Plan, sensor: SimulatedSensor) -> float:
+    """What forces of a family's scenes are multiplied by for one of its sensors."""
+    return sensor.body.modulus / MODULUS if _proportional(plan, sensor) else 1.0
+
+
+def _family(plan: Plan, sensors: tuple[SimulatedSensor, ...]) -> Family:
+    made = (state_presses if plan.work == "states" else target_presses)(plan, sensors[0])
+    of_one = sum(
+        press.indenter == plan.indenters[0] and len(press.recordings) == 1 for press in made
+    )
+    # Units end with an indenter, so that every one of them is full.
+    size = max(n for n in range(1, plan.unit_presses + 1) if of_one % n == 0)
+    return Family(sensors, made, size)
+
+
+def _deformation(plan: Plan, each: SimulatedSensor) -> Hashable:
+    """Equal for sensors whose presses take the same shape."""
+    body = replace(each.body, modulus=MODULUS) if _proportional(plan, each) else each.body
+    life = each.life.mount, each.life.grip
+    own = each.name if any(life) else ""
+    return body, each.effects, each.film, each.speed, each.trajectory, each.force_depth, life, own
+
+
+def _proportional(plan: Plan, each: SimulatedSensor) -> bool:
+    """Whether forces are proportional to the modulus at the same deformation."""
+    effects = each.effects
+    massless = effects.inertia is None and effects.gravity is None
+    return massless and plan.solving.scales_with_modulus

@@ -1,0 +1,1 @@
+"""Finite elements at large strain: the exact tier."""

@@ -1,0 +1,458 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""The tangent assembled on the 27-point stencil of the grid of nodes, and its product with vectors.
+
+`matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s (`fem.grid`).
+Where the grid ends, and in rows and columns of held nodes, blocks are zero. Assembling, once per
+Newton iteration, costs about as much as 3 products without a matrix; each product is then some ten
+times cheaper on a CPU.
+
+Nothing is added atomically: elements add to the elastic part, on a GPU one colour of eight after
+the other, so that no two at a time share a node, and row by row; `finish` adds to a copy of it what
+belongs to a node. Contact is what changes most, so the elastic part may be kept for a while: half
+of a press on a CPU is assembling. On a GPU it is a sixth, and memory is what runs out.
+
+In float32 products read the matrix rounded to float16: half the bytes of what takes most of
+conjugate gradients' time. They solve for a Newton step to no more than three digits, and its
+residual is that of the equations themselves; iterations stay what they were.
+"""
+
+import functools
+from itertools import pairwise
+
+import numpy as np
+import warp as wp
+
+from sim.fem.element import element_blocks_kernel, element_rows_kernel
+from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots, slot_offsets
+from sim.fem.scalars import matrix_of, vector_of
+from sim.fem.vectors import RUN
+
+# A row of the stencil in a CPU's wide registers: times a vector, and rounded.
+#
+# A row is 27 blocks of 3x3 in a piece, 243 numbers. Compiled block by block, a product takes twice
+# as long (docs/results/speed.md), and float16 is converted bit by bit. So rows are written here as
+# the lanes of eight that Clang offers for every CPU. Three neighbours in a line are next to each
+# other in memory: nine times three blocks make a row.
+
+_NATIVE = {wp.float16: "_Float16", wp.float32: "float", wp.float64: "double"}
+
+_TYPES = """
+    typedef {real} number;
+    typedef {stored} kept;
+    typedef number wide __attribute__((ext_vector_type(8)));
+    typedef number four __attribute__((ext_vector_type(4), aligned(sizeof(number))));
+    typedef kept eight __attribute__((ext_vector_type(8), aligned(sizeof(kept))));
+"""
+
+_LINE = (
+    _TYPES
+    + """
+    const kept* m = (const kept*)((const char*)matrix.data + env * (size_t)matrix.strides[0]
+                                  + n * (size_t)matrix.strides[1]);
+    const number* x = (const number*)((const char*)v.data + env * (size_t)v.strides[0]);
+    const int last = v.shape[1] - 1;
+    wide sum0 = 0, sum1 = 0, sum2 = 0;
+    number ninth = 0;
+    for (int near = 0; near < 9; ++near, m += 27) {{
+        const int first = n + offsets.data[3 * near];
+        number clamped[9];
+        const number* y = x + 3 * first;
+        if (first < 0 || first + 2 > last) {{
+            for (int i = 0; i < 9; ++i)
+                clamped[i] = x[3 * wp::clamp(first + i / 3, 0, last) + i % 3];
+            y = clamped;
+        }}
+        const four a = *(const four*)y, b = *(const four*)(y + 3), c = *(const four*)(y + 5);
+        sum0 += __builtin_convertvector(*(const eight*)m, wide)
+              * __builtin_shufflevector(a, a, 0, 1, 2, 0, 1, 2, 0, 1);
+        sum1 += __builtin_convertvector(*(const eight*)(m + 9), wide)
+              * __builtin_shufflevector(b, b, 0, 1, 2, 0, 1, 2, 0, 1);
+        sum2 += __builtin_convertvector(*(const eight*)(m + 18), wide)
+              * __builtin_shufflevector(c, c, 1, 2, 3, 1, 2, 3, 1, 2);
+        ninth += (number)m[8] * y[2] + (number)m[17] * y[5] + (number)m[26] * y[8];
+    }}
+    const wide sum = sum0 + sum1 + sum2;
+    return wp::vec_t<3, number>(sum[0] + sum[1] + sum[2], sum[3] + sum[4] + sum[5],
+                                sum[6] + sum[7] + ninth);
+"""
+)
+
+_ROUND = (
+    _TYPES
+    + """
+    const number* m = (const number*)((const char*)matrix.data + env * (size_t)matrix.strides[0]
+                                      + n * (size_t)matrix.strides[1]);
+    kept* out = (kept*)((char*)kept_out.data + env * (size_t)kept_out.strides[0]
+                        + n * (size_t)kept_out.strides[1]);
+    for (int i = 0; i < 243; ++i)
+        out[i] = (kept)m[i];
+"""
+)
+
+
+@functools.cache
+def wide_row(real, stored):
+    """Functions for one precision; `stored` is the scalar type of the matrix that products read.
+
+    Returns:
+        `line(offsets, matrix, v, env, n)`: row n of a matrix (B, N, 27) times v (B, N), as the slow
+        one of `stencil`; and `round_row(matrix, env, n, kept_out)`, which copies one. The 27 blocks
+        of a row must be next to each other.
+    """
+    vec3, kept33 = vector_of(real), matrix_of(stored)
+    types = {"real": _NATIVE[real], "stored": _NATIVE[stored]}
+
+    @wp.func_native(_LINE.format(**types))
+    def line(
+        offsets: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=kept33),
+        v: wp.array2d(dtype=vec3),
+        env: int,
+        n: int,
+    ) -> vec3: ...
+
+    @wp.func_native(_ROUND.format(**types))
+    def round_row(
+        matrix: wp.array3d(dtype=matrix_of(real)),
+        env: int,
+        n: int,
+        kept_out: wp.array3d(dtype=kept33),
+    ): ...
+
+    return line, round_row
+
+
+BLOCK = 128
+"""Nodes that one block of a GPU's threads takes, whose sums it adds up."""
+
+
+@functools.cache
+def _kernels(real, stored, wide: bool):
+    """Kernels for one precision; `stored` is the scalar type of the matrix that products read.
+
+    Those that are `wide` take a whole row of blocks that lie next to each other, as on a CPU.
+    """
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    kept33 = matrix_of(stored)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def clear(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        # Out:
+        elastic_out: wp.array3d(dtype=mat33),
+    ):
+        env, n = wp.tid()
+        if active[env] == 1:
+            for slot in range(elastic_out.shape[2]):
+                elastic_out[env, n, slot] = mat33()
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def finish(
+        # Mesh:
+        faces: wp.array2d(dtype=wp.int32),
+        node_faces: wp.array2d(dtype=wp.int32),
+        slots: wp.array3d(dtype=wp.int32),
+        free: wp.array(dtype=wp.int32),
+        node_mass: wp.array2d(dtype=real),
+        variant: wp.array(dtype=wp.int32),
+        # Contact: shape functions, which faces, stiffness of their points
+        shape: wp.array2d(dtype=real),
+        touched: wp.array2d(dtype=wp.int32),
+        contact: wp.array3d(dtype=mat33),
+        # Stiffness of a unit volume against any motion, by environment
+        shift: wp.array(dtype=real),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        elastic: wp.array3d(dtype=mat33),
+        # Out:
+        matrix_out: wp.array3d(dtype=mat33),
+    ):
+        env, n = wp.tid()
+        if active[env] == 0:
+            return
+        for slot in range(matrix_out.shape[2]):
+            matrix_out[env, n, slot] = elastic[env, n, slot]
+        if free[n] == 0:
+            return
+        own = wp.identity(n=3, dtype=real) * (shift[env] * node_mass[variant[env], n])
+        matrix_out[env, n, CENTRE] = matrix_out[env, n, CENTRE] + own
+        for k in range(node_faces.shape[1]):
+            place = node_faces[n, k]
+            if place >= 0:
+                s = place // 4
+                a = place % 4
+                if touched[env, s] > 0:
+                    for b in range(slots.shape[2]):
+                        if free[faces[s, b]] == 1:
+                            block = mat33()
+                            for p in range(shape.shape[0]):
+                                block += contact[env, s, p] * (shape[p, a] * shape[p, b])
+                            slot = slots[s, a, b]
+                            matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def store_blocks(
+        # In:
+        active: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        # Out:
+        kept_out: wp.array3d(dtype=kept33),
+    ):
+        env, slot, n = wp.tid()
+        if active[env] == 1:
+            kept_out[env, n, slot] = kept33(matrix[env, n, slot])
+
+    @wp.func
+    def by_blocks(
+        offsets: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=kept33),
+        v: wp.array2d(dtype=vec3),
+        env: int,
+        n: int,
+    ):
+        """One row of the matrix times v; past the ends blocks are zero and any node will do."""
+        last = v.shape[1] - 1
+        total = vec3()
+        for near in range(9):
+            for k in range(3):
+                slot = 3 * near + k
+                other = wp.clamp(n + offsets[slot], 0, last)
+                if wp.static(stored == real):
+                    total += matrix[env, n, slot] * v[env, other]
+                else:
+                    total += mat33(matrix[env, n, slot]) * v[env, other]
+        return total
+
+    line = by_blocks
+    if wide:
+        line, round_row = wide_row(real, stored)
+
+        @wp.kernel(enable_backward=False, module="unique")
+        def store_rows(
+            # In:
+            active: wp.array(dtype=wp.int32),
+            matrix: wp.array3d(dtype=mat33),
+            # Out:
+            kept_out: wp.array3d(dtype=kept33),
+        ):
+            env, n = wp.tid()
+            if active[env] == 1:
+                round_row(matrix, env, n, kept_out)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def product(
+        # Mesh:
+        offsets: wp.array(dtype=wp.int32),
+        # In:
+        which: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=kept33),
+        v: wp.array2d(dtype=vec3),
+        # Out: matrix times v, and v . (matrix v) of each run of nodes
+        product_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        row, run = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        curvature = wp.float64(0.0)
+        for n in range(run * RUN, wp.min((run + 1) * RUN, v.shape[1])):
+            total = line(offsets, matrix, v, env, n)
+            product_out[env, n] = total
+            curvature += wp.float64(wp.dot(total, v[env, n]))
+        sums_out[env, run, 0] = curvature
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def block_product(
+        # Mesh:
+        offsets: wp.array(dtype=wp.int32),
+        # In:
+        which: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=kept33),
+        v: wp.array2d(dtype=vec3),
+        # Out: matrix times v, and v . (matrix v) of each block of threads, a node each
+        product_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        curvature = wp.float64(0.0)
+        if n < v.shape[1]:
+            total = line(offsets, matrix, v, env, n)
+            product_out[env, n] = total
+            curvature = wp.float64(wp.dot(total, v[env, n]))
+        whole = wp.tile_sum(wp.tile(curvature))
+        if n % BLOCK == 0:
+            sums_out[env, n // BLOCK, 0] = whole[0]
+
+    return clear, finish, store_rows if wide else store_blocks, product, block_product
+
+
+class Stencil:
+    """The tangents of B environments on one grid; owns the matrix."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        real,
+        environments: int,
+        device: str,
+        *,
+        viscous: bool = False,
+        full_integration: bool = False,
+        parallel: bool | None = None,
+        half: bool | None = None,
+        keep: bool | None = None,
+    ) -> None:
+        """Make room: 972 bytes for each node, environment and matrix in float32.
+
+        Args:
+            mesh: Grid and what is around each node; its geometry is given with every assembly.
+            real: Warp's scalar type.
+            environments: How many, B.
+            device: Where.
+            viscous: Whether stresses have a history.
+            full_integration: The planted mistake of `element_kernels`.
+            parallel: Whether threads run at once: colour by colour, a row of an element each, and
+                node numbers fastest in memory. On a GPU, when not said.
+            half: Whether products read a copy of the matrix in float16, 486 bytes more. In float32,
+                when not said.
+            keep: Whether the elastic part is a matrix of its own, which can be kept. On a CPU, when
+                not said.
+        """
+        count = len(mesh.nodes)
+        mat33 = matrix_of(real)
+        self._device = device
+        self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
+        kernel = element_rows_kernel if self._parallel else element_blocks_kernel
+        self._elements_kernel = kernel(real, viscous, full_integration)
+        self._environments, self._nodes = environments, count
+        self._on_gpu = wp.get_device(device).is_cuda
+        half = real == wp.float32 if half is None else half
+        kept = wp.float16 if half else real
+        kernels = _kernels(real, kept, not self._parallel)
+        self._clear, self._finish, self._store, self._product, self._block_product = kernels
+        self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
+        """How many shares `product` writes of each sum."""
+        if self._parallel:
+            order, self._begins = colour_order(mesh.cells)
+        else:
+            order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
+        self.matrix = self._room(mat33)
+        """Blocks (B, N, 27) of the state last assembled."""
+        self.keeps = not self._on_gpu if keep is None else keep
+        """Whether an elastic part can be kept."""
+        self._elastic = self._room(mat33) if self.keeps else self.matrix
+        self._read = self._room(matrix_of(kept)) if half else self.matrix
+        self._order = self._integers(order)
+        self._elements = self._integers(mesh.elements)
+        self._faces = self._integers(mesh.faces)
+        self._node_faces = self._integers(mesh.node_faces)
+        self._slots = self._integers(face_slots(mesh))
+        self._offsets = self._integers(slot_offsets(mesh.cells))
+        self._free = self._integers(mesh.free)
+
+    def assemble(self, active, u, geometry, material, contact, shift, anew=None) -> None:
+        """Fill `matrix` of active environments with the tangent at `u`.
+
+        Args:
+            active: Which environments, int32 (B,).
+            u: Displacement (B, N).
+            geometry: Of M meshes: inverse Jacobians (M, E, 8), or (M, E, 1) of boxes, weights
+                (M, E, 8) and node volumes (M, N); and which of them each environment has, int32
+                (B,).
+            material: Shear and bulk modulus (B,), factor, bulk factor, history and bulk history,
+                as the element kernels take them.
+            contact: Shape functions (P, 4), how many points of a face touch (B, S) and the
+                stiffness of each (B, S, P), as the contact kernel gives them.
+            shift: Stiffness of a unit volume against any motion (B,).
+            anew: Those of them whose elastic part is that at `u`, int32 (B,); others keep what they
+                have, where the stencil `keeps` them. None: all.
+        """
+        inverse, weight, node_mass, variant = geometry
+        if anew is None or not self.keeps:
+            anew = active
+        by_node = self._environments, self._nodes
+        wp.launch(
+            self._clear, dim=by_node, inputs=[anew], outputs=[self._elastic], device=self._device
+        )
+        rows = (len(CORNERS),) if self._parallel else ()
+        for first, past in pairwise(self._begins):
+            wp.launch(
+                self._elements_kernel,
+                dim=(self._environments, *rows, past - first),
+                inputs=[
+                    self._elements,
+                    inverse,
+                    weight,
+                    variant,
+                    self._order,
+                    first,
+                    self._free,
+                    len(CORNERS),
+                    *material,
+                    anew,
+                    u,
+                ],
+                outputs=[self._elastic],
+                device=self._device,
+            )
+        wp.launch(
+            self._finish,
+            dim=by_node,
+            inputs=[
+                self._faces,
+                self._node_faces,
+                self._slots,
+                self._free,
+                node_mass,
+                variant,
+                *contact,
+                shift,
+                active,
+                self._elastic,
+            ],
+            outputs=[self.matrix],
+            device=self._device,
+        )
+        if self._read is not self.matrix:
+            wp.launch(
+                self._store,
+                dim=(self._environments, *((SLOTS,) if self._parallel else ()), self._nodes),
+                inputs=[active, self.matrix],
+                outputs=[self._read],
+                device=self._device,
+            )
+
+    def product(self, which, v, product, sums) -> None:
+        """Write matrix times `v` and its partial sums: what `ConjugateGradient.solve` applies.
+
+        Only of the environments whose numbers `which` holds, int32 (R,); -1: none.
+        """
+        on_gpu = self._on_gpu
+        wp.launch(
+            self._block_product if on_gpu else self._product,
+            dim=(len(which), self.parts * (BLOCK if on_gpu else 1)),
+            inputs=[self._offsets, which, self._read, v],
+            outputs=[product, sums],
+            device=self._device,
+            block_dim=BLOCK,
+        )
+
+    def _room(self, block) -> wp.array:
+        """Zeros for the blocks of all nodes (B, N, 27), as they lie in memory."""
+        if not self._parallel:
+            shape = self._environments, self._nodes, SLOTS
+            return wp.zeros(shape, dtype=block, device=self._device)
+        shape = self._environments, SLOTS, self._nodes
+        return wp.zeros(shape, dtype=block, device=self._device).transpose((0, 2, 1))
+
+    def _integers(self, values) -> wp.array:
+        return wp.array(
+            np.ascontiguousarray(values, dtype=np.int32), dtype=wp.int32, device=self._device
+        )

@@ -1,0 +1,109 @@
+"""A pinhole on the gel's axis, and where it sees points of the gel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import check_range
+from sim.scene import Body
+
+Array = NDArray[np.float64]
+
+WIDTH, HEIGHT = 640, 480
+"""Pixels of an image: those of a mask (`recorder.markers`), which needs a store to be imported."""
+LENS, FILM = 35e-3, 36e-3
+"""Focal length and width of the film [m]: Blender's defaults, which the paper renders with."""
+FOCAL = LENS / FILM * WIDTH
+"""Its focal length in pixels."""
+DISTANCE = 21.11e-3
+"""From the paper's pinhole to the untouched top [m]; a pixel sees 33.9 um of it."""
+MIDDLE = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+"""Column and row of the middle of the image; pixel centres lie at whole numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Looks up at the gel's top from below, along z of the contact frame.
+
+    Without a mount of its own: column = 319.5 + focal x / (distance + z), row = 239.5 - focal y /
+    (distance + z). So x is to the right and y up, as seen from the side that is touched; a real
+    camera below sees the mirror image.
+
+    Raises:
+        SceneError: A value outside of what its field allows.
+    """
+
+    focal: float = FOCAL
+    """Focal length [px], 1 to 1e6."""
+    distance: float = DISTANCE
+    """From the pinhole to the untouched top (a dome's apex) [m], 1e-4 to 10."""
+    shift: tuple[float, float] = (0.0, 0.0)
+    """What the mount shifts the image by, to the right and downwards [px], up to 1000."""
+    rotation: float = 0.0
+    """What the mount turns the image by about its middle before that, anticlockwise [rad]."""
+
+    def __post_init__(self) -> None:
+        check_range("camera", "focal", self.focal, 1.0, 1e6, unit="px")
+        check_range("camera", "distance", self.distance, 1e-4, 10.0, unit="m")
+        for index, value in enumerate(self.shift):
+            check_range("camera", f"shift[{index}]", value, -1000.0, 1000.0, unit="px")
+        check_range("camera", "rotation", self.rotation, -math.pi, math.pi, unit="rad")
+
+    @classmethod
+    def paper(cls) -> Camera:
+        """The camera that the paper renders its simulated images with."""
+        return cls()
+
+    @classmethod
+    def of_scale(cls, mm_per_px: float) -> Camera:
+        """The paper's lens at the distance where a pixel sees so much of the untouched top."""
+        check_range("camera", "mm_per_px", mm_per_px, 1e-4, 10.0, unit="mm")
+        return cls(distance=mm_per_px * 1e-3 * FOCAL)
+
+    @property
+    def mm_per_px(self) -> float:
+        """What a pixel sees of the untouched top [mm]."""
+        return 1e3 * self.distance / self.focal
+
+    def on_film(self, points: Array) -> Array:
+        """Where points (..., 3) [m] are seen from the axis (..., 2) [px], x right and y up.
+
+        focal (x, y) / (distance + z): what is pressed comes nearer and looks larger. Shift and
+        rotation of the mount are left out.
+        """
+        return np.asarray(self.focal * points[..., :2] / (self.distance + points[..., 2:]))
+
+    def project(self, points: Array) -> Array:
+        """Column and row (..., 2) [px] at which points (..., 3) of the contact frame are seen."""
+        x, y = np.moveaxis(self.on_film(points), -1, 0)
+        cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
+        return np.stack(
+            [
+                MIDDLE[0] + cosine * x - sine * y + self.shift[0],
+                MIDDLE[1] - sine * x - cosine * y + self.shift[1],
+            ],
+            axis=-1,
+        )
+
+    def places(self, pixels: Array, body: Body) -> Array:
+        """Places (..., 2) [m], x and y, of the body's untouched top that pixels (..., 2) see.
+
+        The top is taken to go on beyond the body; NaN where the ray misses its sphere.
+        """
+        right = pixels[..., 0] - MIDDLE[0] - self.shift[0]
+        up = MIDDLE[1] + self.shift[1] - pixels[..., 1]
+        cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
+        slope = np.stack([cosine * right + sine * up, cosine * up - sine * right], axis=-1)
+        slope = slope / self.focal
+        if body.dome_radius is None:
+            return np.asarray(slope * self.distance)
+        # A point of the ray is (slope d, d - distance); the sphere's middle lies at -dome_radius.
+        low = body.dome_radius - self.distance
+        size = 1 + (slope**2).sum(axis=-1)
+        root = low**2 - size * (low**2 - body.dome_radius**2)
+        depth = np.where(root >= 0, np.sqrt(np.maximum(root, 0)) - low, np.nan) / size
+        return np.asarray(slope * depth[..., None])

@@ -1,0 +1,274 @@
+"""A pattern of markers as data: one shape, one size, and where its copies lie on the gel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SceneError, check_range
+
+Array = NDArray[np.float64]
+Shape = Literal["disc", "square", "diamond"]
+Place = tuple[float, float]
+
+SHAPES = get_args(Shape)
+ROUND_OFF = 1e-9
+"""What a marker may reach beyond the gel by rounding [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Equal markers on the untouched top of a gel, in the contact frame.
+
+    Raises:
+        SceneError: A shape that is unknown, a size or place that is out of range, or no marker.
+    """
+
+    name: str
+    shape: Shape
+    """A diamond is a square that stands on a corner."""
+    size: float
+    """Width of a marker along x before any turn [m]: a disc's diameter, a square's side, a
+    diamond's diagonal; 1e-5 to 0.1."""
+    places: tuple[Place, ...]
+    """Centres of the markers (x, y) [m]."""
+    angle: float = 0.0
+    """How far each marker is turned about its centre, anticlockwise [rad], up to pi."""
+
+    def __post_init__(self) -> None:
+        if self.shape not in SHAPES:
+            raise SceneError(f"pattern.shape: {self.shape!r}; allowed: {', '.join(SHAPES)}")
+        check_range("pattern", "size", self.size, 1e-5, 0.1, unit="m")
+        check_range("pattern", "angle", self.angle, -math.pi, math.pi, unit="rad")
+        if not self.places:
+            raise SceneError("pattern.places: none; allowed: at least one marker")
+        for index, place in enumerate(self.places):
+            if len(place) != 2:
+                raise SceneError(f"pattern.places[{index}]: {place!r}; allowed: (x, y)")
+            for value in place:
+                check_range("pattern", f"places[{index}]", value, -1.0, 1.0, unit="m")
+
+    def __len__(self) -> int:
+        """Number of markers."""
+        return len(self.places)
+
+    @property
+    def centres(self) -> Array:
+        """Centres of the markers (n, 2) [m]."""
+        return np.array(self.places)
+
+    @property
+    def reach(self) -> float:
+        """How far a marker reaches from its centre along x, and along y [m]."""
+        if self.shape == "disc":
+            return self.size / 2
+        half, angle = self._square
+        return half * (abs(math.cos(angle)) + abs(math.sin(angle)))
+
+    def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Pattern:
+        """The pattern turned by `angle` [rad] about the gel's middle, then shifted [m]."""
+        cosine, sine = math.cos(angle), math.sin(angle)
+        places = tuple(
+            (cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1])
+            for x, y in self.places
+        )
+        return replace(self, name=name or self.name, places=places, angle=self.angle + angle)
+
+    def marker_distance(self, offset: Array) -> Array:
+        """Signed distance (...) [m] of points to one marker, given from its centre (..., 2) [m].
+
+        Negative inside.
+        """
+        if self.shape == "disc":
+            return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - self.size / 2)
+        half, angle = self._square
+        cosine, sine = math.cos(angle), math.sin(angle)
+        x, y = offset[..., 0], offset[..., 1]
+        beyond_x = np.abs(cosine * x + sine * y) - half
+        beyond_y = np.abs(cosine * y - sine * x) - half
+        outside = np.hypot(np.maximum(beyond_x, 0), np.maximum(beyond_y, 0))
+        return np.asarray(outside + np.minimum(np.maximum(beyond_x, beyond_y), 0))
+
+    def distance(self, x: Array, y: Array, band: float) -> Array:
+        """Signed distance (Y, X) [m] to the nearest marker at rising x (X,) and y (Y,) [m].
+
+        Exact up to `band` [m] outside of the markers, `band` beyond.
+        """
+        found = np.full((len(y), len(x)), band)
+        reach = self.reach + band
+        for centre_x, centre_y in self.places:
+            columns = slice(*np.searchsorted(x, [centre_x - reach, centre_x + reach]))
+            rows = slice(*np.searchsorted(y, [centre_y - reach, centre_y + reach]))
+            offset_x, offset_y = np.meshgrid(x[columns] - centre_x, y[rows] - centre_y)
+            distance = self.marker_distance(np.stack([offset_x, offset_y], axis=-1))
+            found[rows, columns] = np.minimum(found[rows, columns], distance)
+        return found
+
+    def check_within(self, size_x: float, size_y: float) -> None:
+        """Refuse a gel (of `size_x` by `size_y` [m]) that some marker does not lie wholly on.
+
+        Raises:
+            SceneError: Names the marker that reaches furthest.
+        """
+        room = np.array([size_x, size_y]) / 2 - self.reach - np.abs(self.centres)
+        worst = int(room.min(axis=1).argmin())
+        if room[worst].min() < -ROUND_OFF:
+            x, y = (1e3 * value for value in self.places[worst])
+            raise SceneError(
+                f"pattern {self.name!r}: the marker of {self.size * 1e3:.4g} mm at x {x:.4g}, y "
+                f"{y:.4g} mm reaches beyond the gel; allowed: markers wholly on its "
+                f"{size_x * 1e3:.4g} x {size_y * 1e3:.4g} mm"
+            )
+
+    @property
+    def _square(self) -> tuple[float, float]:
+        """Half the side of the marker, and its angle, for a square or a diamond."""
+        if self.shape == "square":
+            return self.size / 2, self.angle
+        return self.size / (2 * math.sqrt(2)), self.angle + math.pi / 4
+
+
+# Where markers lie: rows, staggered rows, rings and hexagons, all around the gel's middle.
+
+
+def rows(columns: int, count: int, pitch: float, row_pitch: float | None = None) -> list[Place]:
+    """`count` rows of `columns` markers, `pitch` apart along x and `row_pitch` along y [m]."""
+    across = _centred(columns, pitch)
+    return [(x, y) for y in _centred(count, row_pitch or pitch) for x in across]
+
+
+def staggered(
+    columns: int, count: int, pitch: float, row_pitch: float, *, shorter: bool
+) -> list[Place]:
+    """`count` rows, every other one aside by half a pitch [m].
+
+    With `shorter` the rows that lie aside have a marker less and all rows are centred; otherwise
+    all rows are alike and lie a quarter of the pitch to the left or to the right.
+    """
+    places = []
+    for index, y in enumerate(_centred(count, row_pitch)):
+        aside = index % 2 == 1
+        if shorter:
+            row = _centred(columns - aside, pitch)
+        else:
+            shift = pitch / 4 if aside else -pitch / 4
+            row = [x + shift for x in _centred(columns, pitch)]
+        places += [(x, y) for x in row]
+    return places
+
+
+def rings(counts: Sequence[int], spacing: float, *, middle: bool) -> list[Place]:
+    """Rings about the middle, `spacing` [m] apart, of so many evenly spaced markers each.
+
+    Every ring begins at an angle of its own, half a gap further for every other one, so that its
+    markers do not line up with its neighbours'. `middle` adds one in the middle.
+    """
+    if any(count < 1 for count in counts):
+        raise SceneError(f"rings: {tuple(counts)!r}; allowed: at least 1 marker each")
+    places = [(0.0, 0.0)] if middle else []
+    for index, count in enumerate(counts):
+        radius = (index + 1) * spacing
+        first = (index % 2) * math.pi / count
+        turns = [first + 2 * math.pi * number / count for number in range(count)]
+        places += [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]
+    return places
+
+
+def hexagon(ring_count: int, pitch: float) -> list[Place]:
+    """A triangular lattice of `pitch` [m] within a hexagon of so many rings about its middle.
+
+    1 + 3 n (n + 1) places for n rings: 127 for 6.
+    """
+    reach = range(-ring_count, ring_count + 1)
+    axial = [(q, r) for r in reach for q in reach if abs(q + r) <= ring_count]
+    height = math.sqrt(3) / 2
+    return [(pitch * (q + r / 2), pitch * r * height) for q, r in axial]
+
+
+def turned(places: Sequence[Place], angle: float) -> list[Place]:
+    """The places turned about the middle by `angle` [rad], anticlockwise."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return [(cosine * x - sine * y, sine * x + cosine * y) for x, y in places]
+
+
+def _centred(count: int, pitch: float) -> list[float]:
+    if count < 1:
+        raise SceneError(f"markers in a row: {count!r}; allowed: at least 1")
+    return [(index - (count - 1) / 2) * pitch for index in range(count)]
+
+
+# The patterns by name: the paper's 12 simulated ones, its GelSights, TacPalm's pins.
+#
+# Of the authors' textures only the number of markers is known (225, 100, 80, 99; 320, 115, 111,
+# 124; 245, 100, 81, 81, over the whole gel of 20 x 20 mm). Everything else here is assumed: "array"
+# is rows and columns, "circle" is rings of discs about the middle, "diamond" is diamonds in
+# lattices that are turned or staggered; markers are 25 to 45 % as wide as they are apart, and rows
+# do not lie across the upper or lower border of the paper's image.
+#
+# Of the real GelSights the markers' pitch of 2.4 mm is known (5 rows of 7 in view) and that two of
+# them had their elastomer moved or turned; shape, size and the amount are assumed. Of the GelSight
+# that is compared with other sensors, that 56 markers are in view.
+
+MM = 1e-3
+MOVED: tuple[Place, float] = ((0.55 * MM, -0.4 * MM), math.radians(3.0))
+"""Shift [m] and turn [rad] that make Array-II of Array-I."""
+MOVED_CIRCLE: tuple[Place, float] = ((-0.45 * MM, 0.5 * MM), math.radians(-4.0))
+"""The same for the circles."""
+
+
+def _pattern(name: str, shape: Shape, size_mm: float, places: Sequence[Place]) -> Pattern:
+    return Pattern(name, shape, size_mm * MM, tuple(places))
+
+
+_ARRAY = _pattern("Array-I", "disc", 0.70, rows(7, 7, 2.4 * MM))
+_CIRCLE = _pattern("Circle-I", "disc", 0.70, rings((6, 12, 18, 24), 2.1 * MM, middle=True))
+
+_PATTERNS = (
+    _pattern("Array1", "disc", 0.50, rows(15, 15, 1.30 * MM)),
+    _pattern("Array2", "square", 0.70, rows(10, 10, 1.95 * MM)),
+    _pattern("Array3", "disc", 0.80, rows(10, 8, 1.90 * MM, 2.10 * MM)),
+    _pattern("Array4", "square", 0.50, rows(11, 9, 1.75 * MM, 1.90 * MM)),
+    _pattern(
+        "Circle1",
+        "disc",
+        0.36,
+        rings((6, 12, 17, 23, 29, 35, 41, 46, 52, 58), 0.96 * MM, middle=True),
+    ),
+    _pattern("Circle2", "disc", 0.55, rings((4, 8, 12, 16, 20, 25, 29), 1.32 * MM, middle=True)),
+    _pattern("Circle3", "disc", 0.66, rings((5, 11, 16, 21, 26, 32), 1.55 * MM, middle=False)),
+    _pattern("Circle4", "disc", 0.42, rings((6, 12, 18, 23, 29, 35), 1.55 * MM, middle=True)),
+    _pattern("Diamond1", "diamond", 0.45, staggered(18, 14, 1.08 * MM, 1.38 * MM, shorter=True)),
+    _pattern("Diamond2", "diamond", 0.60, turned(rows(10, 10, 1.46 * MM), math.pi / 4)),
+    _pattern("Diamond3", "diamond", 0.72, turned(rows(9, 9, 1.63 * MM), math.pi / 4)),
+    _pattern("Diamond4", "diamond", 0.85, staggered(9, 9, 2.08 * MM, 1.88 * MM, shorter=False)),
+    _ARRAY,
+    _ARRAY.moved(*MOVED, name="Array-II"),
+    _CIRCLE,
+    _CIRCLE.moved(*MOVED_CIRCLE, name="Circle-II"),
+    _pattern("Diamond-I", "diamond", 0.80, staggered(6, 11, 3.4 * MM, 1.7 * MM, shorter=True)),
+    _pattern("GelSight", "disc", 0.60, rows(8, 7, 1.75 * MM)),
+    _pattern("TacPalm", "disc", 1.10, hexagon(6, 2.6 * MM)),
+)
+_BY_NAME = {pattern.name: pattern for pattern in _PATTERNS}
+
+NAMES = tuple(_BY_NAME)
+SIMULATED = NAMES[:12]
+"""The paper's 12 simulated patterns."""
+HOMOGENEOUS = NAMES[12:17]
+"""The five GelSights of the paper's homogeneous test."""
+
+
+def named(name: str) -> Pattern:
+    """The pattern of that name.
+
+    Raises:
+        SceneError: A name that is not there.
+    """
+    if name not in _BY_NAME:
+        raise SceneError(f"pattern: {name!r}; allowed: {', '.join(NAMES)}")
+    return _BY_NAME[name]
