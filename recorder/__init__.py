@@ -3,16 +3,17 @@
 `docs/data-format.md` is the contract; this package is its one implementation.
 """
 
-from recorder import codecs as _codecs
 from recorder.archive import MarkerArchive
-from recorder.check import check
+from recorder.check.check import check
+from recorder.convert.repack import repack
 from recorder.errors import SessionError
 from recorder.findings import Finding
-from recorder.reader import Session, Stream
-from recorder.recover import recover
-from recorder.repack import repack
-from recorder.session import SessionWriter
-from recorder.sheet import contact_sheet
+from recorder.session.reader import Session, Stream
+from recorder.session.recover import recover
+from recorder.session.sheet import contact_sheet
+from recorder.session.stream_writer import StreamWriter
+from recorder.session.window import Window
+from recorder.session.writer import SessionWriter
 from recorder.spec import (
     FORMAT_VERSION,
     OUTCOMES,
@@ -26,8 +27,7 @@ from recorder.spec import (
     pose_spec,
     taxels_spec,
 )
-from recorder.window import Window
-from recorder.writer import StreamWriter
+from recorder.store import images as _codecs
 
 _codecs.register()
 

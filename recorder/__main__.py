@@ -9,17 +9,16 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from recorder.check import check
+from recorder.check.check import check
+from recorder.convert import FORMATS, Options, export, import_session
+from recorder.convert.import_session import add_options, order_of
+from recorder.convert.repack import PROFILES, repack
+from recorder.convert.rerun_view import view
 from recorder.errors import SessionError
-from recorder.export import FORMATS, Options, export
-from recorder.files import is_url
-from recorder.importing import import_session
-from recorder.importing.options import add_options, order_of
 from recorder.info import describe
-from recorder.recover import recover
-from recorder.repack import PROFILES, repack
-from recorder.sheet import contact_sheet
-from recorder.view import view
+from recorder.session.recover import recover
+from recorder.session.sheet import contact_sheet
+from recorder.store.files import is_url
 
 _QUIET = 2.0  # shorter work shows no progress [s]
 

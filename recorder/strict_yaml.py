@@ -121,3 +121,11 @@ def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 def said(value: Any) -> str:
     """Return how errors call a value: its type and itself."""
     return f"{type(value).__name__} {value!r}"
+
+
+# Names in the order that people count in.
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Return what sorts image_2 before image_10."""
+    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in re.split(r"(\d+)", name)]

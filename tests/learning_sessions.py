@@ -12,7 +12,7 @@ import zarr
 from marker_truth import VIEWS
 
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
-from recorder.layout import merge_attrs
+from recorder.store.layout import merge_attrs
 from rig.world.markers import MarkerCamera
 from rig.world.surface import Surface
 

@@ -31,7 +31,7 @@ from learning.indenters import NAMES
 from learning.markers import archive_sessions
 from recorder import MarkerArchive, SessionError, check
 from recorder.archive import location_pairs
-from recorder.export import export
+from recorder.convert import export
 from recorder.markers import pack, unpack
 
 Change = Callable[[Path], None]

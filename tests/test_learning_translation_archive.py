@@ -22,7 +22,7 @@ from learning.translation.translator import SensorView, aimed
 from learning.verbs import translate as verb
 from recorder import MarkerArchive, SessionError
 from recorder.archive import check_archive, location_pairs
-from recorder.files import LOCAL
+from recorder.store.files import LOCAL
 
 FLOW = Model(FlowTranslator(), "flow", hash_of("flow"))
 

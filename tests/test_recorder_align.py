@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from recorder.align import (
+from recorder.session.align import (
     exposure_window,
     held,
     linear,

@@ -11,9 +11,9 @@ import pytest
 from test_recorder_samples import T0, make_session
 
 from recorder import Session, SessionError, StreamWriter
-from recorder.check import check
+from recorder.check.check import check
 from recorder.findings import CODES
-from recorder.frames import write_frames
+from recorder.session.frames import write_frames
 
 Columns = dict[str, Any]
 

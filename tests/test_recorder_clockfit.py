@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from recorder import Session, SessionWriter, StreamWriter, force_spec, pose_spec
-from recorder.clockfit import ClockFit, fit_clock
-from recorder.clocks import clock_lines, fit_clocks
+from recorder.session.clocks import ClockFit, clock_lines, fit_clock, fit_clocks
 
 OFFSET, DRIFT, LEAST_DELAY = 0.055, 80e-6, 0.004
 START = 86_400.0

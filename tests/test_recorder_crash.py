@@ -21,11 +21,12 @@ import pytest
 import zarr
 from numpy.typing import NDArray
 
-from recorder import StreamSpec, StreamWriter, camera_spec, force_spec, writer
-from recorder.background import Background
-from recorder.layout import StreamLayout, create_stream
-from recorder.reader import Stream
-from recorder.restore import survey, unfinished_files
+from recorder import StreamSpec, StreamWriter, camera_spec, force_spec
+from recorder.session import stream_writer
+from recorder.session.reader import Stream
+from recorder.session.stream_writer import survey, unfinished_files
+from recorder.store.background import Background
+from recorder.store.layout import StreamLayout, create_stream
 
 BLOCK = 64
 
@@ -193,7 +194,7 @@ def killed_at(call: int | None) -> Iterator[None]:
     """Kill what runs inside in front of its file operation number `call`, or at the end of it."""
     before = open_files()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(writer, "Background", InlineBackground)
+        patch.setattr(stream_writer, "Background", InlineBackground)
         FailingCalls(patch, call)
         with suppress(Killed):
             yield

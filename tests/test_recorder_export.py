@@ -14,9 +14,9 @@ from test_recorder_samples import make_session
 
 from recorder import SessionError
 from recorder.__main__ import main
-from recorder.export import FORMATS, export
-from recorder.export.target import building, file_name
-from recorder.export.times import parse_utc
+from recorder.convert import FORMATS, export
+from recorder.convert.export import building, file_name
+from recorder.convert.times import parse_utc
 
 ROOT = Path(__file__).parent.parent
 
@@ -159,7 +159,7 @@ def test_a_missing_library_is_named_with_its_extra(
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         return real(name, *rest)
 
-    for name in [name for name in sys.modules if name == "recorder.export.hdf5_format"]:
+    for name in [name for name in sys.modules if name == "recorder.convert.hdf5_format"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(SessionError, match=r"hdf5 needs h5py: pip install 'tactile-rig\[export\]'"):
@@ -169,9 +169,9 @@ def test_a_missing_library_is_named_with_its_extra(
 
 
 def test_the_recorder_alone_imports_no_extra() -> None:
-    # zarr-python imports fsspec itself where there is one; what is ours is recorder.remote.
+    # zarr-python imports fsspec itself where there is one; what is ours is recorder.store.files.
     heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "rerun", "torch"}
-    heavy.add("recorder.remote")
+    heavy.add("recorder.store.files")
     code = f"import sys, recorder, recorder.__main__; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT

@@ -12,7 +12,7 @@ from PIL import Image
 from test_recorder_samples import make_session
 
 from recorder import PHASES, Session, SessionError
-from recorder.export import export
+from recorder.convert import export
 
 FORCE = ["Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)"]
 POSE = ["X(m)", "Y(m)", "Z(m)", "RX(rad)", "RY(rad)", "RZ(rad)"]

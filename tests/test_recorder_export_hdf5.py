@@ -12,7 +12,7 @@ from test_recorder_export import set_attrs
 from test_recorder_samples import make_session
 
 from recorder import Session
-from recorder.export import Options, export
+from recorder.convert import Options, export
 
 STREAMS = [("camera", "force", "pose"), ("taxels", "force", "pose")]
 

@@ -17,9 +17,9 @@ from PIL import Image
 from test_recorder_samples import T0, make_session
 
 from recorder import Session
-from recorder.export import Options, export, lerobot_format
-from recorder.export.lerobot_stats import Stats
-from recorder.export.times import parse_utc
+from recorder.convert import Options, export, lerobot_format
+from recorder.convert.lerobot_format import Stats
+from recorder.convert.times import parse_utc
 
 IMAGE = "observation.images.tactile"
 READER = """

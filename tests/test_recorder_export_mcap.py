@@ -12,9 +12,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from test_recorder_samples import T0, make_session
 
 from recorder import PHASES, Session
-from recorder.align import quaternion
-from recorder.export import export
-from recorder.export.times import parse_utc
+from recorder.convert import export
+from recorder.convert.times import parse_utc
+from recorder.session.align import quaternion
 
 OFFSET = parse_utc("2026-01-01T00:00:00Z") - T0
 

@@ -14,11 +14,10 @@ from PIL import Image
 
 from recorder import Session, SessionError, check
 from recorder.__main__ import main
-from recorder.importing import ImportOrder, import_session
-from recorder.importing.avi import read_avi
-from recorder.importing.jpeg import whole_jpeg
-from recorder.importing.units import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
-from recorder.sheet import contact_sheet
+from recorder.convert import ImportOrder, import_session
+from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
+from recorder.convert.import_video import read_avi, whole_jpeg
+from recorder.session.sheet import contact_sheet
 
 SIZE = (48, 64)
 

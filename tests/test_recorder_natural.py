@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorder.natural import natural_key
+from recorder.strict_yaml import natural_key
 
 
 def test_natural_order_counts_numbers() -> None:

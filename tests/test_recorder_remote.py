@@ -22,8 +22,8 @@ from test_recorder_samples import make_session
 
 from recorder import Session, SessionError, check, contact_sheet, repack
 from recorder.__main__ import main
-from recorder.export import export
-from recorder.remote import join_ranges
+from recorder.convert import export
+from recorder.store.files import join_ranges
 
 get_loop()  # fsspec keeps one thread for the life of the process
 

@@ -19,7 +19,7 @@ from recorder import (
     pose_spec,
     taxels_spec,
 )
-from recorder.check import check
+from recorder.check.check import check
 
 Columns = dict[str, Any]
 Change = Callable[[str, Columns], Columns]

@@ -28,8 +28,8 @@ from recorder import (
     recover,
     repack,
 )
-from recorder.check import check
-from recorder.frames import depth_in, grid, write_frames
+from recorder.check.check import check
+from recorder.session.frames import depth_in, grid, write_frames
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import pytest
 import simplejpeg
 
 from recorder import SessionError, StreamWriter, camera_spec, force_spec
-from recorder.layout import create_stream
-from recorder.tail import open_tail
+from recorder.session.tail import open_tail
+from recorder.store.layout import create_stream
 
 SHAPE = (24, 32, 3)
 

@@ -13,7 +13,7 @@ from test_recorder_samples import make_session
 
 from recorder import Session, SessionError
 from recorder.__main__ import main
-from recorder.view import view
+from recorder.convert.rerun_view import view
 
 needs_rerun = [
     pytest.mark.slow,

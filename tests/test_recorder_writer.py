@@ -12,18 +12,11 @@ import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from recorder import (
-    Column,
-    SessionError,
-    StreamSpec,
-    StreamWriter,
-    camera_spec,
-    force_spec,
-    records,
-    writer,
-)
-from recorder.layout import StreamLayout, create_stream
-from recorder.reader import Stream
+from recorder import Column, SessionError, StreamSpec, StreamWriter, camera_spec, force_spec
+from recorder.session import stream_writer
+from recorder.session.reader import Stream
+from recorder.store import journal
+from recorder.store.layout import StreamLayout, create_stream
 
 BLOCK = 64  # rows of a journal at camera rates, and frames of an image shard
 
@@ -243,7 +236,7 @@ def test_a_full_disk_loses_no_accepted_row_and_can_be_closed(
     with pytest.raises(OSError, match="No space left"):
         stream.append(**camera_row(accepted))
     assert stream.rows == accepted
-    disk.room = writer._BALLAST_BYTES  # what closing frees before it seals
+    disk.room = stream_writer._BALLAST_BYTES  # what closing frees before it seals
     stream.close()
     assert_holds_exactly(path, accepted)
 
@@ -290,11 +283,11 @@ def test_the_declared_length_never_exceeds_what_is_sealed(tmp_path: Path) -> Non
 
 @given(data=st.binary(max_size=200), cut=st.integers(0, 300), flip=st.integers(0, 8 * 224 - 1))
 def test_a_record_is_whole_or_does_not_count(data: bytes, cut: int, flip: int) -> None:
-    log = records.header(data, -5, 7) + data
-    assert [r.nbytes for r in records.scan(log, first_index=7, limit=1)] == [len(data)]
+    log = journal.header(data, -5, 7) + data
+    assert [r.nbytes for r in journal.scan(log, first_index=7, limit=1)] == [len(data)]
     if cut < len(log):
-        assert not list(records.scan(log[:cut], first_index=7, limit=1))
+        assert not list(journal.scan(log[:cut], first_index=7, limit=1))
     damaged = bytearray(log)
     damaged[flip // 8 % len(log)] ^= 1 << flip % 8
-    assert not list(records.scan(bytes(damaged), first_index=7, limit=1))
-    assert not list(records.scan(log, first_index=8, limit=1))
+    assert not list(journal.scan(bytes(damaged), first_index=7, limit=1))
+    assert not list(journal.scan(log, first_index=8, limit=1))

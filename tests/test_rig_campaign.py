@@ -327,7 +327,7 @@ sessions:
     assert len(session.runs) == 2
     assert faults_of(first) == []
     assert set(np.asarray(session.segments["target"])) == {0, 1, 2}
-    from recorder.presscurve import press_curves
+    from recorder.session.press_curve import press_curves
 
     curves = press_curves(session)
     # Hysteresis: what is given going down is not all returned coming up.

@@ -16,8 +16,8 @@ from collecting import ROOT, Collection
 from test_recorder_samples import Columns, make_session
 
 from recorder import Session, SessionError, check
-from recorder.digest import digests
-from recorder.layout import merge_attrs
+from recorder.info import digests
+from recorder.store.layout import merge_attrs
 from rig.clock import SECOND_NS
 from rig.errors import DeviceLost
 from rig.force.rdt import Page

@@ -20,7 +20,7 @@ from benchmarks.faults.processes import kill, wait_gone
 from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.trial import EMULATORS, Hangs, Trial
 from recorder import Session, SessionError
-from recorder.recover import recover
+from recorder.session.recover import recover
 from rig.clock import SECOND_NS, SystemClock
 
 _SENSOR = "tacpalm"

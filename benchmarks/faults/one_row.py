@@ -9,7 +9,7 @@ from benchmarks.faults.judge import Judgement, arm_in_words, complaints, left_in
 from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.rows import Row
 from benchmarks.faults.trial import Hangs, Trial
-from recorder.recover import recover
+from recorder.session.recover import recover
 from rig import faultport
 from rig.clock import SECOND_NS, SystemClock
 from rig.hid.shim import build

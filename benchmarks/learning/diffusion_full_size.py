@@ -45,7 +45,7 @@ from learning.translation.diffusion.settings import (
 from learning.translation.diffusion.train import Pretrained, train
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import vendor
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

@@ -20,9 +20,10 @@ from benchmarks.recording.motion import (
     ticks,
 )
 from benchmarks.recording.progress import Progress
-from recorder import Session, Window, align
-from recorder.sources import Sources
-from recorder.window import align_window, ticks_before
+from recorder import Session, Window
+from recorder.session import align
+from recorder.session.align import Sources
+from recorder.session.window import align_window, ticks_before
 from rig.arm.rotation import rotation_between
 from rig.clock import SECOND_NS, SystemClock
 

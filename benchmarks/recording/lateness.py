@@ -128,7 +128,7 @@ def _run(rate_hz: float, encoding: bool, asked: bool, seconds: float, pipe: Conn
 def _encode(ended: threading.Event) -> None:
     """Compress a frame sixty times a second, as a recorder without processes would."""
     from benchmarks.recording.frames import GelFrames
-    from recorder import images
+    from recorder.store import images
 
     frames, pacer, number = GelFrames(), Pacer(SystemClock(), _ENCODE_HZ), 0
     while not ended.is_set():

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from benchmarks.recording.markdown import ms, table
 from benchmarks.recording.store_race import Kill, StoreRow
 from recorder import camera_spec
-from recorder.layout import CHUNKS_PER_SHARD
+from recorder.store.layout import CHUNKS_PER_SHARD
 
 STORES_CHART = "recording-stores.png"
 """File of the chart, in images/ beside the page."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from recorder import PHASES, Session
-from recorder.presscurve import press_curves
+from recorder.session.press_curve import press_curves
 
 Floats = NDArray[np.float64]
 Table = Mapping[str, np.ndarray[Any, Any]]

@@ -15,7 +15,7 @@ from learning.compensation.choosing import Choice
 from learning.compensation.correction import compensate, require_choice
 from learning.compensation.prior import Branch, Prior
 from learning.errors import LearningError
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
 CHOICES = ("default", "priors", "oracle")

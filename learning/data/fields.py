@@ -16,7 +16,7 @@ from torch import Tensor
 
 from learning.errors import LearningError
 from recorder.archive import ArchivedSensor
-from recorder.archive.array_reader import Rows
+from recorder.archive.array import Rows
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
 LATTICE = Lattice()

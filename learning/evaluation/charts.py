@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from learning.evaluation.force_table import AXES_NAMED, ForceRow, variant_name
 from learning.evaluation.predictions import Predictions
-from recorder.natural import natural_key
+from recorder.strict_yaml import natural_key
 
 Floats = NDArray[np.float64]
 

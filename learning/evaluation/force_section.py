@@ -35,7 +35,7 @@ from learning.evaluation.html_page import (
 )
 from learning.evaluation.paper_figures import Beside
 from learning.evaluation.predictions import Predictions
-from recorder.natural import natural_key
+from recorder.strict_yaml import natural_key
 
 ROLES = {
     UNSEEN: "indenters that the models never saw",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from recorder.markers import SMALLEST_PX, Blobs, Lattice, find_blobs
-from recorder.markers.flanks import moved
+from recorder.markers.displacement import moved
 
 Floats = NDArray[np.float64]
 Masks = NDArray[np.bool_]

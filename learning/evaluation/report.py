@@ -29,7 +29,7 @@ from learning.evaluation.translation_scores import (
     require_alone,
     score_line,
 )
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 
 PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
     "report.html",

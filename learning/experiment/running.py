@@ -26,7 +26,7 @@ from learning.experiment.side_by_side import do_all
 from learning.experiment.worker import Work
 from learning.settings import settings_to_dict
 from recorder import MarkerArchive
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 
 Say = Callable[[str], None]
 

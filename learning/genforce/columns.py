@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from recorder.export.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
+from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
 
 Array = NDArray[np.float64]
 

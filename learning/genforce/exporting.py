@@ -17,7 +17,7 @@ from learning.genforce.masks import write_mask
 from learning.genforce.training import DEPTH_UNKNOWN
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
-from recorder.export.target import building, file_name
+from recorder.convert.export import building, file_name
 from recorder.spec import PHASES
 
 Rows = NDArray[np.int64]

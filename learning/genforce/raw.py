@@ -24,9 +24,9 @@ from learning.genforce.masks import read_array
 from learning.genforce.press import NO_LOCATION, Array, Press
 from learning.genforce.training import frame_files
 from recorder import SessionError
-from recorder.images import decode_jpeg
 from recorder.markers import HEIGHT, WIDTH
 from recorder.spec import PHASES
+from recorder.store.images import decode_jpeg
 
 _RUN = re.compile(r"(.+)-\d{8}_\d{6}")
 FORCE_DEPTH: Mapping[str, int] = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from recorder import Session
-from recorder.align import quaternion
+from recorder.session.align import quaternion
 from recorder.spec import PHASES
 
 Integers = NDArray[np.int64]

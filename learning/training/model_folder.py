@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from learning.errors import LearningError
 from learning.settings import build, read_mapping
 from learning.training.weights import load_weights, read_weights, weights_hash
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 from recorder.strict_yaml import yaml_text
 
 Settings = TypeVar("Settings")

@@ -30,7 +30,7 @@ from learning.errors import LearningError
 from learning.settings import differing_keys, settings_to_dict
 from learning.training.model_folder import CONFIG, KINDS, MODEL, Config, code_version, read_config
 from learning.training.weights import load_weights, save_weights
-from recorder.durable import replace_file, sync_directory
+from recorder.store.durable import replace_file, sync_directory
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter

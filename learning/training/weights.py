@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from learning.errors import LearningError
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 
 _SHOWN = 4
 

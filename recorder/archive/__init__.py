@@ -3,9 +3,8 @@
 `docs/data-format.md` is the contract; this package is its one implementation.
 """
 
-from recorder.archive.check import check_archive
+from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.info import describe_archive
-from recorder.archive.marker_counts import marker_flags
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
 from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
 from recorder.archive.reader import ArchivedSensor, MarkerArchive

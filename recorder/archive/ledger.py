@@ -18,8 +18,8 @@ import numpy as np
 
 from recorder.archive.array import Array, own_temporary
 from recorder.archive.table import SOURCE
-from recorder.durable import replace_file
 from recorder.errors import SessionError
+from recorder.store.durable import replace_file
 
 _LINES = "source_lines"
 _SUFFIX = ".npz"

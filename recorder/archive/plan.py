@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from recorder.archive.array import ArrayLayout, ArraySpec
 from recorder.archive.ledger import Ledger
 from recorder.archive.table import write_whole
-from recorder.durable import read_json, sync_directory
 from recorder.errors import SessionError
-from recorder.layout import write_group
 from recorder.markers import PACKED, SMALLEST_PX, Lattice
+from recorder.store.durable import read_json, sync_directory
+from recorder.store.layout import write_group
 
 FORMAT = "tactile-rig markers"
 FORMAT_VERSION = 1

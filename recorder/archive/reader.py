@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.array import ArrayLayout
-from recorder.archive.array_reader import ArrayReader, Rows
+from recorder.archive.array import ArrayLayout, ArrayReader, Rows
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION
 from recorder.archive.table import COLUMNS
-from recorder.attrs import read_attrs
 from recorder.errors import SessionError
-from recorder.files import LOCAL, Files, locate, read_document
 from recorder.markers import Lattice, unpack
-from recorder.tables import Table
+from recorder.store.attrs import read_attrs
+from recorder.store.files import LOCAL, Files, locate, read_document
+from recorder.store.tables import Table
 
 
 class ArchivedSensor:

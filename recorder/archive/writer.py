@@ -27,12 +27,12 @@ from recorder.archive.table import (
     column_spec,
     write_whole,
 )
-from recorder.attrs import read_attrs
-from recorder.durable import TEMPORARY, sync_directory
 from recorder.errors import SessionError
-from recorder.files import LOCAL
-from recorder.layout import merge_attrs, write_group
 from recorder.spec import PHASES
+from recorder.store.attrs import read_attrs
+from recorder.store.durable import TEMPORARY, sync_directory
+from recorder.store.files import LOCAL
+from recorder.store.layout import merge_attrs, write_group
 
 _SOURCE_CHUNK = 256
 

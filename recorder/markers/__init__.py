@@ -6,7 +6,7 @@ the y axis of a sensor points up, against the rows. A mask is bool (480, 640), T
 
 from recorder.markers.blobs import SMALLEST_PX, Blobs, count_markers, find_blobs, marker_centres
 from recorder.markers.discs import DiscMap, draw_discs, place_discs
-from recorder.markers.lattice import Lattice
+from recorder.markers.displacement import Lattice
 from recorder.markers.marker_check import MarkerCheck, MarkerFlag
 from recorder.markers.packing import HEIGHT, PACKED, WIDTH, pack, unpack
 

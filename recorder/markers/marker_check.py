@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.markers.blobs import SMALLEST_PX, Blobs, find_blobs
-from recorder.markers.flanks import moved, on_flanks
-from recorder.markers.lattice import Lattice
+from recorder.markers.displacement import Lattice, moved, on_flanks
 from recorder.markers.packing import HEIGHT, WIDTH, Masks, require_masks
 
 Chosen = NDArray[np.bool_]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from recorder import Session
-from recorder.align import linear
+from recorder.session.align import linear
 from rig.arm.rotation import invert, transform
 from rig.bench import Bench
 from rig.calibrate.onset import Onset, Surface, combine, find_onset, tilt

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import Session, Stream
-from recorder.sources import EXPOSURE, captured
+from recorder.session.align import EXPOSURE, captured
 from rig.arm.rotation import invert, transform
 from rig.bench import Bench
 from rig.calibrate.lag import Lag, find_lag

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder.durable import replace_file
+from recorder.store.durable import replace_file
 from recorder.strict_yaml import yaml_text
 from rig.bench import Bench
 from rig.calibration import Calibration, HomeCalibration, LatencyCalibration

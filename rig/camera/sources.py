@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from recorder.natural import natural_key
+from recorder.strict_yaml import natural_key
 from rig.camera.jpeg import is_whole, jpeg_size
 
 Image = npt.NDArray[np.uint8]

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recorder import Session, SessionError, SessionWriter
-from recorder.clocks import clock_lines, fit_clocks
-from recorder.sheet import contact_sheet
+from recorder.session.clocks import clock_lines, fit_clocks
+from recorder.session.sheet import contact_sheet
 from rig.arm.arm import Arm
 from rig.arm.rotation import compose, transform
 from rig.bench import Bench

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from recorder import Session, SessionError, align
+from recorder import Session, SessionError
+from recorder.session import align
 from rig.clock import SECOND_NS, Clock
 from rig.driver import Driver
 from rig.mock import free_loopback

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from recorder import SessionError
-from recorder.images import decode_jpeg
+from recorder.store.images import decode_jpeg
 from rig.clock import SECOND_NS, Clock
 from rig.errors import ConfigError
 from rig.live.predictor import Predictor, Reading

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter
-from recorder.clocks import fit_clocks
-from recorder.digest import session_digest, stream_digest
+from recorder.info import session_digest, stream_digest
+from recorder.session.clocks import fit_clocks
 from rig.clock import ClockAnchor, SystemClock
 from rig.collect.collector import software
 from rig.collect.interrupt import Interrupted, InterruptFlag

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from recorder import Session
-from recorder.reader import Stream
+from recorder.session.reader import Stream
 from rig.replay.wire import origin_ns
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from recorder import Session, SessionError
-from recorder.reader import Stream
+from recorder.session.reader import Stream
 from rig.camera.jpeg import is_whole, with_huffman_tables
 from rig.errors import ConfigError
 from rig.force.rdt import Page

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from recorder import SessionError
-from recorder.tail import ImageTail, open_tail
+from recorder.session.tail import ImageTail, open_tail
 from rig.arm.rotation import invert, transform
 from rig.bench import Bench
 from rig.clock import SECOND_NS

@@ -10,7 +10,7 @@ import numpy as np
 from learning.evaluation.force_table import UNSEEN
 from learning.evaluation.predictions import Predictions
 from learning.force_errors import force_errors, r_squared
-from recorder.natural import natural_key
+from recorder.strict_yaml import natural_key
 
 Variant = tuple[str, str]
 """Method and translator."""

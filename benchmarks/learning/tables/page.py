@@ -25,8 +25,8 @@ from learning.evaluation.force_table import (
 from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
 from learning.evaluation.predictions import CHOICES
 from learning.evaluation.translation_scores import TRANSLATED, score_line
-from recorder.durable import replace_file
-from recorder.natural import natural_key
+from recorder.store.durable import replace_file
+from recorder.strict_yaml import natural_key
 
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}
 """R2 on unseen indenters that is hoped for, mean over axes and pairs."""

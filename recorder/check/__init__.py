@@ -1,0 +1,1 @@
+"""Looks for everything that can be wrong with a session or an archive."""

@@ -1,0 +1,73 @@
+"""Looks for everything that can be wrong with a session or an archive. Changes nothing."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from recorder.archive.check import check_archive
+from recorder.archive.plan import FORMAT as ARCHIVE
+from recorder.check.content import check_frames, check_segments, check_stream
+from recorder.check.integrity import check_arrays, check_chunks, check_stream_files, check_table
+from recorder.errors import SessionError
+from recorder.findings import Finding
+from recorder.session.reader import Session
+from recorder.store.attrs import read_session_attrs, says_it_is
+from recorder.store.files import Files, locate
+from recorder.store.layout import StreamLayout
+
+
+def check(path: str | os.PathLike[str]) -> list[Finding]:
+    """Return what is wrong with a session or a marker archive; an empty list for a sound one.
+
+    What cannot be read is reported once, and not judged for its content.
+
+    Raises:
+        SessionError: Neither a session nor an archive.
+    """
+    files, place = locate(path)
+    if says_it_is(place, files, ARCHIVE):
+        return list(check_archive(files, place))
+    return list(_check(path, files, place))
+
+
+def _check(place: str | os.PathLike[str], files: Files, path: Path) -> Iterator[Finding]:
+    attrs = read_session_attrs(path, files)
+    if attrs.get("status") == "recording":
+        message = "status is 'recording': still running, or killed (python -m recorder recover)"
+        yield Finding("unfinished", ".", message)
+    unreadable: set[str] = set()
+    for finding in check_arrays(files, path):
+        yield finding
+        if finding.code == "metadata":
+            unreadable.add(finding.where)
+    if unreadable:
+        return
+    contents = {}
+    groups = files.groups(path / "streams")
+    for group in (*groups, path / "segments", path / "reference"):
+        findings = list(check_stream_files(files, path, group))
+        if not any(finding.code in ("metadata", "wrong-dtype") for finding in findings):
+            for layout in StreamLayout.load(group, files).columns:
+                damage, crcs = check_chunks(path, layout)
+                findings += damage
+                if layout.column.is_image:
+                    contents[group.name] = crcs
+        yield from findings
+        if any(finding.code not in ("torn-tail", "journal-left") for finding in findings):
+            unreadable.add(group.name)
+    damaged_tables = set()
+    for name in ("targets", "frames"):
+        for finding in check_table(files, path, name):
+            yield finding
+            damaged_tables.add(name)
+    session = Session(place)
+    try:
+        for name, stream in session.streams.items():
+            if name not in unreadable:
+                yield from check_stream(session, stream, contents.get(name))
+        if not unreadable and "targets" not in damaged_tables:
+            yield from check_segments(session)
+        if "segments" not in unreadable and "frames" not in damaged_tables:
+            yield from check_frames(session)
+    except SessionError as error:
+        yield Finding("metadata", ".", str(error))

@@ -1,0 +1,237 @@
+"""Checks of what the samples say: do time, sequence and values make sense?"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.findings import Finding
+from recorder.session.align import NS
+from recorder.session.frames import grid, has_targets, whole_run
+from recorder.session.reader import Session, Stream
+from recorder.spec import OUTCOMES, PHASES
+
+Array = np.ndarray[Any, Any]
+
+GAP_PERIODS, GAP_LEAST = 3.0, 0.05
+"""A pause is a gap when it exceeds both this many periods and this long [s]."""
+FROZEN, FROZEN_SAMPLES = 1.0, 5
+"""Equal samples are frozen when they last longer than this [s], and are at least so many."""
+END_MARGIN = 1.0
+"""A stream may end this long before the last phase [s]."""
+START_MARGIN = 0.1
+"""A phase may begin this long before a stream does [s]."""
+
+_STEP_SAMPLES = 16  # on either side; enough that a late packet or two do not look like a step
+_NAN_IS_FINE = {"device_t"}
+_FREEZING = ("camera", "force", "taxels")
+
+
+def check_stream(
+    session: Session, stream: Stream, contents: NDArray[np.uint32] | None
+) -> Iterator[Finding]:
+    """Find what is wrong in time, sequence and values of a stream, run by run.
+
+    Args:
+        session: The session, for its runs.
+        stream: One of its streams.
+        contents: A checksum per image (n,), or None for a stream without images.
+    """
+    where = f"streams/{stream.name}"
+    for run in range(max(len(session.runs), 1)):
+        rows = session.rows_of_run(stream.name, run)
+        first = rows.start or 0
+        t_ns = stream.t_ns[rows]
+        columns = {name: stream.array(name)[rows] for name in stream.small}
+        period = _period(t_ns, stream.rate_hz)
+        compressed = is_compressed(session)
+        yield from _check_times(where, first, t_ns, columns, period, compressed)
+        still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
+        if stream.name in _FREEZING and not still:
+            images = None if contents is None else contents[: len(stream)][rows]
+            same = images if images is not None else columns["value"]
+            yield from _check_frozen(where, first, t_ns, same)
+    for name in stream.small:
+        values = stream.array(name)
+        if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
+            bad = np.flatnonzero(~np.isfinite(_flat(values)).all(axis=1))
+            if bad.size:
+                yield Finding("nan", f"{where}/{name}", f"{bad.size} rows, first row {bad[0]}")
+
+
+def is_compressed(session: Session) -> bool:
+    """Return whether times are those of a replay at another speed than the recorded one.
+
+    They still say the order; pauses and steps against the device's clock they do not.
+    """
+    return bool(session.attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
+
+
+def check_segments(session: Session) -> Iterator[Finding]:
+    """Find phases that point nowhere or that streams do not cover, and streams that end early."""
+    segments = session.segments
+    starts, ends = segments["start_ns"], segments["end_ns"]
+    limits = {
+        "target": (len(next(iter(session.targets.values()), np.zeros(0)))),
+        "phase": len(PHASES),
+        "outcome": len(OUTCOMES),
+        "run": max(len(session.runs), 1),
+    }
+    for name, limit in limits.items():
+        bad = np.flatnonzero((segments[name] < 0) | (segments[name] >= limit))
+        if bad.size:
+            message = f"row {bad[0]}: found {name} {segments[name][bad[0]]}, there are {limit}"
+            yield Finding("segment-outside", "segments", message)
+            return
+    bad = np.flatnonzero(ends <= starts)
+    if bad.size:
+        yield Finding("segment-outside", "segments", f"row {bad[0]} ends before it starts")
+        return
+    for run in np.unique(segments["run"]):
+        of_run = np.flatnonzero(segments["run"] == run)
+        yield from _check_cover(session, int(run), of_run, starts, ends)
+
+
+def check_frames(session: Session) -> Iterator[Finding]:
+    """Find a frames view that does not have one row per tick of the segments."""
+    segments = session.segments
+    if "t_ns" not in session.frames:
+        yield Finding("frames-length", "frames", "missing")
+        return
+    expected = 0
+    if not has_targets(session):
+        for run in range(max(len(session.runs), 1)):
+            expected += len(whole_run(session, run, session.rate_hz))
+    for run in np.unique(segments["run"]):
+        of_run = np.flatnonzero(segments["run"] == run)
+        anchor = int(segments["start_ns"][of_run].min())
+        for row in of_run:
+            start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
+            expected += len(grid(anchor, start, end, session.rate_hz))
+    found = len(session.frames["t_ns"])
+    if found != expected:
+        yield Finding("frames-length", "frames", f"found {found} rows, expected {expected}")
+
+
+def _period(t_ns: NDArray[np.int64], rate_hz: float) -> float:
+    """Return the period to judge gaps by [s]: the measured one, if it is slower than declared."""
+    measured = float(np.median(np.diff(t_ns))) * NS if len(t_ns) > 1 else 0.0
+    return max(1.0 / rate_hz, measured)
+
+
+def _check_times(
+    where: str,
+    first: int,
+    t_ns: NDArray[np.int64],
+    columns: Mapping[str, Array],
+    period: float,
+    compressed: bool,
+) -> Iterator[Finding]:
+    if len(t_ns) < 2:
+        return
+    limit = max(GAP_PERIODS * period, GAP_LEAST)
+    steps = np.diff(t_ns) * NS
+    lost = np.zeros(len(steps), np.int64)
+    if "seq" in columns:
+        counted = np.diff(columns["seq"])
+        stride = max(int(np.median(counted)), 1)
+        lost = counted // stride - 1
+        lost[counted == 0] = 0  # a repeated number loses nothing
+        if np.any(lost):
+            worst = np.flatnonzero(lost)
+            missing = int(lost[lost > 0].sum())
+            place = f"first at row {first + worst[0] + 1}"
+            yield Finding("dropped", where, f"{missing} samples in {worst.size} places, {place}")
+    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(t_ns, columns, limit)
+    if jumped.size:
+        at = jumped[0]
+        message = f"{jumped.size} found, first at row {first + at + 1}, {steps[at]:+.3f} s"
+        yield Finding("clock-step", where, message)
+    explained = lost != 0
+    explained[jumped] = True
+    backward = np.flatnonzero((steps <= 0) & ~explained)
+    if backward.size:
+        at = backward[0]
+        message = f"{backward.size} found, first at row {first + at + 1}, {steps[at]:+.6f} s"
+        yield Finding("time-order", where, message)
+    gaps = np.flatnonzero((steps > limit) & ~explained)
+    if gaps.size and not compressed:
+        worst_at = gaps[np.argmax(steps[gaps])]
+        message = (
+            f"{gaps.size} found, longest {steps[worst_at]:.3f} s before row {first + worst_at + 1}"
+        )
+        yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
+
+
+def _clock_steps(
+    t_ns: NDArray[np.int64], columns: Mapping[str, Array], limit: float
+) -> NDArray[np.intp]:
+    """Return the rows after which the offset between host and device has changed for good."""
+    device_t = columns.get("device_t")
+    # Without a device clock a step cannot be told from a device that paused: that is a gap.
+    if device_t is None or not np.isfinite(device_t).all():
+        return np.zeros(0, np.intp)
+    offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
+    found = [
+        at
+        for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit))
+        if abs(_level(offset, at + 1, 1) - _level(offset, at, -1)) > limit / 2
+    ]
+    return np.array(found, np.intp)
+
+
+def _level(offset: NDArray[np.float64], at: int, direction: int) -> float:
+    """Return the median of the samples from one on, forward or backward."""
+    if direction > 0:
+        return float(np.median(offset[at : at + _STEP_SAMPLES]))
+    return float(np.median(offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]))
+
+
+def _check_frozen(
+    where: str, first: int, t_ns: NDArray[np.int64], values: Array
+) -> Iterator[Finding]:
+    if len(values) < FROZEN_SAMPLES:
+        return
+    flat = _flat(values)
+    changed = np.flatnonzero((flat[1:] != flat[:-1]).any(axis=1)) + 1
+    starts = np.concatenate([[0], changed])
+    ends = np.concatenate([changed, [len(values)]]) - 1
+    lasting = (t_ns[ends] - t_ns[starts]) * NS
+    frozen = np.flatnonzero((lasting > FROZEN) & (ends - starts + 1 >= FROZEN_SAMPLES))
+    if frozen.size:
+        worst = frozen[np.argmax(lasting[frozen])]
+        message = f"{frozen.size} times, longest {lasting[worst]:.1f} s from row"
+        yield Finding("frozen", where, f"{message} {first + starts[worst]}, limit {FROZEN} s")
+
+
+def _check_cover(
+    session: Session,
+    run: int,
+    of_run: NDArray[np.intp],
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+) -> Iterator[Finding]:
+    late: dict[int, str] = {}
+    for stream in session.streams.values():
+        where = f"streams/{stream.name}"
+        t_ns = stream.t_ns[session.rows_of_run(stream.name, run)]
+        if not len(t_ns):
+            yield Finding("truncated", where, f"run {run}: no samples at all")
+            continue
+        late[int(t_ns[0])] = where
+        short = (int(ends[of_run].max()) - int(t_ns[-1])) * NS
+        if short > END_MARGIN:
+            message = f"run {run}: ends {short:.1f} s before the last phase"
+            yield Finding("truncated", where, message)
+    if not late:
+        return
+    lead = (max(late) - starts[of_run]) * NS
+    early = np.flatnonzero(lead > START_MARGIN)
+    if early.size:
+        message = f"row {of_run[early[0]]} starts {lead[early[0]]:.3f} s before {late[max(late)]}"
+        yield Finding("segment-outside", "segments", f"{message} does, in run {run}")
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(len(values), int(np.prod(values.shape[1:])))

@@ -1,0 +1,175 @@
+"""Checks of what lies on the disk: are all bytes there, and are they those that were written?"""
+
+import math
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import SessionError
+from recorder.findings import Finding
+from recorder.session.stream_writer import is_unfinished
+from recorder.spec import (
+    REFERENCE,
+    SEGMENTS,
+    StreamSpec,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
+from recorder.store.files import Files, read_document
+from recorder.store.journal import HEADER, MAGIC, checksum
+from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout
+from recorder.store.shard import MISSING, read_index
+
+
+def check_arrays(files: Files, session: Path) -> Iterator[Finding]:
+    """Find arrays without units, in the whole session."""
+    documents = (path for path in files.listed(session) if path.name == "zarr.json")
+    for path in sorted(documents):
+        where = str(path.parent.relative_to(session))
+        try:
+            document = read_document(files, path)
+        except SessionError as error:
+            yield Finding("metadata", where, str(error))
+            continue
+        units = document.get("attributes", {}).get("units")
+        if document.get("node_type") == "array" and not units:
+            yield Finding("missing-units", where, f"found units {units!r}")
+
+
+def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
+    """Find missing and damaged chunks, and unequal lengths, in a group written whole."""
+    lengths = {}
+    there = set(files.listed(session / name))
+    for group in files.groups(session / name):
+        where = f"{name}/{group.name}"
+        document = read_document(files, group / "zarr.json")
+        shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
+        lengths[group.name] = shape[0]
+        counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
+        keys = [group.joinpath("c", *map(str, place)) for place in product(*counts)]
+        missing = [key for key in keys if key not in there]
+        if missing:
+            yield Finding("missing-chunk", where, f"{len(missing)} missing, first {missing[0]}")
+            continue
+        try:
+            np.asarray(files.array(group))
+        except (RuntimeError, ValueError) as error:
+            yield Finding("bad-crc", where, f"a chunk does not decode: {error}")
+    if len(set(lengths.values())) > 1:
+        yield Finding("unequal-lengths", name, f"found {lengths}")
+
+
+def check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Finding]:
+    """Find what a stream's metadata and stray files say, without reading its data."""
+    where = str(group.relative_to(session))
+    try:
+        layout = StreamLayout.load(group, files)
+    except SessionError as error:
+        yield Finding("metadata", where, str(error))
+        return
+    yield from _unlike_spec(layout, where)
+    unfinished = [path for path in files.listed(group) if is_unfinished(layout, path)]
+    sizes = files.sizes(group) if unfinished else {}
+    for path in sorted(unfinished):
+        code = "torn-tail" if PARTIAL in path.name else "journal-left"
+        size = sizes.get(path, 0)
+        yield Finding(code, where, f"{path.relative_to(session)}, {size} bytes, was left behind")
+    lengths = {column.column.name: column.rows() for column in layout.columns}
+    if len(set(lengths.values())) > 1:
+        yield Finding("unequal-lengths", where, f"found {lengths}")
+
+
+def check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[np.uint32]]:
+    """Verify every record of a column, and return the CRC-32C of every chunk (n,) beside."""
+    where = str(layout.path.relative_to(session))
+    chunks = math.ceil(layout.rows() / layout.rows_per_chunk)
+    contents = np.zeros(chunks, np.uint32)
+    faults: dict[str, list[str]] = {}
+    for shard in range(math.ceil(chunks / CHUNKS_PER_SHARD)):
+        first = shard * CHUNKS_PER_SHARD
+        try:
+            _check_shard(layout, shard, contents[first : first + CHUNKS_PER_SHARD], faults)
+        except SessionError as error:
+            missing = "missing" in str(error)
+            faults.setdefault("missing-chunk" if missing else "bad-crc", []).append(str(error))
+    findings = [
+        Finding(code, where, f"{len(messages)} found, first: {messages[0]}")
+        for code, messages in faults.items()
+    ]
+    return findings, contents
+
+
+def _check_shard(
+    layout: Layout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
+) -> None:
+    index = read_index(layout.shard(shard), layout.files)
+    data = layout.files.read(layout.shard(shard))
+    for place in range(len(contents)):
+        number = shard * CHUNKS_PER_SHARD + place
+        row = number * layout.rows_per_chunk
+        offset, nbytes = (int(value) for value in index[place])
+        if offset == MISSING:
+            faults.setdefault("missing-chunk", []).append(f"row {row}")
+            continue
+        payload = data[offset : offset + nbytes]
+        head = data[max(offset - HEADER.size, 0) : offset]
+        contents[place] = google_crc32c.value(payload)
+        if not _is_record(head, payload, number):
+            faults.setdefault("bad-crc", []).append(f"row {row}")
+        elif layout.column.codec == "jpeg" and not _is_jpeg(payload):
+            faults.setdefault("bad-image", []).append(f"row {row}")
+
+
+def _is_record(head: bytes, payload: bytes, number: int) -> bool:
+    if len(head) != HEADER.size:
+        return False
+    magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
+    return bool(
+        magic == MAGIC
+        and nbytes == len(payload)
+        and index == number & 0xFFFFFFFF
+        and crc == checksum(payload, t_ns, number)
+    )
+
+
+def _is_jpeg(payload: bytes) -> bool:
+    # Cameras pad their frames to what the bus likes, so the end marker need not be the end.
+    return payload.startswith(b"\xff\xd8") and b"\xff\xd9" in payload[-1024:]
+
+
+def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
+    spec = _spec_of(layout)
+    if spec is None:
+        return
+    found = {column.column.name: column.column for column in layout.columns}
+    for expected in spec.columns:
+        name = f"{where}/{expected.name}"
+        column = found.get(expected.name)
+        if column is None:
+            yield Finding("wrong-dtype", name, "found no such column")
+        elif (column.dtype, column.shape) != (expected.dtype, expected.shape):
+            yield Finding(
+                "wrong-dtype",
+                name,
+                f"found {column.dtype} {column.shape}, expected {expected.dtype} {expected.shape}",
+            )
+        elif column.units and column.units != expected.units:
+            yield Finding(
+                "wrong-dtype", name, f"found units {column.units!r}, expected {expected.units!r}"
+            )
+
+
+def _spec_of(layout: StreamLayout) -> StreamSpec | None:
+    """Return what the format prescribes for a stream of this name; None if it does not."""
+    if layout.name == "camera" and layout.image is not None:
+        height, width = layout.image.column.shape[:2]
+        return camera_spec(60, height=height, width=width, codec=layout.image.column.codec)
+    known = {"force": force_spec(1000), "pose": pose_spec(500), "taxels": taxels_spec(60)}
+    tables = {"segments": SEGMENTS, "reference": REFERENCE}
+    return {**known, **tables}.get(layout.name)

@@ -1,0 +1,160 @@
+"""The folders of the GenForce recordings, so that scripts made for them read a session.
+
+    <modality>/<indenter>-<YYYYmmdd_HHMMSS>/<point 1..N>/<phase>/...
+
+with the modalities `force` (ft.csv), `pose` (pose.csv), `image` (%04d.jpg, ref.jpg beside the
+points) or `uskin_raw` (%04d.npy, ref.npy), and `path` (planned targets). They have no times: row k
+of a file belongs to image k of its folder, which the frames view guarantees.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder.convert.export import Options, Progress, file_name
+from recorder.convert.presses import Press, need_presses
+from recorder.convert.times import utc_offset
+from recorder.errors import SessionError
+from recorder.session.reader import Session, Stream
+from recorder.spec import PHASES
+from recorder.store import images
+
+FORCE_COLUMNS = ("Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)")
+POSE_COLUMNS = ("X(m)", "Y(m)", "Z(m)", "RX(rad)", "RY(rad)", "RZ(rad)")
+_QUALITY = 100  # only for sessions that have no JPEG bytes of their own
+
+Array = np.ndarray[Any, Any]
+
+
+def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+    """Write a session as the folders of one sensor.
+
+    Raises:
+        SessionError: No whole press, neither camera nor taxels, or a damaged stream.
+    """
+    if not {"camera", "taxels"} & set(session.streams):
+        raise SessionError(f"{session.name}: has neither camera nor taxels")
+    found = _whole(session, need_presses(session, valid_only=options.valid_only))
+    base = path / file_name(session.attrs.get("sensor", "sensor"))
+    name = f"{file_name(session.attrs.get('indenter', 'indenter'))}-{_stamp(session, found[0])}"
+    _references(session, base, name)
+    _path(session, base / "path" / name, found)
+    total, done = sum(len(press.rows) for press in found), 0
+    for point, press in enumerate(found, start=1):
+        for phase, rows in _phases(session, press):
+            place = Path(name) / str(point) / phase
+            _numbers(session, base, place, rows)
+            _pictures(session, base, place, rows)
+            done += len(rows)
+            progress(done, total)
+
+
+def _whole(session: Session, found: list[Press]) -> list[Press]:
+    """Return the presses with all four phases: their scripts read four folders a point."""
+    phase = session.frames["phase"]
+    whole = [press for press in found if len(np.unique(phase[press.rows])) == len(PHASES)]
+    if not whole:
+        raise SessionError(f"{session.name}: no press has all of {', '.join(PHASES)}")
+    return whole
+
+
+def _phases(session: Session, press: Press) -> Iterator[tuple[str, Array]]:
+    of_row = session.frames["phase"][press.rows]
+    for code, phase in enumerate(PHASES):
+        rows = press.rows[of_row == code]
+        if len(rows):
+            yield phase, rows
+
+
+def _numbers(session: Session, base: Path, place: Path, rows: Array) -> None:
+    frames = session.frames
+    if "force" in session.streams:
+        wrench = frames["wrench"][rows].copy()
+        wrench[:, 3:] *= 1e3  # N m -> N mm
+        _write_csv(base / "force" / place / "ft.csv", FORCE_COLUMNS, wrench)
+    if "pose" in session.streams:
+        _write_csv(base / "pose" / place / "pose.csv", POSE_COLUMNS, frames["pose"][rows])
+
+
+def _pictures(session: Session, base: Path, place: Path, rows: Array) -> None:
+    frames = session.frames
+    if "camera" in session.streams:
+        folder = base / "image" / place
+        folder.mkdir(parents=True)
+        jpegs = _jpegs(session.streams["camera"], [int(row) for row in frames["image"][rows]])
+        for number, data in enumerate(jpegs):
+            (folder / f"{number:04d}.jpg").write_bytes(data)
+    if "taxels" in frames:
+        folder = base / "uskin_raw" / place
+        folder.mkdir(parents=True)
+        change = np.rint(frames["taxels"][rows] - _resting(session)).astype(np.int64)
+        for number, counts in enumerate(change):
+            np.save(folder / f"{number:04d}.npy", counts)
+
+
+def _jpegs(camera: Stream, rows: Sequence[int]) -> Iterator[bytes]:
+    if camera.jpeg_shape is not None:
+        yield from camera.jpegs(rows)
+        return
+    for row in rows:
+        yield images.encode_jpeg(camera.images([row])[0], _QUALITY)
+
+
+def _references(session: Session, base: Path, name: str) -> None:
+    """Write ref.jpg: the first image without contact; ref.npy: the counts without contact."""
+    if "camera" in session.streams:
+        known = session.reference["image"]
+        known = known[known >= 0]
+        row = int(known[0]) if len(known) else 0
+        folder = base / "image" / name
+        folder.mkdir(parents=True)
+        (folder / "ref.jpg").write_bytes(next(_jpegs(session.streams["camera"], [row])))
+    if "taxels" in session.frames:
+        folder = base / "uskin_raw" / name
+        folder.mkdir(parents=True)
+        np.save(folder / "ref.npy", _resting(session))
+
+
+def _resting(session: Session) -> Array:
+    """Return the counts without contact (16, 3) int: the first reference, else the first frame."""
+    counts = session.reference["taxels"]
+    known = np.flatnonzero(np.isfinite(counts.reshape(len(counts), -1)).all(axis=1))
+    resting = counts[known[0]] if known.size else session.frames["taxels"][0]
+    return np.asarray(np.rint(resting), np.int64)
+
+
+def _path(session: Session, folder: Path, found: list[Press]) -> None:
+    """Write the planned places (n, 6), one row per point folder, no header.
+
+    The session plans places, not rotations: those are of the pose where the press began.
+    """
+    folder.mkdir(parents=True)
+    planned = session.targets.get("planned")
+    lines = []
+    for press in found:
+        pose = session.frames["pose"][press.rows[0]].copy()
+        if planned is not None and press.target < len(planned):
+            pose[:3] = planned[press.target]
+        lines.append(pose)
+    stamp = folder.name.rpartition("-")[2]
+    np.savetxt(folder / f"{stamp}.csv", np.array(lines), fmt="%f", delimiter=",")
+
+
+def _write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
+    path.parent.mkdir(parents=True)
+    with path.open("w", newline="") as file:
+        out = csv.writer(file)
+        out.writerow(names)
+        out.writerows([repr(float(value)) for value in row] for row in rows)
+
+
+def _stamp(session: Session, press: Press) -> str:
+    """Return when the first press began, YYYYmmdd_HHMMSS in UTC."""
+    began = int(session.frames["t_ns"][press.rows[0]]) + utc_offset(session, press.run)
+    return datetime.fromtimestamp(began // 10**9, UTC).strftime("%Y%m%d_%H%M%S")

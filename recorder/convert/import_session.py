@@ -1,0 +1,310 @@
+"""Writes the session of an import: whole, or not at all."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, Wrenches, read_force
+from recorder.convert.import_taxels import Counts, read_taxels
+from recorder.convert.import_video import Film, open_film
+from recorder.errors import SessionError
+from recorder.session.stream_writer import StreamWriter
+from recorder.session.writer import SessionWriter
+from recorder.spec import StreamSpec, camera_spec, force_spec, taxels_spec
+from recorder.store.durable import sync_directory
+
+# What to import, and what of it is known.
+
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOrder:
+    """Files of one recording, which start together, and what they do not say themselves."""
+
+    out: Path
+    """The session to write."""
+    sensor: str
+    """Name of the sensor."""
+    indenter: str
+    """Name of what touched it."""
+    video: Path | None = None
+    """Video file, or folder of images."""
+    force: Path | None = None
+    """Forces: .csv or .npy."""
+    taxels: Path | None = None
+    """Taxel counts: .npy."""
+    fps: float | None = None
+    """Images per second; None: what the video says."""
+    force_hz: float | None = None
+    """Force rows per second; None: by the time column."""
+    taxels_hz: float | None = None
+    """Taxel rows per second."""
+    units: str | None = None
+    """Unit of forces that do not say theirs."""
+    torque_units: str | None = None
+    """The same for torques."""
+    ignore: tuple[str, ...] = ()
+    """Force columns to leave out."""
+    trim: bool = False
+    """Cut all to the shortest, rather than refuse recordings of unequal length."""
+    operator: str = ""
+    """Who recorded it."""
+
+    def __post_init__(self) -> None:
+        """Refuse an order for nothing, and impossible rates.
+
+        Raises:
+            SessionError: Names the option.
+        """
+        if self.video is None and self.force is None and self.taxels is None:
+            raise SessionError("found nothing to import; say --video, --force or --taxels")
+        for name in ("fps", "force_hz", "taxels_hz"):
+            rate = getattr(self, name)
+            option = "--" + name.replace("_", "-")
+            if rate is not None and not 0 < rate <= 100_000:
+                raise SessionError(f"{option}: found {rate:g}; allowed: above 0 to 100000")
+            needed = {"fps": self.video, "force_hz": self.force, "taxels_hz": self.taxels}[name]
+            if rate is not None and needed is None:
+                raise SessionError(f"{option}: found {rate:g} without the file it is the rate of")
+
+    def files(self) -> dict[str, dict[str, Any]]:
+        """Name, size and SHA-256 of each file; of a folder, over its files in order of the names.
+
+        Raises:
+            OSError: One cannot be read.
+        """
+        found = {}
+        for name in ("video", "force", "taxels"):
+            path: Path | None = getattr(self, name)
+            if path is not None:
+                found[name] = {"name": path.name, "sha256": _sha256(path)}
+        return found
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    files = sorted(e for e in path.iterdir() if e.is_file()) if path.is_dir() else [path]
+    for file in files:
+        if path.is_dir():
+            digest.update(f"{file.name} {file.stat().st_size}\n".encode())
+        with file.open("rb") as content:
+            while block := content.read(_BLOCK):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+Progress = Callable[[int, int], None]
+Rows = Iterator[dict[str, Any]]
+
+_IMPORTING = ".importing"
+_LENGTH_TOLERANCE = 0.05
+_LENGTH_LEAST = 0.1
+"""Recordings may differ in length by this share, or this long [s]."""
+
+
+def import_session(order: ImportOrder, progress: Progress | None = None) -> list[str]:
+    """Write `order.out` and return what was assumed or changed, in words.
+
+    Args:
+        order: What to import.
+        progress: Called with the rows written and their number.
+
+    Raises:
+        SessionError: Something in the files is wrong; nothing is left behind.
+        OSError: A file cannot be read, or the disk is full; nothing is left behind.
+    """
+    if order.out.exists():
+        raise SessionError(f"{order.out}: exists already; choose another name")
+    film = None if order.video is None else open_film(order.video, order.fps)
+    wrenches = None
+    if order.force is not None:
+        wrenches = read_force(
+            order.force,
+            rate_hz=order.force_hz,
+            force_unit=order.units,
+            torque_unit=order.torque_units,
+            ignore=order.ignore,
+        )
+    counts = None if order.taxels is None else read_taxels(order.taxels, order.taxels_hz)
+    seconds = {
+        name: part.seconds
+        for name, part in (("video", film), ("force", wrenches), ("taxels", counts))
+        if part is not None
+    }
+    assumed = ["all files start together"] if len(seconds) > 1 else []
+    for part in (film, wrenches, counts):
+        assumed += [] if part is None else part.assumed
+    end = _common_end(seconds, order.trim)
+    if end < max(seconds.values()):
+        assumed.append(f"all cut to {end:.3f} s, the length of the shortest")
+    building = order.out.with_name(order.out.name + _IMPORTING)
+    shutil.rmtree(building, ignore_errors=True)
+    try:
+        _write(building, order, _streams(film, wrenches, counts, end), assumed, progress)
+        building.rename(order.out)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+    sync_directory(order.out.parent)
+    return assumed
+
+
+def _common_end(seconds: dict[str, float], trim: bool) -> float:
+    shortest, longest = min(seconds.values()), max(seconds.values())
+    if trim:
+        return shortest
+    if longest - shortest > max(_LENGTH_TOLERANCE * longest, _LENGTH_LEAST):
+        lengths = ", ".join(f"{name} {length:.3f} s" for name, length in seconds.items())
+        raise SessionError(
+            f"found recordings of unequal length: {lengths}; are the rates right? "
+            "--trim cuts all to the shortest"
+        )
+    return longest
+
+
+def _streams(
+    film: Film | None, wrenches: Wrenches | None, counts: Counts | None, end: float
+) -> list[tuple[StreamSpec, int, Rows]]:
+    """Spec, number of rows and rows of each stream, as far as `end` [s]."""
+    found: list[tuple[StreamSpec, int, Rows]] = []
+    end_ns = round(end * 1e9)
+    if film is not None:
+        height, width = film.shape
+        spec = camera_spec(
+            film.rate_hz,
+            height=height,
+            width=width,
+            codec=film.codec,
+            device={"device": "imported", "rate_hz": film.rate_hz},
+            device_clock="none",
+        )
+        times = _every(np.array(film.places), film.rate_hz)
+        count = int((times < end_ns).sum())
+        found.append((spec, count, _images(film, times[:count])))
+    if wrenches is not None:
+        spec = force_spec(wrenches.rate_hz, **wrenches.attrs)
+        count = int((wrenches.t_ns < end_ns).sum())
+        found.append((spec, count, _forces(wrenches, count)))
+    if counts is not None:
+        device = {"device": "imported", "rate_hz": counts.rate_hz}
+        spec = taxels_spec(counts.rate_hz, device=device, device_clock="none")
+        times = _every(np.arange(len(counts.value)), counts.rate_hz)
+        count = int((times < end_ns).sum())
+        found.append((spec, count, _scans(counts, times[:count])))
+    return found
+
+
+def _every(places: Any, rate_hz: float) -> Any:
+    return np.round(places * (1e9 / rate_hz)).astype(np.int64)
+
+
+def _images(film: Film, times: Any) -> Rows:
+    for t_ns, image in zip(times, film.load(), strict=False):
+        yield {"value": image, "device_t": float("nan"), "t_ns": int(t_ns)}
+
+
+def _forces(wrenches: Wrenches, count: int) -> Rows:
+    for row in range(count):
+        t_ns = int(wrenches.t_ns[row])
+        yield {"value": wrenches.value[row], "seq": row + 1, "status": 0, "t_ns": t_ns}
+
+
+def _scans(counts: Counts, times: Any) -> Rows:
+    for row, t_ns in enumerate(times):
+        value = counts.value[row]
+        yield {"value": value, "device_t": float("nan"), "seq": row + 1, "t_ns": int(t_ns)}
+
+
+def _write(
+    path: Path,
+    order: ImportOrder,
+    streams: list[tuple[StreamSpec, int, Rows]],
+    assumed: list[str],
+    progress: Progress | None,
+) -> None:
+    now = datetime.datetime.now(datetime.UTC).isoformat()
+    attrs = {
+        "mock": False,
+        "sensor": order.sensor,
+        "indenter": order.indenter,
+        **({"operator": order.operator} if order.operator else {}),
+        "calibration": {},
+        "imported": {"files": order.files(), "assumed": assumed, "utc": now},
+    }
+    no_targets: dict[str, Any] = {
+        "point": np.zeros(0, np.int16),
+        "depth": np.zeros(0),
+        "direction": np.zeros(0, np.int16),
+        "planned": np.zeros((0, 3)),
+    }
+    specs = [spec for spec, _, _ in streams]
+    done, total = 0, sum(count for _, count, _ in streams)
+    with SessionWriter.create(path, attrs=attrs, streams=specs, targets=no_targets) as session:
+        # No clock of this host has seen these samples: their times begin at 0.
+        session.begin_run({"t0_ns": 0, "utc": None, "boot_id": "imported"})
+        for spec, _, rows in streams:
+            with StreamWriter.open(session.stream_path(spec.name)) as writer:
+                for row in rows:
+                    writer.append(**row)
+                    done += 1
+                    if progress is not None:
+                        progress(done, total)
+        signal = next(
+            (s for name in ("camera", "taxels", "force") for s in specs if s.name == name), specs[0]
+        )
+        session.finish("complete", rate_hz=signal.rate_hz)
+
+
+# The options of `python -m recorder import`.
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what there is to say besides the session to write."""
+    add = parser.add_argument
+    add("--video", type=Path, metavar="PATH", help="video file, or folder of images in name order")
+    add("--force", type=Path, metavar="PATH", help="forces: .csv with a header, or .npy")
+    add("--taxels", type=Path, metavar="PATH", help="taxel counts: .npy (n, 48) or (n, 16, 3)")
+    add("--sensor", required=True, help="name of the sensor")
+    add("--indenter", required=True, help="name of what touched it")
+    add("--operator", default="", help="who recorded it")
+    add("--fps", type=float, metavar="HZ", help="images per second (default: as the video says)")
+    add("--force-hz", type=float, metavar="HZ", help="force rows per second, without a time column")
+    add("--taxels-hz", type=float, metavar="HZ", help="taxel rows per second")
+    forces, torques = ", ".join(FORCE_UNITS), ", ".join(TORQUE_UNITS)
+    add("--units", metavar="UNIT", help=f"of forces that do not say theirs: {forces}")
+    add("--torque-units", metavar="UNIT", help=f"of torques that do not say theirs: {torques}")
+    add("--ignore", action="append", default=[], metavar="NAME", help="leave out this CSV column")
+    add("--trim", action="store_true", help="cut all to the shortest of the recordings")
+
+
+def order_of(options: argparse.Namespace) -> ImportOrder:
+    """Return what the options ask for.
+
+    Raises:
+        SessionError: They ask for nothing, or for an impossible rate.
+    """
+    return ImportOrder(
+        out=options.session,
+        sensor=options.sensor,
+        indenter=options.indenter,
+        video=options.video,
+        force=options.force,
+        taxels=options.taxels,
+        fps=options.fps,
+        force_hz=options.force_hz,
+        taxels_hz=options.taxels_hz,
+        units=options.units,
+        torque_units=options.torque_units,
+        ignore=tuple(options.ignore),
+        trim=options.trim,
+        operator=options.operator,
+    )

@@ -1,0 +1,330 @@
+"""Images from a video file or a folder: the camera's own JPEG bytes where there are any."""
+
+from __future__ import annotations
+
+import functools
+import mmap
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from recorder.errors import SessionError
+from recorder.store import images
+from recorder.strict_yaml import natural_key
+
+# Motion JPEG in an AVI file: the camera's own JPEG files, taken out without decoding them.
+#
+# RIFF is a tree of chunks `FOURCC | uint32 size | content`, padded to even sizes; `RIFF` and `LIST`
+# chunks hold a form type and further chunks. A stream's header is `strh` (its kind, its codec, its
+# rate as dwRate / dwScale) with `strf` (BITMAPINFOHEADER) beside it, both in `LIST hdrl`; its
+# frames are the chunks `NNdc` or `NNdb` of `LIST movi`, NN being the number of the stream. Files
+# beyond 1 GB go on in further `RIFF AVIX` chunks (OpenDML). Source: Microsoft, "AVI RIFF File
+# Reference"; Matrox, "OpenDML AVI File Format Extensions", 1.02.
+
+_HEAD = struct.Struct("<4sI")
+_STRH = struct.Struct("<4s4sIHHIIIII")
+_GROUPS = (b"RIFF", b"LIST")
+_MJPEG = (b"MJPG", b"mjpg")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionJpeg:
+    """The frames of an AVI file."""
+
+    rate_hz: float
+    """Frames per second, by the stream's header."""
+    frames: list[bytes]
+    """One JPEG file per frame; empty where the writer dropped one and left its place."""
+
+
+def read_avi(path: Path) -> MotionJpeg | None:
+    """Return the frames of an AVI file with a Motion JPEG stream; None of any other file.
+
+    Raises:
+        SessionError: The file is cut short, or its stream says no rate.
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as file:
+        if file.read(12)[:4] != b"RIFF":
+            return None
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return _read(path, data)
+
+
+def _read(path: Path, data: mmap.mmap) -> MotionJpeg | None:
+    if data[8:12] != b"AVI ":
+        return None
+    number, rate_hz = -1, 0.0
+    streams = 0
+    frames: list[bytes] = []
+    for kind, start, size in _chunks(path, data, 0, len(data)):
+        if kind == b"strh":
+            if data[start : start + 4] == b"vids" and number < 0:
+                codec = data[start + 4 : start + 8]
+                number, rate_hz = streams, _rate(path, data, start, size)
+                mjpeg = codec in _MJPEG
+            streams += 1
+        elif kind == b"strf" and number == streams - 1:
+            # The header's own codec name may be empty; that of the picture format holds then.
+            mjpeg = mjpeg or data[start + 16 : start + 20] in _MJPEG
+        elif number >= 0 and kind in (b"%02ddc" % number, b"%02ddb" % number):
+            if not mjpeg:
+                return None
+            frames.append(bytes(data[start : start + size]))
+    if number < 0 or not frames:
+        raise SessionError(f"{path.name}: an AVI file without a frame of video")
+    return MotionJpeg(rate_hz, frames)
+
+
+def _chunks(path: Path, data: mmap.mmap, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield kind, place and size of every chunk that is no group, in the order of the file."""
+    while at + _HEAD.size <= end:
+        kind, size = _HEAD.unpack_from(data, at)
+        start = at + _HEAD.size
+        if start + size > end:
+            missing = start + size - end
+            raise SessionError(
+                f"{path.name}: cut short: chunk {kind!r} at byte {at} lacks {missing} bytes"
+            )
+        if kind in _GROUPS:
+            yield from _chunks(path, data, start + 4, start + size)
+        else:
+            yield kind, start, size
+        at = start + size + size % 2
+
+
+def _rate(path: Path, data: mmap.mmap, start: int, size: int) -> float:
+    if size < _STRH.size:
+        raise SessionError(f"{path.name}: stream header of {size} bytes; expected {_STRH.size}")
+    fields = _STRH.unpack_from(data, start)
+    scale, rate = fields[6], fields[7]
+    if not scale or not rate:
+        raise SessionError(f"{path.name}: its stream says no rate; say --fps")
+    return float(rate / scale)
+
+
+# JPEG files as cameras send them: some lack the Huffman tables, which decoders of stills need.
+
+_SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
+_DHT, _SOS = 0xC4, 0xDA
+_STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
+
+
+def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
+    """Return the file with Huffman tables, and whether they had to be put in.
+
+    What stands behind the end marker (cameras pad their buffers) is left as it is.
+
+    Args:
+        jpeg: One file.
+        where: What it is called in errors.
+
+    Raises:
+        SessionError: No JPEG, or cut short.
+    """
+    if not jpeg.rstrip(b"\0").endswith(_EOI):
+        raise SessionError(f"{where}: no whole JPEG: it does not end with one's end marker")
+    tables, at = _header(jpeg, where)
+    if tables:
+        return jpeg, False
+    return jpeg[:at] + _standard_tables() + jpeg[at:], True
+
+
+def _header(jpeg: bytes, where: str) -> tuple[bool, int]:
+    """Whether there are Huffman tables, and the place of SOS."""
+    if jpeg[:2] != _SOI:
+        raise SessionError(f"{where}: no JPEG: it begins with {jpeg[:2]!r}")
+    at, tables = 2, False
+    while at + 4 <= len(jpeg) and jpeg[at] == 0xFF:
+        marker = jpeg[at + 1]
+        if marker == 0xFF or marker in _STANDALONE:
+            at += 1 if marker == 0xFF else 2
+            continue
+        if marker == _SOS:
+            return tables, at
+        tables = tables or marker == _DHT
+        at += 2 + int(struct.unpack_from(">H", jpeg, at + 2)[0])
+    raise SessionError(f"{where}: no whole JPEG: its header ends before a picture")
+
+
+@functools.cache
+def _standard_tables() -> bytes:
+    """The tables a file without any means (ITU-T T.81, Annex K.3), as an encoder writes them."""
+    sample = images.encode_jpeg(np.zeros((16, 16, 3), np.uint8), 90)
+    at, found = 2, b""
+    while sample[at + 1] != _SOS:
+        length = 2 + int(struct.unpack_from(">H", sample, at + 2)[0])
+        if sample[at + 1] == _DHT:
+            found += sample[at : at + length]
+        at += length
+    return found
+
+
+_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+_JPEG_SUFFIXES = (".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """Images to import."""
+
+    codec: str
+    """`jpeg`: as the camera sent them; `zstd`: pixels."""
+    shape: tuple[int, int]
+    """Rows and columns of an image [px]."""
+    rate_hz: float
+    """Images per second."""
+    places: list[int]
+    """Place of each image in time, in periods from the first."""
+    load: Callable[[], Iterator[Any]]
+    """The images: JPEG bytes, or RGB pixels (h, w, 3) uint8."""
+    assumed: list[str] = field(default_factory=list)
+    """What was assumed or changed, in words."""
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts [s]."""
+        return (self.places[-1] + 1) / self.rate_hz
+
+
+def open_film(path: Path, fps: float | None) -> Film:
+    """Return the images of a video file, or of a folder in natural order of the names.
+
+    Args:
+        path: A video file or a folder.
+        fps: Images per second; None: what the video says.
+
+    Raises:
+        SessionError: No images, damaged ones, unequal sizes, or a rate that nobody tells.
+    """
+    if path.is_dir():
+        return _folder(path, fps)
+    if not path.is_file():
+        raise SessionError(f"{path}: no such video file or folder")
+    motion = read_avi(path)
+    if motion is None:
+        return _decoded(path, fps)
+    return _jpegs(path.name, motion.frames, fps or motion.rate_hz, said=fps is not None)
+
+
+def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, said: bool) -> Film:
+    assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if said else 'its header'}"]
+    places = [place for place, frame in enumerate(frames) if frame]
+    if not places:
+        raise SessionError(f"{name}: no image in any of its {len(frames)} frames")
+    if len(places) < len(frames):
+        assumed.append(
+            f"{name}: {len(frames) - len(places)} dropped frames, left out in their time"
+        )
+    kept: list[bytes] = []
+    mended = 0
+    for place in places:
+        jpeg, changed = whole_jpeg(frames[place], f"{name}: frame {place}")
+        kept.append(jpeg)
+        mended += changed
+    if mended:
+        assumed.append(f"{name}: standard Huffman tables put into {mended} images that had none")
+    shape = _same_size(
+        [_jpeg_size(jpeg, f"{name}: frame {k}") for k, jpeg in enumerate(kept)], name
+    )
+    return Film("jpeg", shape, rate_hz, places, lambda: iter(kept), assumed)
+
+
+def _folder(path: Path, fps: float | None) -> Film:
+    files = sorted(
+        (entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES),
+        key=lambda entry: natural_key(entry.name),
+    )
+    if not files:
+        raise SessionError(f"{path}: no image; known: {', '.join(_SUFFIXES)}")
+    if fps is None:
+        raise SessionError(f"{path}: a folder says no rate; say --fps")
+    if all(file.suffix.lower() in _JPEG_SUFFIXES for file in files):
+        film = _jpegs(path.name, [file.read_bytes() for file in files], fps, said=True)
+        film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
+        return film
+    shape = _same_size([_size(file) for file in files], path.name)
+    assumed = [
+        f"{path.name}: {fps:g} images/s by --fps, in order of the names, {files[0].name} first",
+        f"{path.name}: decoded and stored as pixels, losslessly",
+    ]
+    return Film("zstd", shape, fps, list(range(len(files))), lambda: map(_pixels, files), assumed)
+
+
+def _decoded(path: Path, fps: float | None) -> Film:
+    try:
+        import cv2
+    except ImportError:
+        raise SessionError(
+            f"{path.name}: no Motion JPEG in an AVI file, and decoding others takes OpenCV: "
+            "pip install opencv-contrib-python-headless"
+        ) from None
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        rate_hz = fps or float(capture.get(cv2.CAP_PROP_FPS))
+        size = tuple(int(capture.get(p)) for p in (4, 3))
+        if not capture.isOpened() or count < 1 or min(size) < 1:
+            raise SessionError(f"{path.name}: OpenCV finds no video in it")
+        if not rate_hz > 0:
+            raise SessionError(f"{path.name}: says no rate; say --fps")
+    finally:
+        capture.release()
+
+    def load() -> Iterator[Any]:
+        again = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        try:
+            for place in range(count):
+                arrived, image = again.read()
+                if not arrived:
+                    raise SessionError(
+                        f"{path.name}: cut short: {place} of {count} images can be decoded"
+                    )
+                yield np.ascontiguousarray(image[:, :, ::-1])
+        finally:
+            again.release()
+
+    assumed = [
+        f"{path.name}: {rate_hz:g} images/s by {'--fps' if fps else 'its header'}",
+        f"{path.name}: decoded and stored as pixels, losslessly",
+    ]
+    return Film("zstd", (size[0], size[1]), rate_hz, list(range(count)), load, assumed)
+
+
+def _size(file: Path) -> tuple[int, int]:
+    try:
+        with Image.open(file) as image:
+            return image.height, image.width
+    except (OSError, SyntaxError) as error:
+        raise SessionError(f"{file.name}: no image: {error}") from error
+
+
+def _pixels(file: Path) -> Any:
+    try:
+        with Image.open(file) as image:
+            return np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError) as error:
+        raise SessionError(f"{file.name}: damaged: {error}") from error
+
+
+def _jpeg_size(jpeg: bytes, where: str) -> tuple[int, int]:
+    import simplejpeg
+
+    try:
+        height, width, *_ = simplejpeg.decode_jpeg_header(jpeg)
+    except ValueError as error:
+        raise SessionError(f"{where}: no JPEG: {error}") from error
+    return int(height), int(width)
+
+
+def _same_size(sizes: list[tuple[int, int]], name: str) -> tuple[int, int]:
+    for place, size in enumerate(sizes):
+        if size != sizes[0]:
+            first = f"{sizes[0][1]}x{sizes[0][0]}"
+            raise SessionError(f"{name}: image {place} is {size[1]}x{size[0]}, the first {first}")
+    return sizes[0]

@@ -1,0 +1,447 @@
+"""LeRobot dataset v3.0, written with pyarrow alone: one episode per press, from the frames view.
+
+Images stay the camera's own JPEG bytes (PNG where pixels were stored) inside the parquet files:
+LeRobot's default, video, moves markers by up to half a pixel. LeRobot's `timestamp` is
+frame_index / fps by definition; when a row really was is in `t_ns`, `capture_ns` and `utc_ns`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from PIL import Image
+
+from recorder.convert.export import Options, Progress
+from recorder.convert.presses import Press, need_presses
+from recorder.convert.times import utc_offset
+from recorder.session.align import NS
+from recorder.session.reader import Session, Stream
+
+# The statistics that LeRobot keeps of each feature, gathered episode by episode.
+
+Array = np.ndarray[Any, Any]
+Floats = NDArray[np.float64]
+
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+"""Quantiles by their names in LeRobot."""
+_SAMPLED = 8  # images of an episode that are looked at
+_STRIDE = 4  # pixels
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Statistics of some rows of one feature."""
+
+    count: int
+    low: Floats
+    high: Floats
+    mean: Floats
+    var: Floats
+    quantiles: dict[str, Floats]
+
+    def plus(self, other: _Part) -> _Part:
+        """Return the statistics of both.
+
+        Moments are exact (Chan et al. 1979); quantiles are the mean of both weighted by their
+        counts, as LeRobot itself does.
+        """
+        total = self.count + other.count
+        share = other.count / total
+        shift = other.mean - self.mean
+        return _Part(
+            total,
+            np.fmin(self.low, other.low),
+            np.fmax(self.high, other.high),
+            self.mean + share * shift,
+            (1 - share) * self.var + share * other.var + share * (1 - share) * shift**2,
+            {
+                name: (1 - share) * value + share * other.quantiles[name]
+                for name, value in self.quantiles.items()
+            },
+        )
+
+    def document(self) -> dict[str, list[Any]]:
+        """Return them as LeRobot writes them."""
+        return {
+            "min": self.low.tolist(),
+            "max": self.high.tolist(),
+            "mean": self.mean.tolist(),
+            "std": np.sqrt(self.var).tolist(),
+            "count": [self.count],
+            **{name: value.tolist() for name, value in self.quantiles.items()},
+        }
+
+
+@dataclass(slots=True)
+class Stats:
+    """Statistics by feature. Rows with a NaN do not count."""
+
+    parts: dict[str, _Part] = field(default_factory=dict)
+    """One per feature that had any row."""
+
+    def add(self, name: str, values: Array) -> None:
+        """Take in rows (n,) or (n, m) of a feature."""
+        rows = np.asarray(values, np.float64).reshape(len(values), -1)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if len(rows):
+            self._take(name, _part(rows, len(rows)))
+
+    def add_images(self, name: str, encoded: Sequence[bytes]) -> None:
+        """Take in some pixels of some encoded images; values 0 to 1, shape (c, 1, 1)."""
+        chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
+        pixels = []
+        for place in chosen:
+            with Image.open(io.BytesIO(encoded[place])) as image:
+                array = np.asarray(image)[::_STRIDE, ::_STRIDE]
+            pixels.append(array.reshape(-1, array.shape[2] if array.ndim == 3 else 1))
+        part = _part(np.concatenate(pixels) / 255.0, len(chosen))
+        self._take(name, part)
+        self._shapes.add(name)
+
+    def merge(self, other: Stats) -> None:
+        """Take in all of another."""
+        for name, part in other.parts.items():
+            self._take(name, part)
+        self._shapes |= other._shapes
+
+    def document(self) -> dict[str, dict[str, list[Any]]]:
+        """Return what goes into meta/stats.json."""
+        return {name: self._shaped(name) for name in self.parts}
+
+    def flat(self) -> dict[str, list[Any]]:
+        """Return what goes into an episode's row: `stats/<feature>/<statistic>`."""
+        return {
+            f"stats/{name}/{key}": value
+            for name in self.parts
+            for key, value in self._shaped(name).items()
+        }
+
+    _shapes: set[str] = field(default_factory=set)
+
+    def _take(self, name: str, part: _Part) -> None:
+        self.parts[name] = self.parts[name].plus(part) if name in self.parts else part
+
+    def _shaped(self, name: str) -> dict[str, list[Any]]:
+        document = self.parts[name].document()
+        if name not in self._shapes:
+            return document
+        return {
+            key: value if key == "count" else [[[entry]] for entry in value]
+            for key, value in document.items()
+        }
+
+
+def _part(rows: Floats, count: int) -> _Part:
+    cuts = np.quantile(rows, list(QUANTILES.values()), axis=0)
+    return _Part(
+        count,
+        rows.min(axis=0),
+        rows.max(axis=0),
+        rows.mean(axis=0),
+        rows.var(axis=0),
+        dict(zip(QUANTILES, cuts, strict=True)),
+    )
+
+
+VERSION = "v3.0"
+IMAGE = "observation.images.tactile"
+_CHUNK_FILES = 1000  # files in a chunk-NNN folder, LeRobot's default
+_FILE_BYTES = 100_000_000  # LeRobot's default: data_files_size_in_mb 100
+_POSE = ("x", "y", "z", "rx", "ry", "rz")
+_WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
+_PATH = "{}/chunk-{{chunk_index:03d}}/file-{{file_index:03d}}.parquet"
+_DATA, _EPISODES = _PATH.format("data"), _PATH.format("meta/episodes")
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One column of the data files."""
+
+    dtype: str
+    """LeRobot's name of the type."""
+    shape: tuple[int, ...] = (1,)
+    """Shape of one value; (1,) is a scalar."""
+    names: tuple[str, ...] | None = None
+    """Names of its elements."""
+
+    def info(self) -> dict[str, Any]:
+        """Return its entry in meta/info.json."""
+        names = None if self.names is None else list(self.names)
+        return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
+
+    def arrow(self) -> pa.DataType:
+        """Return its type in parquet, as the `datasets` library has it."""
+        if self.dtype == "image":
+            return pa.struct({"bytes": pa.binary(), "path": pa.string()})
+        kind = pa.from_numpy_dtype(np.dtype(self.dtype))
+        return kind if self.shape == (1,) else pa.list_(kind, self.shape[0])
+
+    def hugging(self) -> dict[str, Any]:
+        """Return its description for the `datasets` library."""
+        if self.dtype == "image":
+            return {"_type": "Image"}
+        value = {"dtype": self.dtype, "_type": "Value"}
+        if self.shape == (1,):
+            return value
+        return {"feature": value, "length": self.shape[0], "_type": "List"}
+
+
+def features_of(session: Session) -> dict[str, Feature]:
+    """Return the features of a session, in the order of their columns."""
+    found: dict[str, Feature] = {}
+    if "camera" in session.streams:
+        camera = session.streams["camera"]
+        shape = camera.layout.columns[0].column.shape
+        found[IMAGE] = Feature("image", shape, ("height", "width", "channels"))
+    if "pose" in session.streams:
+        found["observation.state"] = Feature("float32", (6,), _POSE)
+    if "force" in session.streams:
+        found["observation.force"] = Feature("float32", (6,), _WRENCH)
+    if "taxels" in session.frames:
+        names = tuple(f"{axis}{taxel}" for taxel in range(16) for axis in "xyz")
+        found["observation.taxels"] = Feature("float32", (48,), names)
+    if "pose" in session.streams:
+        found["action"] = Feature("float32", (6,), _POSE)
+    found |= {
+        "depth": Feature("float32"),
+        "phase": Feature("int64"),
+        "target": Feature("int64"),
+        "run": Feature("int64"),
+        "valid": Feature("bool"),
+        "t_ns": Feature("int64"),
+        "capture_ns": Feature("int64"),
+        "utc_ns": Feature("int64"),
+        "timestamp": Feature("float32"),
+        "frame_index": Feature("int64"),
+        "episode_index": Feature("int64"),
+        "index": Feature("int64"),
+        "task_index": Feature("int64"),
+    }
+    return found
+
+
+def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+    """Write a session as a LeRobot dataset folder.
+
+    Raises:
+        SessionError: No frames, a rate below 1 Hz, a run without UTC anchor, or a damaged stream.
+    """
+    episodes = need_presses(session, valid_only=options.valid_only)
+    path.mkdir()
+    (path / "meta").mkdir()
+    out = _Dataset(path, features_of(session), max(round(session.rate_hz), 1))
+    total, done = sum(len(press.rows) for press in episodes), 0
+    try:
+        for press in episodes:
+            out.add(_columns(session, press, out), str(task(session)))
+            done += len(press.rows)
+            progress(done, total)
+    finally:
+        out.close()
+    out.finish()
+    _write_json(path / "meta" / "tactile_rig.json", dict(session.attrs))
+
+
+def task(session: Session) -> str:
+    """Return the task text: what was pressed into what."""
+    indenter = session.attrs.get("indenter") or "unknown indenter"
+    sensor = session.attrs.get("sensor") or "unknown sensor"
+    return f"press the {indenter} indenter into the {sensor} sensor and shear it"
+
+
+@dataclass(slots=True)
+class _Dataset:
+    """The files as they grow."""
+
+    path: Path
+    features: dict[str, Feature]
+    fps: int
+    stats: Stats = field(default_factory=Stats)
+    tasks: dict[str, int] = field(default_factory=dict)
+    episodes: list[dict[str, Any]] = field(default_factory=list)
+    frames: int = 0
+    file: int = 0
+    held: int = 0  # bytes in the open file
+    writer: pq.ParquetWriter | None = None
+
+    def add(self, columns: dict[str, Any], text: str) -> None:
+        """Add one episode, given all columns but those that count."""
+        count = len(columns["t_ns"])
+        number, task_index = len(self.episodes), self.tasks.setdefault(text, len(self.tasks))
+        columns |= {
+            "timestamp": (np.arange(count) / self.fps).astype(np.float32),
+            "frame_index": np.arange(count),
+            "episode_index": np.full(count, number),
+            "index": np.arange(self.frames, self.frames + count),
+            "task_index": np.full(count, task_index),
+        }
+        stats = Stats()
+        for name in self.features:
+            if name != IMAGE:
+                stats.add(name, np.asarray(columns[name]))
+        if IMAGE in self.features:
+            stats.add_images(IMAGE, [entry["bytes"] for entry in columns[IMAGE]])
+        self.stats.merge(stats)
+        table = pa.table(
+            {name: _arrow(columns[name], kind) for name, kind in self.features.items()}
+        )
+        if self.writer is not None and self.held + table.nbytes > _FILE_BYTES:
+            self.close()
+            self.file, self.held = self.file + 1, 0
+        if self.writer is None:
+            self.writer = pq.ParquetWriter(self._named(_DATA, self.file), self._schema(table))
+        self.writer.write_table(table.cast(self._schema(table)))
+        self.held += table.nbytes
+        chunk, place = divmod(self.file, _CHUNK_FILES)
+        self.episodes.append(
+            {
+                "episode_index": number,
+                "tasks": [text],
+                "length": count,
+                "data/chunk_index": chunk,
+                "data/file_index": place,
+                "dataset_from_index": self.frames,
+                "dataset_to_index": self.frames + count,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                **stats.flat(),
+            }
+        )
+        self.frames += count
+
+    def close(self) -> None:
+        """Close the open data file. Safe twice."""
+        if self.writer is not None:
+            self.writer.close()
+            self.writer = None
+
+    def finish(self) -> None:
+        """Write everything below meta/."""
+        pq.write_table(pa.Table.from_pylist(self.episodes), self._named(_EPISODES, 0))
+        tasks = pa.table(
+            {"task_index": list(self.tasks.values()), "__index_level_0__": list(self.tasks)}
+        )
+        pq.write_table(tasks.replace_schema_metadata(_INDEXED), self.path / "meta/tasks.parquet")
+        _write_json(self.path / "meta" / "stats.json", self.stats.document())
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": "tactile-rig",
+            "total_episodes": len(self.episodes),
+            "total_frames": self.frames,
+            "total_tasks": len(self.tasks),
+            "chunks_size": _CHUNK_FILES,
+            "data_files_size_in_mb": _FILE_BYTES // 1_000_000,
+            "video_files_size_in_mb": 200,
+            "fps": self.fps,
+            "splits": {"train": f"0:{len(self.episodes)}"},
+            "data_path": _DATA,
+            "video_path": None,
+            "features": {name: kind.info() for name, kind in self.features.items()},
+        }
+        _write_json(self.path / "meta" / "info.json", info)
+
+    def _schema(self, table: pa.Table) -> pa.Schema:
+        described = {name: kind.hugging() for name, kind in self.features.items()}
+        text = json.dumps({"info": {"features": described}})
+        return table.schema.with_metadata({"huggingface": text})
+
+    def _named(self, pattern: str, file: int) -> Path:
+        chunk, place = divmod(file, _CHUNK_FILES)
+        named = self.path / pattern.format(chunk_index=chunk, file_index=place)
+        named.parent.mkdir(parents=True, exist_ok=True)
+        return named
+
+
+_INDEXED = {
+    "pandas": json.dumps(
+        {
+            "index_columns": ["__index_level_0__"],
+            "column_indexes": [],
+            "columns": [
+                {
+                    "name": "task_index",
+                    "field_name": "task_index",
+                    "pandas_type": "int64",
+                    "numpy_type": "int64",
+                    "metadata": None,
+                },
+                {
+                    "name": None,
+                    "field_name": "__index_level_0__",
+                    "pandas_type": "unicode",
+                    "numpy_type": "object",
+                    "metadata": None,
+                },
+            ],
+            "pandas_version": "2.0.0",
+        }
+    )
+}
+"""What makes pandas read the texts as the index, which is where LeRobot looks for them."""
+
+
+def _columns(session: Session, press: Press, out: _Dataset) -> dict[str, Any]:
+    frames, rows = session.frames, press.rows
+    ticks, age = frames["t_ns"][rows], frames["image_age"][rows]
+    capture = ticks - np.round(np.where(np.isfinite(age), age, 0.0) / NS).astype(np.int64)
+    columns: dict[str, Any] = {
+        "depth": frames["depth"][rows],
+        "phase": frames["phase"][rows],
+        "target": frames["target"][rows],
+        "run": frames["run"][rows],
+        "valid": frames["valid"][rows],
+        "t_ns": ticks,
+        "capture_ns": capture,
+        "utc_ns": capture + utc_offset(session, press.run),
+    }
+    if "observation.state" in out.features:
+        state = frames["pose"][rows]
+        columns["observation.state"] = state
+        columns["action"] = np.concatenate([state[1:], state[-1:]])
+    if "observation.force" in out.features:
+        columns["observation.force"] = frames["wrench"][rows]
+    if "observation.taxels" in out.features:
+        columns["observation.taxels"] = frames["taxels"][rows].reshape(len(rows), -1)
+    if IMAGE in out.features:
+        columns[IMAGE] = _pictures(session.streams["camera"], frames["image"][rows])
+    return columns
+
+
+def _pictures(camera: Stream, rows: Array) -> list[dict[str, Any]]:
+    numbers = [int(row) for row in rows]
+    if camera.jpeg_shape is not None:
+        suffix, encoded = "jpg", list(camera.jpegs(numbers))
+    else:
+        suffix, encoded = "png", [_png(camera.images([row])[0]) for row in numbers]
+    return [
+        {"bytes": data, "path": f"frame-{place:06d}.{suffix}"} for place, data in enumerate(encoded)
+    ]
+
+
+def _png(pixels: Array) -> bytes:
+    out = io.BytesIO()
+    plain = pixels[..., 0] if pixels.shape[2] == 1 else pixels
+    Image.fromarray(plain).save(out, "PNG", compress_level=1)
+    return out.getvalue()
+
+
+def _arrow(values: Any, kind: Feature) -> pa.Array:
+    if kind.dtype == "image":
+        return pa.array(values, kind.arrow())
+    array = np.ascontiguousarray(values, kind.dtype)
+    if kind.shape == (1,):
+        return pa.array(array, kind.arrow())
+    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), kind.shape[0])
+
+
+def _write_json(path: Path, document: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(document, indent=4))

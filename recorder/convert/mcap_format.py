@@ -1,0 +1,368 @@
+"""MCAP for Foxglove: every sample as one message, at the time it arrived.
+
+`log_time` is the arrival and `publish_time` the capture, both UTC from the anchor of the run;
+`sequence` is the row of the stream (modulo 2**32). Images and poses use Foxglove's protobuf
+schemas; what those have no message for is JSON with its schema.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from recorder.convert.export import Options, Progress
+from recorder.convert.times import utc_of_rows
+from recorder.session.align import captured, quaternion
+from recorder.session.reader import Session, Stream
+from recorder.spec import OUTCOMES, PHASES
+
+# JSON schemas of the messages that Foxglove has no type for, and the topics of each stream.
+
+TOPICS: Mapping[str, tuple[str, ...]] = {
+    "camera": ("/camera",),
+    "pose": ("/pose", "/tf"),
+    "force": ("/wrench",),
+    "taxels": ("/taxels",),
+}
+"""Topics by stream; `/segments` and `/reference` are always there."""
+
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+}
+
+
+def _number(description: str) -> dict[str, Any]:
+    return {"type": "number", "description": description}
+
+
+def _integer(description: str) -> dict[str, Any]:
+    return {"type": "integer", "description": description}
+
+
+def _vector(description: str) -> dict[str, Any]:
+    axes = {axis: {"type": "number"} for axis in "xyz"}
+    return {"type": "object", "description": description, "properties": axes}
+
+
+def _list(description: str) -> dict[str, Any]:
+    return {"type": "array", "items": {"type": "number"}, "description": description}
+
+
+def _object(properties: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": {"timestamp": _TIME, **properties}}
+
+
+_COUNTS = {
+    "type": "array",
+    "items": {"type": "array", "items": {"type": "number"}},
+    "description": "16 taxels row by row, raw counts x y z",
+}
+
+SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
+    "/wrench": (
+        "tactile_rig.Wrench",
+        _object(
+            {
+                "frame_id": {"type": "string"},
+                "force": _vector("F/T frame, offset removed [N]; pressing is negative z"),
+                "torque": _vector("F/T frame, offset removed [N m]"),
+                "seq": _integer("the device's sequence number"),
+                "status": _integer("the device's status word"),
+            }
+        ),
+    ),
+    "/taxels": (
+        "tactile_rig.Taxels",
+        _object({"counts": _COUNTS, "seq": _integer("the device's sequence number")}),
+    ),
+    "/segments": (
+        "tactile_rig.Phase",
+        _object(
+            {
+                "end": _TIME,
+                "duration": _number("[s]"),
+                "target": _integer("row of targets"),
+                "phase": {"type": "string"},
+                "outcome": {"type": "string"},
+                "run": _integer("entry of the session's runs"),
+                "point": _integer("number of the contact point"),
+                "depth": _number("planned indentation [m]"),
+                "direction": _integer("number of the shear direction, -1 for none"),
+                "planned": _list("planned place of the tip at full shear, base frame [m]"),
+            }
+        ),
+    ),
+    "/reference": (
+        "tactile_rig.Reference",
+        _object(
+            {
+                "point": _integer("contact point it belongs to"),
+                "image": _integer("row of the camera stream, -1 without one"),
+                "wrench": _list("residual offset without contact [N, N m]"),
+                "wrench_std": _list("its spread [N, N m]"),
+                "taxels": _COUNTS,
+                "run": _integer("entry of the session's runs"),
+            }
+        ),
+    ),
+}
+"""Title and JSON schema by topic."""
+
+
+_BLOCK = 1024  # rows
+_IMAGES = 16
+_ATTACHED = ("bench", "plan", "calibration", "software")
+BASE, TOOL, SENSOR = "base", "tool", "ft_sensor"
+"""Frame names: the robot's base, its tool, the force/torque sensor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message, before it has a channel number."""
+
+    topic: str
+    log_ns: int
+    """Arrival, UTC [ns]."""
+    publish_ns: int
+    """Capture, UTC [ns]."""
+    sequence: int
+    data: bytes
+
+
+def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+    """Write a session as one MCAP file.
+
+    Raises:
+        SessionError: A run without a UTC anchor, or a damaged stream.
+    """
+    known = [name for name in ("camera", "pose", "force", "taxels") if name in session.streams]
+    total = sum(len(session.streams[name]) for name in known)
+    sources = [_samples(session, session.streams[name]) for name in known]
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="", library="tactile-rig")
+        for name in sorted(set(session.streams) - set(known)):
+            writer.add_metadata("not exported", {name: "a stream of a kind that has no message"})
+        channels = _register(writer, session, known)
+        done = 0
+        merged = heapq.merge(_events(session), *sources, key=lambda message: message.log_ns)
+        for message in merged:
+            writer.add_message(
+                channels[message.topic],
+                log_time=message.log_ns,
+                publish_time=message.publish_ns,
+                sequence=message.sequence & 0xFFFFFFFF,
+                data=message.data,
+            )
+            if message.topic in _COUNTED:
+                done += 1
+                if done % 64 == 0 or done == total:
+                    progress(done, total)
+        said = {key: _text(value) for key, value in session.attrs.items()}
+        writer.add_metadata("session", said)
+        for name in known:
+            attrs = session.streams[name].attrs
+            writer.add_metadata(name, {key: _text(value) for key, value in attrs.items()})
+        _attach(writer, session)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+_COUNTED = {"/camera", "/pose", "/wrench", "/taxels"}
+
+
+def _register(writer: Writer, session: Session, names: list[str]) -> dict[str, int]:
+    """Return the channel of each topic."""
+    raw = "camera" in names and session.streams["camera"].jpeg_shape is None
+    protobuf = {
+        "/camera": RawImage if raw else CompressedImage,
+        "/pose": PoseInFrame,
+        "/tf": FrameTransform,
+    }
+    wanted = ["/segments", "/reference"]
+    wanted += [topic for name in names for topic in TOPICS[name]]
+    channels = {}
+    for topic in wanted:
+        if topic in protobuf:
+            kind = protobuf[topic]
+            schema = writer.register_schema(
+                str(kind.DESCRIPTOR.full_name),
+                "protobuf",
+                build_file_descriptor_set(kind).SerializeToString(),
+            )
+            channels[topic] = writer.register_channel(topic, "protobuf", schema)
+        else:
+            title, document = SCHEMAS[topic]
+            schema = writer.register_schema(title, "jsonschema", json.dumps(document).encode())
+            channels[topic] = writer.register_channel(topic, "json", schema)
+    return channels
+
+
+def _samples(session: Session, stream: Stream) -> Iterator[Message]:
+    """Yield all messages of a stream in the order of its rows."""
+    log = utc_of_rows(session, stream.name, stream.t_ns)
+    publish = utc_of_rows(session, stream.name, captured(stream))
+    block = _IMAGES if stream.layout.image is not None else _BLOCK
+    for start in range(0, len(stream), block):
+        rows = range(start, min(start + block, len(stream)))
+        for row, contents in zip(rows, _MAKERS[stream.name](stream, rows, publish), strict=True):
+            for topic, data in contents:
+                yield Message(topic, int(log[row]), int(publish[row]), row, data)
+
+
+_Contents = list[tuple[str, bytes]]
+
+
+def _images(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+    if stream.jpeg_shape is not None:
+        for row, data in zip(rows, stream.jpegs(rows), strict=True):
+            message = CompressedImage(frame_id="camera", data=data, format="jpeg")
+            message.timestamp.FromNanoseconds(int(publish[row]))
+            yield [("/camera", message.SerializeToString())]
+        return
+    for row, pixels in zip(rows, stream.images(rows), strict=True):
+        height, width, channels = pixels.shape
+        message = RawImage(
+            frame_id="camera",
+            width=width,
+            height=height,
+            encoding="rgb8" if channels == 3 else "mono8",
+            step=width * channels,
+            data=pixels.tobytes(),
+        )
+        message.timestamp.FromNanoseconds(int(publish[row]))
+        yield [("/camera", message.SerializeToString())]
+
+
+def _poses(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+    values = stream.rows_between("value", rows.start, rows.stop)
+    turned = quaternion(values[:, 3:])
+    for row, value, quat in zip(rows, values, turned, strict=True):
+        pose = PoseInFrame(frame_id=BASE)
+        pose.timestamp.FromNanoseconds(int(publish[row]))
+        moved = FrameTransform(parent_frame_id=BASE, child_frame_id=TOOL)
+        moved.timestamp.FromNanoseconds(int(publish[row]))
+        for place, rotation in (
+            (pose.pose.position, pose.pose.orientation),
+            (moved.translation, moved.rotation),
+        ):
+            place.x, place.y, place.z = (float(v) for v in value[:3])
+            rotation.w, rotation.x, rotation.y, rotation.z = (float(v) for v in quat)
+        yield [("/pose", pose.SerializeToString()), ("/tf", moved.SerializeToString())]
+
+
+def _wrenches(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+    values = stream.rows_between("value", rows.start, rows.stop).tolist()
+    seq = stream.rows_between("seq", rows.start, rows.stop).tolist()
+    status = stream.rows_between("status", rows.start, rows.stop).tolist()
+    for place, row in enumerate(rows):
+        x, y, z, tx, ty, tz = values[place]
+        document = {
+            "timestamp": _stamp(int(publish[row])),
+            "frame_id": SENSOR,
+            "force": {"x": x, "y": y, "z": z},
+            "torque": {"x": tx, "y": ty, "z": tz},
+            "seq": seq[place],
+            "status": status[place],
+        }
+        yield [("/wrench", _packed(document))]
+
+
+def _taxels(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+    values = stream.rows_between("value", rows.start, rows.stop).tolist()
+    seq = stream.rows_between("seq", rows.start, rows.stop).tolist()
+    for place, row in enumerate(rows):
+        stamp = _stamp(int(publish[row]))
+        document = {"timestamp": stamp, "counts": values[place], "seq": seq[place]}
+        yield [("/taxels", _packed(document))]
+
+
+_MAKERS: dict[str, Callable[[Stream, range, Any], Iterator[_Contents]]] = {
+    "camera": _images,
+    "pose": _poses,
+    "force": _wrenches,
+    "taxels": _taxels,
+}
+
+
+def _events(session: Session) -> Iterator[Message]:
+    """Yield one message per phase at its start, and one per no-contact reference, in order."""
+    segments, reference, targets = session.segments, session.reference, session.targets
+    found = []
+    begins = utc_of_rows(session, "segments", segments["start_ns"])
+    ends = utc_of_rows(session, "segments", segments["end_ns"])
+    for row, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
+        target = int(segments["target"][row])
+        document = {
+            "timestamp": _stamp(begin),
+            "end": _stamp(end),
+            "duration": (end - begin) * 1e-9,
+            "target": target,
+            "phase": PHASES[int(segments["phase"][row])],
+            "outcome": OUTCOMES[int(segments["outcome"][row])],
+            "run": int(segments["run"][row]),
+        }
+        document |= {
+            name: values[target].tolist()
+            for name, values in targets.items()
+            if target < len(values)
+        }
+        found.append(Message("/segments", begin, begin, row, _packed(document)))
+    taken = utc_of_rows(session, "reference", reference["t_ns"]).tolist()
+    for row, moment in enumerate(taken):
+        document = {"timestamp": _stamp(moment)}
+        document |= {
+            name: _finite(values[row].tolist())
+            for name, values in reference.items()
+            if name != "t_ns"
+        }
+        found.append(Message("/reference", moment, moment, row, _packed(document)))
+    return iter(sorted(found, key=lambda message: message.log_ns))
+
+
+def _attach(writer: Writer, session: Session) -> None:
+    created = min((int(run.get("utc_ns", 0)) for run in session.runs), default=0)
+    contents = {name: session.attrs[name] for name in _ATTACHED if name in session.attrs}
+    contents["targets"] = {name: values.tolist() for name, values in session.targets.items()}
+    for name, content in contents.items():
+        data = json.dumps(content, indent=1).encode()
+        writer.add_attachment(created, created, f"{name}.json", "application/json", data)
+
+
+def _stamp(t_ns: int) -> dict[str, int]:
+    return {"sec": t_ns // 10**9, "nsec": t_ns % 10**9}
+
+
+def _finite(value: Any) -> Any:
+    """Return a value with null for what JSON has no number for."""
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _packed(document: dict[str, Any]) -> bytes:
+    return json.dumps(_finite_document(document), separators=(",", ":"), allow_nan=False).encode()
+
+
+def _finite_document(document: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _finite_document(value) if isinstance(value, dict) else _finite(value)
+        for key, value in document.items()
+    }
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,108 @@
+"""Copies a session with its images stored in another way. The source is never changed.
+
+`portable` stores images as zstd-compressed pixels, which every Zarr v3 reader understands;
+`camera` keeps the camera's own JPEG bytes, and can be made only from a session that has them.
+"""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from recorder.errors import SessionError
+from recorder.session.reader import Session
+from recorder.store import images
+from recorder.store.column import ColumnReader
+from recorder.store.durable import sync_directory
+from recorder.store.files import is_url
+from recorder.store.layout import Layout, merge_attrs
+from recorder.store.shard import ColumnLog
+
+PROFILES = ("portable", "camera")
+
+_CREATING = ".creating"
+
+Progress = Callable[[int, int], None]
+"""Called with the images done and those to do."""
+
+
+def repack(
+    source: str | os.PathLike[str],
+    destination: str | os.PathLike[str],
+    profile: str = "portable",
+    *,
+    progress: Progress | None = None,
+) -> None:
+    """Write a copy of a session with its images in another profile.
+
+    All else is copied byte by byte. The destination appears whole or not at all.
+
+    Args:
+        source: A finished session.
+        destination: Where; nothing may be there yet.
+        profile: `portable` or `camera`.
+        progress: Called after every image that had to be converted.
+
+    Raises:
+        SessionError: An unknown profile, an unfinished or damaged source, an existing destination,
+            or `camera` asked of images that were stored without their JPEG bytes.
+    """
+    if is_url(source):
+        raise SessionError(f"{source}: remote stores are only read; copy it here first")
+    if profile not in PROFILES:
+        raise SessionError(f"found profile {profile!r}; known: {', '.join(PROFILES)}")
+    session, final = Session(source), Path(destination)
+    if session.warning:
+        raise SessionError(session.warning)
+    if final.exists():
+        raise SessionError(f"{final}: exists already")
+    pictures = [s.layout.image for s in session.streams.values() if s.layout.image is not None]
+    convert = [layout for layout in pictures if layout.column.codec == "jpeg"]
+    if profile == "camera":
+        lost = [str(layout.path) for layout in pictures if layout not in convert]
+        if lost:
+            raise SessionError(
+                f"{lost[0]}: stored without the camera's JPEG bytes, and encoding pixels again "
+                "would change them"
+            )
+        convert = []
+    building = final.with_name(final.name + _CREATING)
+    shutil.rmtree(building, ignore_errors=True)
+    try:
+        skip = {str(layout.path) for layout in convert}
+        shutil.copytree(
+            session.path, building, ignore=lambda path, _: ["c"] if path in skip else []
+        )
+        total = sum(layout.rows() for layout in convert)
+        done = 0
+        for layout in convert:
+            copy = replace(layout, path=building / layout.path.relative_to(session.path))
+            for count in _decode_all(layout, copy):
+                if progress is not None:
+                    progress(done + count, total)
+            done += layout.rows()
+        merge_attrs(building, {"profile": profile})
+        building.rename(final)
+        sync_directory(final.parent)
+    except BaseException:
+        shutil.rmtree(building, ignore_errors=True)
+        raise
+
+
+def _decode_all(source: Layout, copy: Layout) -> Iterator[int]:
+    """Write the images of one column as lossless pixels; yield how many are done."""
+    pixels = replace(copy, column=replace(copy.column, codec="zstd"))
+    shutil.rmtree(pixels.path)
+    pixels.create()
+    reader, decode = ColumnReader(source), images.decoder(source.column)
+    encode = images.encoder(pixels.column, str(pixels.path))
+    log = ColumnLog(pixels, 0)
+    try:
+        for row in range(reader.rows):
+            log.append(encode(decode(reader.chunk(row))), 0)
+            log.seal_full()
+            yield row + 1
+        log.finish(reader.rows)
+    finally:
+        log.close()

@@ -1,0 +1,257 @@
+"""A session in Rerun, the researcher's viewer: `python -m recorder view SESSION`.
+
+Everything lies on two time lines: `capture` (UTC) and `session` (since the first sample). Images
+are the camera's own JPEG bytes; losslessly stored ones go as PNG. Needs the extra `view`.
+"""
+
+import io
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from recorder.errors import SessionError
+from recorder.session.align import Source
+from recorder.session.reader import Session, Stream
+from recorder.spec import OUTCOMES, PHASES
+from recorder.store.durable import TEMPORARY
+
+APPLICATION = "tactile-rig"
+_AT_ONCE = 64  # images per message; what is shown of progress, and what is in memory
+_MM = 1e3
+_NS = 1e-9
+
+Array = NDArray[Any]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One run of a session and where its clock lies."""
+
+    number: int
+    to_utc: int
+    """Add this to monotonic times for UTC [ns since 1970]."""
+
+
+class _Sink:
+    """A Rerun recording, and what part of the session goes there."""
+
+    def __init__(self, rerun: Any, recording: Any, zero: int, window: tuple[float, float]) -> None:
+        self.rerun = rerun
+        self._recording = recording
+        self._zero = zero
+        self._window = window
+
+    def within(self, utc_ns: Array) -> Array:
+        """Which times lie in the part that was asked for (n,) bool."""
+        seconds = (utc_ns - self._zero) * _NS
+        return np.asarray((seconds >= self._window[0]) & (seconds < self._window[1]))
+
+    def send(self, entity: str, utc_ns: Array, columns: Any) -> None:
+        """Add one entity's columns at UTC times (n,) [ns]."""
+        indexes = [
+            self.rerun.TimeColumn("capture", timestamp=utc_ns.astype("datetime64[ns]")),
+            self.rerun.TimeColumn(
+                "session", duration=(utc_ns - self._zero).astype("timedelta64[ns]")
+            ),
+        ]
+        self._recording.send_columns(entity, indexes=indexes, columns=columns)
+
+
+def view(
+    path: Path,
+    *,
+    save: Path | None = None,
+    start: float = 0.0,
+    seconds: float | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Show a session in Rerun's viewer, or write it to an .rrd file.
+
+    Args:
+        path: The session.
+        save: File to write in place of opening a viewer; replaced when it is complete.
+        start: Where the part begins, after the first sample [s].
+        seconds: How long the part is [s]; None: to the end.
+        progress: Told samples done and samples in all.
+
+    Raises:
+        SessionError: Rerun is not installed, the session cannot be read, or the part is empty.
+    """
+    if not start >= 0 or (seconds is not None and not seconds > 0):
+        raise SessionError(f"--start {start}, --seconds {seconds}: allowed: 0 or more; above 0")
+    rerun = _rerun()
+    session = Session(path)
+    runs = list(_runs(session))
+    zero = min((_first(session, run) for run in runs), default=None)
+    if zero is None:
+        raise SessionError(f"{path}: no samples to show; killed? python -m recorder recover")
+    recording = rerun.RecordingStream(APPLICATION, recording_id=f"{path.name}-{zero}")
+    window = (start, np.inf if seconds is None else start + seconds)
+    sink = _Sink(rerun, recording, zero, window)
+    if save is None:
+        recording.spawn(default_blueprint=_blueprint(session))
+        _log(session, runs, sink, progress)
+        recording.flush()
+        return
+    temporary = save.with_name(save.name + TEMPORARY)
+    try:
+        recording.save(temporary, default_blueprint=_blueprint(session))
+        _log(session, runs, sink, progress)
+        recording.disconnect()
+        temporary.replace(save)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise SessionError(
+            f"view needs rerun-sdk ({error}); install it: pip install -e '.[view]'"
+        ) from None
+    return rerun
+
+
+def _runs(session: Session) -> Iterator[_Run]:
+    for number, entry in enumerate(session.runs):
+        if session.sources(number).span is not None:
+            yield _Run(number, _utc_ns(entry) - int(entry.get("t0_ns", 0)))
+
+
+def _utc_ns(entry: dict[str, Any]) -> int:
+    """UTC of a run's clock anchor [ns since 1970]; 0 where the run does not tell."""
+    if "utc_ns" in entry:
+        return int(entry["utc_ns"])
+    try:
+        utc = str(entry.get("utc", "1970-01-01")).removesuffix("Z")
+        return int(np.datetime64(utc, "ns").astype(np.int64))
+    except ValueError:
+        return 0
+
+
+def _first(session: Session, run: _Run) -> int:
+    span = session.sources(run.number).span
+    return (span[0] if span is not None else 0) + run.to_utc
+
+
+def _log(session: Session, runs: Sequence[_Run], sink: _Sink, progress: Progress | None) -> None:
+    parts = [
+        (name, source, run, np.flatnonzero(sink.within(source.times + run.to_utc)))
+        for run in runs
+        for name in ("force", "pose", "taxels", "camera")
+        if (source := getattr(session.sources(run.number), name)) is not None
+    ]
+    total = sum(len(chosen) for *_, chosen in parts)
+    if not total:
+        raise SessionError(f"{session.path}: no samples in the part that was asked for")
+    done = 0
+    for name, source, run, chosen in parts:
+        for first in range(0, len(chosen), _AT_ONCE if name == "camera" else len(chosen) or 1):
+            some = chosen[first : first + _AT_ONCE] if name == "camera" else chosen
+            utc_ns = source.times[some] + run.to_utc
+            _WRITERS[name](sink, session.streams[name], source, some, utc_ns)
+            done += len(some)
+            if progress is not None:
+                progress(done, total)
+    for run in runs:
+        _segments(sink, session, run)
+
+
+def _force(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
+    wrench = stream.array("value")[source.rows[some]]
+    for column, entity in enumerate(
+        ("force_N/Fx", "force_N/Fy", "force_N/Fz", "torque_Nm/Tx", "torque_Nm/Ty", "torque_Nm/Tz")
+    ):
+        sink.send(entity, utc_ns, sink.rerun.Scalars.columns(scalars=wrench[:, column]))
+
+
+def _pose(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
+    position = stream.array("value")[source.rows[some], :3] * _MM
+    for column, axis in enumerate("xyz"):
+        scalars = sink.rerun.Scalars.columns(scalars=position[:, column])
+        sink.send(f"position_mm/{axis}", utc_ns, scalars)
+
+
+def _taxels(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
+    counts = stream.array("value")[source.rows[some]].astype(float)
+    for column, axis in enumerate("xyz"):
+        scalars = sink.rerun.Scalars.columns(scalars=counts[:, :, column].reshape(-1))
+        lengths = np.full(len(counts), counts.shape[1])
+        sink.send(f"taxels_counts/{axis}", utc_ns, scalars.partition(lengths))
+
+
+def _camera(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
+    blobs, kind = [], "image/jpeg"
+    for row in source.rows[some]:
+        data = stream.jpeg(int(row))
+        if data is None:
+            data, kind = _png(stream.images([int(row)])[0]), "image/png"
+        blobs.append(data)
+    columns = sink.rerun.EncodedImage.columns(blob=blobs, media_type=[kind] * len(blobs))
+    sink.send("camera", utc_ns, columns)
+
+
+def _png(pixels: Array) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels.squeeze()).save(file, "PNG", compress_level=1)
+    return file.getvalue()
+
+
+_WRITERS = {"force": _force, "pose": _pose, "taxels": _taxels, "camera": _camera}
+
+
+def _segments(sink: _Sink, session: Session, run: _Run) -> None:
+    """Target, phase and depth: a step at the start and the end of each, and a line of text."""
+    columns = {name: np.asarray(session.segments[name]) for name in session.segments}
+    mine = (columns["run"] == run.number) & sink.within(columns["start_ns"] + run.to_utc)
+    if not mine.any():
+        return
+    columns = {name: column[mine] for name, column in columns.items()}
+    target, phase = columns["target"], columns["phase"]
+    depth = np.asarray(session.targets["depth"])[target] * _MM
+    start, end = columns["start_ns"] + run.to_utc, columns["end_ns"] + run.to_utc
+    times = np.stack([start, end], axis=1).reshape(-1)
+    for entity, values in (
+        ("plan/target", target),
+        ("plan/phase", phase),
+        ("plan/depth_mm", depth),
+    ):
+        twice = np.repeat(values.astype(float), 2)
+        sink.send(entity, times, sink.rerun.Scalars.columns(scalars=twice))
+    words = [
+        f"target {t + 1}: {PHASES[p]}, {d:.2f} mm, {OUTCOMES[o]}"
+        for t, p, d, o in zip(target, phase, depth, columns["outcome"], strict=True)
+    ]
+    sink.send("plan/log", start, sink.rerun.TextLog.columns(text=words))
+
+
+def _blueprint(session: Session) -> Any:
+    """The image beside the series, the plan below."""
+    import rerun.blueprint as blueprint
+
+    series = [
+        blueprint.TimeSeriesView(origin=f"/{origin}", name=name)
+        for stream, origin, name in (
+            ("force", "force_N", "force [N]"),
+            ("force", "torque_Nm", "torque [N m]"),
+            ("pose", "position_mm", "position [mm]"),
+            ("taxels", "taxels_counts", "taxels [counts]"),
+        )
+        if stream in session.streams
+    ]
+    left: list[Any] = [blueprint.TextLogView(origin="/plan/log", name="plan")]
+    if "camera" in session.streams:
+        left.insert(0, blueprint.Spatial2DView(origin="/camera", name="camera"))
+    return blueprint.Blueprint(
+        blueprint.Horizontal(blueprint.Vertical(*left), blueprint.Vertical(*series)),
+        collapse_panels=True,
+    )

@@ -1,0 +1,111 @@
+"""The pixels of the untouched image at which a displacement field is kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.markers.packing import HEIGHT, WIDTH
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Evenly spaced pixels over the image and a margin around it.
+
+    The material that is seen at pixel p before anything touches it is seen at p + d(p) in the
+    frame; the margin is for material that a press brings into view.
+    """
+
+    step_px: int = 10
+    """From one pixel of the lattice to the next."""
+    margin_px: int = 40
+    """How far it reaches beyond columns 0 and 640 and rows 0 and 480."""
+
+    def __post_init__(self) -> None:
+        """Refuse a lattice that does not end as it begins.
+
+        Raises:
+            ValueError: Not positive, or a step that does not divide the sides.
+        """
+        sides = WIDTH + 2 * self.margin_px, HEIGHT + 2 * self.margin_px
+        if self.step_px < 1 or self.margin_px < 0 or any(side % self.step_px for side in sides):
+            raise ValueError(
+                f"lattice: found step_px {self.step_px}, margin_px {self.margin_px}; allowed: a "
+                f"step that divides {sides[0]} and {sides[1]}, no negative margin"
+            )
+
+    @property
+    def columns(self) -> NDArray[np.float64]:
+        """Columns of the lattice [px], from -margin to 640 + margin."""
+        return self._along(WIDTH)
+
+    @property
+    def rows(self) -> NDArray[np.float64]:
+        """Rows of the lattice [px], from -margin to 480 + margin."""
+        return self._along(HEIGHT)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of one field: rows, columns and the two components (column, row)."""
+        return (len(self.rows), len(self.columns), 2)
+
+    def _along(self, side: int) -> NDArray[np.float64]:
+        places = np.arange(-self.margin_px, side + self.margin_px + 1, self.step_px)
+        return places.astype(np.float64)
+
+
+# Where a displacement field says that markers are hard to see: flanks that are seen end-on.
+
+Floats = NDArray[np.float64]
+
+STEEP = 0.45
+"""Size of a patch of skin in the frame over its size untouched below which it may hide a marker.
+It is the mean of a cell, which an edge crosses somewhere: part of it is steeper still."""
+
+
+def moved(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> Floats:
+    """Return where a field says that pixels (n, 2) are seen; NaN beyond its material.
+
+    Args:
+        centres: Column and row in the untouched image [px].
+        field: Displacement (h, w, 2) [px].
+        lattice: Where it is kept.
+    """
+    column, row, along, down = _cells(centres, lattice)
+    values = field.astype(np.float64)
+    top = values[row, column] * (1 - along) + values[row, column + 1] * along
+    low = values[row + 1, column] * (1 - along) + values[row + 1, column + 1] * along
+    return np.asarray(centres + top * (1 - down) + low * down)
+
+
+def on_flanks(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> NDArray[np.bool_]:
+    """Return which pixels (n, 2) lie on a steep flank, or a cell of the lattice beside one (n,).
+
+    How much a cell shrinks is the determinant of the displaced image's derivative. Arguments as for
+    `moved`.
+    """
+    values = field.astype(np.float64) / lattice.step_px
+    # Derivatives on the edges of cells, averaged over a cell; NaN, without material, is not steep.
+    across = (np.diff(values, axis=1)[1:] + np.diff(values, axis=1)[:-1]) / 2
+    down = (np.diff(values, axis=0)[:, 1:] + np.diff(values, axis=0)[:, :-1]) / 2
+    size = (1 + across[..., 0]) * (1 + down[..., 1]) - across[..., 1] * down[..., 0]
+    steep = np.pad(size < STEEP, 1)
+    column, row, _, _ = _cells(centres, lattice)
+    found = np.zeros(len(centres), np.bool_)
+    for rows in range(3):
+        for columns in range(3):
+            found |= steep[row + rows, column + columns]
+    return found
+
+
+def _cells(
+    centres: Floats, lattice: Lattice
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
+    """Return column and row of the cells that pixels are in, and how far along and down (n, 1)."""
+    place = (centres + lattice.margin_px) / lattice.step_px
+    most = np.array([lattice.shape[1], lattice.shape[0]]) - 2
+    cell = np.clip(np.floor(place).astype(np.int64), 0, most)
+    share = place - cell
+    return cell[:, 0], cell[:, 1], share[:, :1], share[:, 1:]

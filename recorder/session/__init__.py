@@ -1,0 +1,1 @@
+"""Sessions: what a stream holds, writing, reading, alignment, windows."""

@@ -1,0 +1,416 @@
+"""Bringing samples of different clocks' rates to common moments. Pure functions.
+
+Times are int64 nanoseconds, sorted ascending; differences are taken as integers before anything
+becomes a float, since float64 cannot tell nanoseconds apart in a time since boot. Every result
+says how far it was fetched from (`age` [s]) and whether that is near enough (`valid`). Nothing is
+extrapolated: outside the samples a value is NaN and invalid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Times = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+NS = 1e-9
+
+
+class Values(Protocol):
+    """Samples (m, ...): an array, or what is indexed like one and reads only what is used."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape, samples first."""
+        ...
+
+    def __getitem__(self, key: Any, /) -> Any:
+        """Return what the array would."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Picked:
+    """One sample per query, taken as it is."""
+
+    index: NDArray[np.int64]
+    """Sample used (n,); -1 where there is none."""
+    age: Floats
+    """Query minus sample (n,) [s]; negative for a later sample, NaN where there is none."""
+    valid: Bools
+    """Whether the sample exists and is near enough (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """One computed value per query."""
+
+    value: Floats
+    """Values (n, ...); NaN outside the samples."""
+    age: Floats
+    """Distance to the nearest sample used (n,) [s]; NaN outside the samples."""
+    gap: Floats
+    """Distance between the samples around the query (n,) [s]; 0 on a sample."""
+    valid: Bools
+    """Whether all samples used are near enough (n,)."""
+    interpolated: Bools
+    """Whether the value lies between two samples rather than being one, or a mean of some (n,)."""
+
+
+def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
+    """Return the latest sample at or before each query; of equal times the last.
+
+    Args:
+        times: Sample times (m,) [ns], ascending.
+        query: Times asked for (n,) [ns].
+        max_age: Largest age that is valid [s].
+    """
+    index = np.searchsorted(times, query, side="right").astype(np.int64) - 1
+    return _picked(times, query, index, max_age)
+
+
+def nearest(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
+    """Return the sample nearest to each query; of two as near the earlier, of equal times the last.
+
+    Args:
+        times: Sample times (m,) [ns], ascending.
+        query: Times asked for (n,) [ns].
+        max_age: Largest distance that is valid [s].
+    """
+    if not len(times):
+        return _picked(times, query, np.full(len(query), -1, np.int64), max_age)
+    behind = np.searchsorted(times, query, side="right").astype(np.int64)
+    before = np.maximum(behind - 1, 0)
+    after = np.minimum(behind, len(times) - 1)
+    nearer_before = np.abs(query - times[before]) <= np.abs(times[after] - query)
+    chosen = np.where(nearer_before, times[before], times[after])
+    index = np.searchsorted(times, chosen, side="right").astype(np.int64) - 1
+    return _picked(times, query, index, max_age)
+
+
+def linear(times: Times, values: Values, query: Times, *, max_age: float = np.inf) -> Aligned:
+    """Return values interpolated linearly between the samples around each query.
+
+    Args:
+        times: Sample times (m,) [ns], ascending.
+        values: Samples (m, ...).
+        query: Times asked for (n,) [ns].
+        max_age: Largest distance of either sample that is valid [s].
+    """
+    bracket = _bracket(times, query, max_age)
+    weight = bracket.weight.reshape(-1, *(1 for _ in values.shape[1:]))
+    if len(times):
+        # A plain sum of two products: exact on a sample, and NaN only where a used sample is.
+        first = np.where(weight < 1, values[bracket.before], 0) * (1 - weight)
+        second = np.where(weight > 0, values[bracket.after], 0) * weight
+        value = np.asarray(first + second, np.float64)
+    else:
+        value = np.empty((len(query), *values.shape[1:]))
+    value[~bracket.inside] = np.nan
+    return bracket.aligned(value)
+
+
+def mean(
+    times: Times, values: Values, start: Times, stop: Times, *, max_age: float = np.inf
+) -> Aligned:
+    """Return the mean of the samples inside each interval [start, stop], both ends included.
+
+    Where no sample lies inside, the value is interpolated linearly at the middle of the interval,
+    and `interpolated` says so. A mean is valid when samples lie within `max_age` of both ends, and
+    its age is that from `stop` to the last sample in it.
+
+    Args:
+        times: Sample times (m,) [ns], ascending.
+        values: Samples (m, ...).
+        start: First moments (n,) [ns].
+        stop: Last moments (n,) [ns].
+        max_age: Largest distance that is valid [s].
+    """
+    first = np.searchsorted(times, start, side="left")
+    last = np.searchsorted(times, stop, side="right")
+    some = last > first
+    result = linear(times, values, start + (stop - start) // 2, max_age=max_age)
+    value, age, gap, valid, interpolated = (
+        result.value,
+        result.age,
+        result.gap,
+        result.valid,
+        ~some & result.interpolated,
+    )
+    if some.any():
+        low, high = first[some], last[some]
+        count = (high - low).reshape(-1, *(1 for _ in values.shape[1:]))
+        value[some] = _sums(values, low, high) / count
+        age[some] = (stop[some] - times[high - 1]) * NS
+        lead = (times[low] - start[some]) * NS
+        gap[some] = 0.0
+        valid[some] = (age[some] <= max_age) & (lead <= max_age)
+    return Aligned(value, age, gap, valid, interpolated)
+
+
+def pose(times: Times, poses: Values, query: Times, *, max_age: float = np.inf) -> Aligned:
+    """Return poses with positions interpolated linearly and rotations along the shortest arc.
+
+    Args:
+        times: Sample times (m,) [ns], ascending.
+        poses: Positions [m] and rotation vectors [rad] (m, 6).
+        query: Times asked for (n,) [ns].
+        max_age: Largest distance of either sample that is valid [s].
+    """
+    result = linear(times, poses, query, max_age=max_age)
+    bracket = _bracket(times, query, max_age)
+    inside = bracket.inside
+    if inside.any():
+        first = quaternion(poses[bracket.before[inside], 3:])
+        second = quaternion(poses[bracket.after[inside], 3:])
+        result.value[inside, 3:] = rotation_vector(slerp(first, second, bracket.weight[inside]))
+    return result
+
+
+def quaternion(vector: Floats) -> Floats:
+    """Return unit quaternions w x y z (n, 4) of rotation vectors (n, 3) [rad]."""
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    half = 0.5 * angle
+    # sin(a/2)/a, through np.sinc so that it holds at a = 0.
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
+
+
+def rotation_vector(quat: Floats) -> Floats:
+    """Return rotation vectors (n, 3) [rad] of unit quaternions w x y z (n, 4), angle 0 to pi."""
+    quat = np.where(quat[..., :1] < 0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quat[..., :1])
+    scale = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0)
+    return np.asarray(scale * quat[..., 1:])
+
+
+def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
+    """Return the rotations (n, 4) at `weight` (n,) of the shortest way from one to the other."""
+    cosine = np.sum(first * second, axis=-1, keepdims=True)
+    second = np.where(cosine < 0, -second, second)
+    # The chord gives the angle precisely where the cosine is flat.
+    chord = np.linalg.norm(second - first, axis=-1, keepdims=True)
+    angle = 2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
+    weight = weight[..., None]
+    sine = np.sin(angle)
+    near = sine < 1e-9
+    safe = np.where(near, 1.0, sine)
+    low = np.where(near, 1 - weight, np.sin((1 - weight) * angle) / safe)
+    high = np.where(near, weight, np.sin(weight * angle) / safe)
+    mixed = low * first + high * second
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
+
+
+def exposure_window(capture: Times, exposure: float) -> tuple[Times, Times]:
+    """Return the first and last moment of light of images captured at `capture` (n,) [ns].
+
+    Args:
+        capture: End of the exposure [ns].
+        exposure: Its length [s].
+    """
+    return capture - round(exposure / NS), capture
+
+
+@dataclass(frozen=True, slots=True)
+class _Bracket:
+    """The samples around each query."""
+
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
+    weight: Floats
+    inside: Bools
+    age: Floats
+    gap: Floats
+    valid: Bools
+
+    def aligned(self, value: Floats) -> Aligned:
+        return Aligned(value, self.age, self.gap, self.valid, self.inside & (self.gap > 0))
+
+
+def _bracket(times: Times, query: Times, max_age: float) -> _Bracket:
+    if not len(times):
+        none = np.zeros(len(query), np.int64)
+        nan = np.full(len(query), np.nan)
+        no = np.zeros(len(query), np.bool_)
+        return _Bracket(none, none, nan, no, nan, nan.copy(), no.copy())
+    behind = np.searchsorted(times, query, side="right").astype(np.int64)
+    before = np.clip(behind - 1, 0, len(times) - 1)
+    inside = (query >= times[0]) & (query <= times[-1])
+    exact = times[before] == query
+    after = np.where(exact, before, np.minimum(behind, len(times) - 1))
+    gap_ns = times[after] - times[before]
+    to_before, to_after = query - times[before], times[after] - query
+    weight = np.divide(to_before, gap_ns, out=np.zeros(len(query)), where=gap_ns > 0)
+    weight[~inside] = 0.0
+    age = np.minimum(to_before, to_after) * NS
+    valid = inside & (np.maximum(to_before, to_after) * NS <= max_age)
+    age[~inside] = np.nan
+    gap = np.asarray(gap_ns * NS, np.float64)
+    gap[~inside] = np.nan
+    return _Bracket(before, after, weight, inside, age, gap, valid)
+
+
+def _picked(times: Times, query: Times, index: NDArray[np.int64], max_age: float) -> Picked:
+    age = np.full(len(query), np.nan)
+    some = index >= 0
+    age[some] = (query[some] - times[index[some]]) * NS
+    valid = np.zeros(len(query), np.bool_)
+    valid[some] = np.abs(age[some]) <= max_age
+    return Picked(index, age, valid)
+
+
+def _sums(values: Values, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+    """Return the sums of values[first:last] for each pair, none of them empty.
+
+    Sums of their own rather than differences of a running sum: one NaN must not reach further than
+    the intervals it lies in.
+    """
+    offset = int(first.min())
+    part = np.asarray(values[offset : int(last.max())], np.float64)
+    # reduceat wants every index inside, so one row of zeros stands behind the last.
+    padded = np.concatenate([part, np.zeros((1, *part.shape[1:]))])
+    pairs = np.stack([first - offset, last - offset], axis=1).reshape(-1)
+    return np.asarray(np.add.reduceat(padded, pairs, axis=0)[::2])
+
+
+# The streams of one run as alignment needs them: capture times and values in memory.
+
+Array = np.ndarray[Any, Any]
+
+EXPOSURE = 1 / 60
+"""Exposure of a camera that does not state it [s]."""
+_MAX_AGE = {"force": 0.02, "pose": 0.02}
+_MAX_AGE_PERIODS = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One stream of one run."""
+
+    times: Times
+    """Capture times (m,) [ns], ascending."""
+    rows: NDArray[np.int64]
+    """Row of the stream that each is (m,)."""
+    values: Values | None
+    """Values (m, ...); None for images, which stay on disk."""
+    max_age: float
+    """Oldest value that is still valid [s]."""
+    exposure: float
+    """Time the light was collected before a capture [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What a run has recorded; None for a stream the session lacks."""
+
+    camera: Source | None
+    force: Source | None
+    pose: Source | None
+    taxels: Source | None
+
+    @property
+    def signal(self) -> Source | None:
+        """The stream that the others are aligned to: the camera, or else the taxels."""
+        return self.camera or self.taxels
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last capture time of any stream [ns]; None without samples."""
+        times = [
+            source.times
+            for source in (self.camera, self.force, self.pose, self.taxels)
+            if source is not None and len(source.times)
+        ]
+        if not times:
+            return None
+        return min(int(t[0]) for t in times), max(int(t[-1]) for t in times)
+
+
+class StreamLike(Protocol):
+    """What is asked of a stream."""
+
+    name: str
+    attrs: dict[str, Any]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal rate."""
+        ...
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """Arrival times (n,) [ns]."""
+        ...
+
+    def array(self, name: str) -> Array:
+        """Return a small column (n, ...)."""
+        ...
+
+    def values(self, rows: slice) -> Values:
+        """Return rows of the column `value` (n, ...), or what is indexed like them."""
+        ...
+
+
+def sources_of_run(streams: Mapping[str, StreamLike], rows: Mapping[str, slice]) -> Sources:
+    """Return the known streams of one run.
+
+    Args:
+        streams: Streams by name; those of other names are left out.
+        rows: Rows of each that belong to the run.
+    """
+    found = {
+        name: source(streams[name], rows[name]) if name in streams else None
+        for name in ("camera", "force", "pose", "taxels")
+    }
+    return Sources(**found)
+
+
+def source(stream: StreamLike, rows: slice) -> Source:
+    """Return some rows of a stream with the times at which they were captured."""
+    times = captured(stream)[rows]
+    numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
+    values = None if stream.name == "camera" else stream.values(rows)
+    if np.any(np.diff(times) < 0):
+        order = np.argsort(times, kind="stable")
+        times, numbers = times[order], numbers[order]
+        values = None if values is None else values[order]
+    max_age = _MAX_AGE.get(stream.name, _MAX_AGE_PERIODS / stream.rate_hz)
+    return Source(
+        times,
+        numbers,
+        values,
+        _number(stream, "max_age", max_age),
+        _number(stream, "exposure", EXPOSURE),
+    )
+
+
+def captured(stream: StreamLike) -> Times:
+    """Return when each row was true (n,) [ns], as far as the stream tells.
+
+    Arrival minus attrs `latency` [s]; or the device's own time, where attrs `device_clock` is
+    `monotonic`, because then it is the same clock (V4L2).
+    """
+    arrived = stream.t_ns - round(_number(stream, "latency", 0.0) / NS)
+    if stream.attrs.get("device_clock") != "monotonic" or "device_t" not in stream.names:
+        return arrived
+    device_t = stream.array("device_t")
+    known = np.isfinite(device_t)
+    stamped = np.round(np.where(known, device_t, 0.0) / NS).astype(np.int64)
+    return np.where(known, stamped, arrived)
+
+
+def _number(stream: StreamLike, key: str, default: float) -> float:
+    """Return an attribute that may be missing, or null because nobody knows it."""
+    value = stream.attrs.get(key)
+    return default if value is None else float(value)

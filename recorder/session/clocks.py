@@ -1,0 +1,338 @@
+"""Where a device's own clock lies on the host's: offset and drift under delays that only add.
+
+What arrives over a network or USB is never early, sometimes much too late. The fit therefore is
+the line under the points (device time, arrival minus device time): of all lines below them, the
+one with the least total distance, which is the edge of their lower convex hull above their mean
+(Moon, Skelly and Towsley, INFOCOM 1999). It is made anew in windows of 30 s, so that a clock that
+warms up is followed. The least delay of the transport itself cannot be seen by this; it stays in
+the offset unless the caller knows it. Pure functions, numpy only.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.session.reader import Session, Stream
+from recorder.store.layout import merge_attrs
+
+Floats = NDArray[np.float64]
+
+WINDOW = 30.0
+"""Length of a fit [s]: long enough to catch prompt arrivals, short enough for a warming clock."""
+WRAPS = tuple(2.0**bits * tick for bits in (16, 24, 31, 32) for tick in (1e-9, 1e-6, 1e-3))
+"""Periods after which counters of so many bits and such ticks start again [s]."""
+STEP = 0.02
+"""A lasting change of the offset by more than this is a reset of the device's clock [s]."""
+
+_BINS = 64  # least delays kept per window
+_KNOTS = 3  # fits per window length
+_LEAST_SAMPLES, _LEAST_SPAN = 16, 2.0
+_WRAP_SLACK = 0.5  # a wrap must explain the jump this well [s]
+_BLOCK = 1.0  # a reset is looked for between blocks of about this length [s]
+_PERSIST = 3  # blocks on either side that must agree
+
+
+@dataclass(frozen=True, slots=True)
+class ClockPiece:
+    """The fit of the rows between two resets of the device's clock."""
+
+    first_row: int
+    """First row it is made from."""
+    rows: int
+    """How many."""
+    offset: float
+    """What is added to `device_t` at the first row to get host time [s]."""
+    drift_ppm: float
+    """How much the device's clock gains on the host's, mean over the piece; positive is fast."""
+    residual_rms: float
+    """Of arrival minus mapped time: how uneven the delays are [s]."""
+    device_t: Floats
+    """Knots (k,), the device's time since the first knot's origin, wraps taken out [s]."""
+    host_minus_device: Floats
+    """Offset at the knots (k,) [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFit:
+    """Maps a device's time to the host's."""
+
+    pieces: tuple[ClockPiece, ...]
+    """One per stretch without a reset, in order."""
+    window: float
+    """Length of a window [s]."""
+    causal: bool
+    """Whether each knot saw only what lay before it."""
+    wrap: float | None
+    """Period after which the device's clock starts again [s]; None when it was not seen to."""
+
+    @property
+    def resets(self) -> int:
+        """How often the device's clock began anew."""
+        return max(len(self.pieces) - 1, 0)
+
+    def to_host(self, device_t: Floats, piece: int = 0) -> Floats:
+        """Return host times (n,) [s] of device times (n,) [s], wraps taken out, of one piece."""
+        part = self.pieces[piece]
+        return np.asarray(device_t + _interpolated(part, np.asarray(device_t, np.float64)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values for a stream's attributes."""
+        pieces = [
+            {
+                "first_row": part.first_row,
+                "rows": part.rows,
+                "offset_s": part.offset,
+                "drift_ppm": part.drift_ppm,
+                "residual_rms_s": part.residual_rms,
+                "knots_device_t": part.device_t.tolist(),
+                "knots_host_minus_device": part.host_minus_device.tolist(),
+            }
+            for part in self.pieces
+        ]
+        method = "lower envelope, " + ("causal" if self.causal else "two-sided")
+        return {"method": method, "window_s": self.window, "wrap_s": self.wrap, "pieces": pieces}
+
+    @classmethod
+    def from_json(cls, stored: dict[str, Any]) -> Self:
+        """Return the fit that `to_json` wrote."""
+        pieces = tuple(
+            ClockPiece(
+                int(part["first_row"]),
+                int(part["rows"]),
+                float(part["offset_s"]),
+                float(part["drift_ppm"]),
+                float(part["residual_rms_s"]),
+                np.array(part["knots_device_t"], np.float64),
+                np.array(part["knots_host_minus_device"], np.float64),
+            )
+            for part in stored["pieces"]
+        )
+        wrap = stored["wrap_s"]
+        causal = str(stored["method"]).endswith("causal")
+        return cls(pieces, float(stored["window_s"]), causal, None if wrap is None else float(wrap))
+
+
+def fit_clock(
+    device_t: Floats,
+    t_ns: NDArray[np.int64],
+    *,
+    window: float = WINDOW,
+    causal: bool = False,
+    wrap: float | None = None,
+    least_delay: float = 0.0,
+) -> ClockFit | None:
+    """Return where the device's clock lies on the host's, or None for too few samples to say.
+
+    Args:
+        device_t: The device's times (n,) [s] in order of arrival; NaN where it gave none.
+        t_ns: Arrivals (n,) [ns].
+        window: Length of a fit [s].
+        causal: Use only what lies before each knot, as a live program must.
+        wrap: Period after which the device's clock starts again [s]; None looks for a known one.
+        least_delay: Delay of the promptest arrival, if known [s].
+    """
+    rows = np.flatnonzero(np.isfinite(device_t))
+    if len(rows) < _LEAST_SAMPLES:
+        return None
+    # Relative to the first arrival, or float64 would round nanoseconds since boot.
+    origin_ns = int(t_ns[rows[0]])
+    host = np.asarray((t_ns[rows] - origin_ns) * 1e-9, np.float64)
+    device, found_wrap = _unwrapped(np.asarray(device_t, np.float64)[rows], host, wrap)
+    offset = host - device
+    bounds = [0, *_resets(host, offset), len(rows)]
+    pieces = []
+    for start, stop in pairwise(bounds):
+        part = slice(start, stop)
+        piece = _fit_piece(device[part], offset[part] - least_delay, window, causal)
+        if piece is None:
+            continue
+        knots, values, drift_ppm, rms = piece
+        at_first = float(np.interp(device[start], knots, values))
+        base = origin_ns * 1e-9
+        first, count = int(rows[start]), stop - start
+        pieces.append(
+            ClockPiece(first, count, base + at_first, drift_ppm, rms, knots, base + values)
+        )
+    return ClockFit(tuple(pieces), window, causal, found_wrap) if pieces else None
+
+
+def _unwrapped(device: Floats, host: Floats, wrap: float | None) -> tuple[Floats, float | None]:
+    """Return device times that grow through wraps, and the period if there was one."""
+    change, passed = np.diff(device), np.diff(host)
+    back = np.flatnonzero(change < -STEP)
+    if not back.size:
+        return device, wrap
+    known = WRAPS if wrap is None else (wrap,)
+    turns = np.zeros(len(device))
+    found = wrap
+    for row in back:
+        wanted = passed[row] - change[row]
+        fitting = [p for p in known if abs(p - wanted) < min(_WRAP_SLACK, 0.1 * p)]
+        if fitting:
+            found = min(fitting, key=lambda period: abs(period - wanted))
+            turns[row + 1 :] += found
+    return device + turns, found
+
+
+def _resets(host: Floats, offset: Floats) -> list[int]:
+    """Return the rows at which the offset changes for good by more than `STEP`."""
+    span = float(host[-1] - host[0])
+    count = int(min(max(span / _BLOCK, 1), len(offset) // 4))
+    if count < 2:
+        return []
+    edges = np.linspace(0, len(offset), count + 1).astype(np.int64)
+    least = np.minimum.reduceat(offset, edges[:-1])
+    found: list[int] = []
+    for block in range(1, count):
+        # A reset inside a block leaves its traces in two: look from the block before it.
+        before = float(least[max(block - _PERSIST, 0) : block].min())
+        behind = least[block + 1 : block + 1 + _PERSIST]
+        after = float(behind.min() if behind.size else least[block])
+        if abs(after - before) <= STEP:
+            continue
+        low, high = int(edges[block - 1]), int(edges[min(block + 1, count)])
+        steps = np.diff(offset[low:high]) * np.sign(after - before)
+        row = low + 1 + int(steps.argmax())
+        if steps.size and steps.max() > STEP and (not found or row > found[-1] + _LEAST_SAMPLES):
+            found.append(row)
+    return found
+
+
+def _fit_piece(
+    device: Floats, offset: Floats, window: float, causal: bool
+) -> tuple[Floats, Floats, float, float] | None:
+    """Return knots (k,), offsets there (k,), drift [ppm] and rms residual [s], or None."""
+    first, last = float(device.min()), float(device.max())
+    if len(device) < _LEAST_SAMPLES or last - first < _LEAST_SPAN:
+        return None
+    # What the whole piece says of the drift first, so that the least of a bin is the promptest.
+    trend, _ = _line_below(*_least_of_bins(device, offset, (last - first) / (4 * _BINS)))
+    x, level = _least_of_bins(device, offset - trend * device, min(window, last - first) / _BINS)
+    count = max(int(np.ceil((last - first) / window * _KNOTS)) + 1, 2)
+    knots = np.linspace(first, last, count)
+    values = np.empty(count)
+    for number, knot in enumerate(knots):
+        start = max(first, float(knot) - (window if causal else window / 2))
+        if not causal:
+            # At the ends the window stays whole and the knot moves off its middle.
+            start = min(start, max(last - window, first))
+        stop = max(knot, first + _LEAST_SPAN) if causal else start + window
+        inside = (x >= start) & (x <= stop)
+        _, at_zero = _line_below(x[inside] - knot, level[inside])
+        values[number] = at_zero + trend * knot
+    drift = float(np.polyfit(knots - knots.mean(), values, 1)[0])
+    residual = offset - np.interp(device, knots, values)
+    return knots, values, -1e6 * drift / (1 + drift), float(np.sqrt(np.mean(residual**2)))
+
+
+def _least_of_bins(x: Floats, y: Floats, width: float) -> tuple[Floats, Floats]:
+    """Return the lowest point of every bin of x, ascending in x."""
+    bins = np.floor((x - x.min()) / width).astype(np.int64)
+    order = np.lexsort((y, bins))
+    chosen = order[np.concatenate([[True], np.diff(bins[order]) > 0])]
+    return x[chosen], y[chosen]
+
+
+def _line_below(x: Floats, y: Floats) -> tuple[float, float]:
+    """Return slope and value at x = 0 of the line below all points with least total distance."""
+    if len(x) < 2:
+        return 0.0, float(y[0]) if len(y) else 0.0
+    hull: list[tuple[float, float]] = []
+    for point in zip(x.tolist(), y.tolist(), strict=True):
+        while len(hull) > 1 and _turn(hull[-2], hull[-1], point) <= 0:
+            hull.pop()
+        hull.append(point)
+    middle = float(x.mean())
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        if x1 >= middle and x1 > x0:
+            slope = (y1 - y0) / (x1 - x0)
+            return slope, y0 - slope * x0
+    return 0.0, float(y.min())
+
+
+def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Return the cross product of a-b and a-c: above 0 for a turn to the left."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _interpolated(piece: ClockPiece, device_t: Floats) -> Floats:
+    """Return the offset (n,) [s] at device times, beyond the knots by the slope of the last two."""
+    x, y = piece.device_t, piece.host_minus_device
+    inside = np.interp(device_t, x, y)
+    first, last = ((y[k + 1] - y[k]) / (x[k + 1] - x[k]) for k in (0, len(x) - 2))
+    below = np.minimum(device_t - x[0], 0.0) * first
+    above = np.maximum(device_t - x[-1], 0.0) * last
+    return np.asarray(inside + below + above)
+
+
+# Fits every device clock of a session to the host's, and keeps what it found.
+#
+# The fit is reported, in attributes `clock_fit` of the stream; no time is ever replaced by it.
+
+
+def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | None]]:
+    """Fit each stream whose device tells a time, run by run, and store it in its attributes.
+
+    Returns:
+        Attribute `clock_fit` by stream: one entry per run, None where too little was recorded.
+
+    Raises:
+        SessionError: Not a session, or a damaged one.
+    """
+    session = Session(path)
+    found: dict[str, list[dict[str, Any] | None]] = {}
+    for name, stream in session.streams.items():
+        clock = _device_clock(stream)
+        if clock is None:
+            continue
+        source, device_t = clock
+        entries: list[dict[str, Any] | None] = []
+        for run in range(max(len(session.runs), 1)):
+            rows = session.rows_of_run(name, run)
+            fit = fit_clock(device_t[rows], stream.t_ns[rows])
+            entries.append(None if fit is None else {"clock": source, **fit.to_json()})
+        if any(entry is not None for entry in entries):
+            found[name] = entries
+            merge_attrs(Path(path) / "streams" / name, {"clock_fit": entries})
+    return found
+
+
+def clock_lines(session: Session) -> Iterator[str]:
+    """Say of each fitted clock where it lay and how it ran, for the last run of each stream."""
+    for name, stream in session.streams.items():
+        entries = [entry for entry in stream.attrs.get("clock_fit", []) if entry is not None]
+        if not entries:
+            continue
+        fit = ClockFit.from_json(entries[-1])
+        piece = fit.pieces[-1]
+        offset = piece.offset
+        resets = f", {fit.resets} resets" if fit.resets else ""
+        yield (
+            f"clock   {name:<7} host - device {_seconds(offset)}, "
+            f"drift {piece.drift_ppm:+.1f} ppm, delays rms {1e3 * piece.residual_rms:.2f} ms "
+            f"({entries[-1]['clock']}, {fit.window:.0f} s windows{resets}); reported, not applied"
+        )
+
+
+def _seconds(value: float) -> str:
+    return f"{1e3 * value:+.2f} ms" if abs(value) < 10 else f"{value:+.3f} s"
+
+
+def _device_clock(stream: Stream) -> tuple[str, NDArray[np.float64]] | None:
+    """Return what tells the device's time, and that time (n,) [s], or None."""
+    if "device_t" in stream.small:
+        device_t = np.asarray(stream.array("device_t"), np.float64)
+        return ("device_t", device_t) if np.isfinite(device_t).any() else None
+    rate = stream.attrs.get("device", {}).get("rate_hz")
+    if "seq" in stream.small and rate:
+        # A sequence number at a set rate is a clock that ticks once a sample.
+        return f"seq at {rate:g} Hz", np.asarray(stream.array("seq") / float(rate))
+    return None

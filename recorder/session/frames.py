@@ -1,0 +1,212 @@
+"""The `frames` view: one row per tick of the sensor's rate, inside the recorded phases.
+
+It is derived from the streams and can be rebuilt at any time; nothing in it is measured anew.
+"""
+
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.session.align import Floats, Times, quaternion
+from recorder.session.reader import Session
+from recorder.session.window import Window, align_window
+from recorder.spec import PHASES
+from recorder.store.durable import sync_directory
+from recorder.store.layout import merge_attrs
+from recorder.store.tables import write_table
+
+Array = np.ndarray[Any, Any]
+
+_WRENCH = "N, N m"
+UNITS: Mapping[str, tuple[str, str]] = {
+    "t_ns": ("ns", "tick, on the clock of the run"),
+    "run": ("1", "entry of the session's attrs runs"),
+    "image": ("1", "row of streams/camera; -1 without one"),
+    "is_duplicate": ("1", "same signal as in the row before"),
+    "image_age": ("s", "tick minus capture of the signal; NaN without one"),
+    "wrench": (_WRENCH, "mean over the exposure, minus the offset of the point's reference"),
+    "pose": ("m, rad", "tool pose at the capture, base frame, rotation vector"),
+    "taxels": ("counts", "taxels at the capture"),
+    "target": ("1", "row of targets; -1 in a session without targets"),
+    "phase": ("1", "code, see attrs phases; -1 in a session without targets"),
+    "depth": ("m", "indentation, from the pose; negative above the surface, NaN if unknown"),
+    "skew": ("s", "largest distance of a value from the capture it is given for"),
+    "valid": ("1", "every stream had samples near enough"),
+}
+"""Units and description of the columns of `frames`."""
+
+_BUILDING, _OLD = "frames.building", "frames.old"
+
+
+def write_frames(path: Path, rate_hz: float) -> None:
+    """Build the `frames` group of a session whose streams are closed, replacing one that is there.
+
+    Killed at any point, there is either a whole group or none; the next call builds it again.
+
+    Raises:
+        SessionError: A stream is damaged.
+    """
+    building, old, final = path / _BUILDING, path / _OLD, path / "frames"
+    remove_leftovers(path)
+    write_table(building, frames_table(Session(path), rate_hz), UNITS)
+    merge_attrs(building, {"rate_hz": float(rate_hz), "phases": list(PHASES)})
+    if final.exists():
+        final.rename(old)
+    building.rename(final)
+    sync_directory(path)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def remove_leftovers(path: Path) -> bool:
+    """Delete what a build that was killed has left; return whether there was any."""
+    found = [path / name for name in (_BUILDING, _OLD) if (path / name).exists()]
+    for leftover in found:
+        shutil.rmtree(leftover)
+    return bool(found)
+
+
+def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
+    """Return the columns of the view, one row per tick that lies in a segment.
+
+    One grid of ticks per run starts with the run's first segment; rows never cross runs. See
+    `UNITS` for the columns; `taxels` is there only if the session has them. In a session without
+    targets, such as an imported one, the view covers each run from its first sample to its last.
+    """
+    parts = [
+        _run_table(session, run, ticks, segment, rate_hz)
+        for run, ticks, segment in _run_ticks(session, rate_hz)
+    ]
+    if not parts:
+        parts = [_run_table(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64), rate_hz)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
+    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns]."""
+    period = 1e9 / rate_hz
+    first = int((start - anchor) // period) - 1
+    last = int((end - anchor) // period) + 2
+    ticks = anchor + np.round(np.arange(first, last + 1) * period).astype(np.int64)
+    return ticks[(ticks >= start) & (ticks < end)]
+
+
+def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
+    """Return how deep each pose lies below the contact plane (n,) [m].
+
+    Args:
+        contact_frame: Contact frame in the base frame (6,) [m, rad], z along the outward normal.
+        poses: Tool poses in the base frame (n, 6) [m, rad].
+    """
+    w, x, y, z = quaternion(contact_frame[3:])
+    normal = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    return np.asarray(-((poses[:, :3] - contact_frame[:3]) @ normal))
+
+
+def has_targets(session: Session) -> bool:
+    """Return whether anything was planned; imported sessions have no targets and no segments."""
+    # By the declared lengths: a table whose chunks are damaged has targets all the same.
+    arrays = (session.files.array(session.path / "targets" / name) for name in session.targets)
+    return any(array.shape[0] for array in arrays)
+
+
+def whole_run(session: Session, run: int, rate_hz: float) -> Times:
+    """Return the ticks (n,) [ns] from the first sample of a run to its last."""
+    span = session.sources(run).span
+    return np.zeros(0, np.int64) if span is None else grid(span[0], span[0], span[1] + 1, rate_hz)
+
+
+def _run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
+    """Yield each run with its ticks and the segment each of them lies in."""
+    segments = session.segments
+    if not has_targets(session):
+        for run in range(max(len(session.runs), 1)):
+            whole = whole_run(session, run, rate_hz)
+            yield run, whole, np.full(len(whole), -1, np.int64)
+        return
+    for run in np.unique(segments["run"]):
+        of_run = np.flatnonzero(segments["run"] == run)
+        of_run = of_run[np.argsort(segments["start_ns"][of_run], kind="stable")]
+        starts, ends = segments["start_ns"][of_run], segments["end_ns"][of_run]
+        anchor = int(starts[0])
+        ticks = [
+            grid(anchor, int(start), int(end), rate_hz)
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        lengths = [len(part) for part in ticks]
+        yield int(run), np.concatenate(ticks), np.repeat(of_run, lengths)
+
+
+def _run_table(
+    session: Session, run: int, ticks: Times, segment: NDArray[np.int64], rate_hz: float
+) -> dict[str, Array]:
+    rows = align_window(ticks, session.sources(run))
+    count = len(ticks)
+    target = _of_segment(session, "target", segment)
+    table: dict[str, Array] = {
+        "t_ns": ticks,
+        "run": np.full(count, run, np.int16),
+        "image": _or(rows.image_row, np.full(count, -1, np.int64)),
+        "is_duplicate": _repeats(rows.signal_row),
+        "image_age": _signal_age(rows),
+        "wrench": _or(rows.wrench, np.full((count, 6), np.nan)),
+        "pose": _or(rows.pose, np.full((count, 6), np.nan)),
+        "target": target,
+        "phase": _of_segment(session, "phase", segment),
+        "depth": np.full(count, np.nan),
+        "skew": rows.skew,
+        "valid": rows.valid & (rows.signal_row >= 0),
+    }
+    table["wrench"] = table["wrench"] - _reference_offset(session, run, ticks, target)
+    frame = session.attrs.get("contact_frame")
+    if frame is not None:
+        table["depth"] = depth_in(np.asarray(frame, np.float64), table["pose"])
+    if rows.taxels is not None:
+        table["taxels"] = rows.taxels
+    return table
+
+
+def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Array:
+    """Return a column of `segments` for each tick; -1 outside every segment."""
+    values = session.segments[name]
+    if not len(values):
+        return np.full(len(segment), -1, values.dtype)
+    return np.where(segment >= 0, values[segment], -1).astype(values.dtype)
+
+
+def _or(value: Array | None, default: Array) -> Array:
+    return default if value is None else value
+
+
+def _repeats(row: NDArray[np.int64]) -> NDArray[np.bool_]:
+    same = np.zeros(len(row), np.bool_)
+    same[1:] = (row[1:] == row[:-1]) & (row[1:] >= 0)
+    return same
+
+
+def _signal_age(rows: Window) -> Floats:
+    age = rows.image_age if rows.image_age is not None else rows.taxels_age
+    return np.full(len(rows.t_ns), np.nan) if age is None else age
+
+
+def _reference_offset(
+    session: Session, run: int, ticks: Times, target: NDArray[np.int32]
+) -> Floats:
+    """Return the residual offset of each tick's contact point (n, 6) [N, N m].
+
+    That is the latest reference of the point in this run, taken at or before the tick; zero where
+    there is none.
+    """
+    offset = np.zeros((len(ticks), 6))
+    reference, targets = session.reference, session.targets
+    if "point" not in targets or not len(targets["point"]) or not len(reference["point"]):
+        return offset
+    point = targets["point"][target]
+    for row in np.argsort(reference["t_ns"], kind="stable"):
+        if reference["run"][row] == run:
+            later = (point == reference["point"][row]) & (ticks >= reference["t_ns"][row])
+            offset[later] = reference["wrench"][row]
+    return offset

@@ -1,0 +1,151 @@
+"""Force over depth of a session of straight presses: loading and unloading, press by press."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import SessionError
+from recorder.plot import Curve, line_plot
+from recorder.session import align
+from recorder.session.reader import Session
+from recorder.spec import PHASES
+
+Floats = NDArray[np.float64]
+
+_SIZE = (960, 640)
+_LOADING, _UNLOADING = (196, 78, 62), (62, 118, 196)
+_STEPS = 121
+
+
+@dataclass(frozen=True, slots=True)
+class PressCurves:
+    """Normal force at common depths; NaN where a press did not come."""
+
+    depth: Floats
+    """Common depths (m,) [m], ascending from 0."""
+    target: NDArray[np.int64]
+    """Target of each press (r,)."""
+    loading: Floats
+    """Compression on the way down (r, m) [N]."""
+    unloading: Floats
+    """Compression on the way up (r, m) [N]."""
+
+    def work(self, curve: Floats) -> Floats:
+        """Return the work of each press (r,) along `curve` [J]."""
+        known = np.where(np.isfinite(curve), curve, 0.0)
+        middle = (known[:, 1:] + known[:, :-1]) / 2
+        return np.asarray(middle @ np.diff(self.depth))
+
+    def lines(self) -> list[str]:
+        """Return a table: one line a press."""
+        lines = [
+            f"{'press':<7}{'depth':>9}{'force':>10}{'loading':>12}{'unloading':>12}{'lost':>8}",
+        ]
+        rows = zip(self.target, self.work(self.loading), self.work(self.unloading), strict=True)
+        for row, (target, given, returned) in enumerate(rows):
+            reached = np.flatnonzero(np.isfinite(self.loading[row]))
+            deepest = 1e3 * self.depth[reached[-1]] if reached.size else np.nan
+            largest = np.nanmax(self.loading[row]) if reached.size else np.nan
+            lost = 100 * (1 - returned / given) if given > 0 else np.nan
+            lines.append(
+                f"{target + 1:<7}{deepest:>6.2f} mm{largest:>8.2f} N{1e3 * given:>9.3f} mJ"
+                f"{1e3 * returned:>9.3f} mJ{lost:>6.1f} %"
+            )
+        return lines
+
+
+def press_curves(session: Session) -> PressCurves:
+    """Return the curves of every target that went down and up again.
+
+    Forces are those of the stream, less the first reference of each run, at full rate; heights the
+    robot's, brought to the forces' times.
+
+    Raises:
+        SessionError: No such target, or no contact frame to measure depth in.
+    """
+    if "contact_frame" not in session.attrs:
+        raise SessionError(f"{session.path}: no contact_frame, so no depth")
+    segments = session.segments
+    presses: dict[int, dict[int, tuple[Floats, Floats]]] = {}
+    deepest = 0.0
+    for row in range(len(segments["target"])):
+        target, phase = int(segments["target"][row]), int(segments["phase"][row])
+        if phase in (PHASES.index("normal_inc"), PHASES.index("normal_dec")):
+            depth, force = _samples(session, row)
+            if len(depth) > 1:
+                presses.setdefault(target, {})[phase] = (depth, force)
+                deepest = max(deepest, float(depth.max()))
+    whole = sorted(target for target, parts in presses.items() if len(parts) == 2)
+    if not whole or deepest <= 0:
+        raise SessionError(f"{session.path}: no target was pressed and released")
+    grid = np.linspace(0.0, deepest, _STEPS)
+    down, up = (PHASES.index(name) for name in ("normal_inc", "normal_dec"))
+    return PressCurves(
+        grid,
+        np.array(whole, np.int64),
+        np.array([_at(grid, *presses[target][down]) for target in whole]),
+        np.array([_at(grid, *presses[target][up]) for target in whole]),
+    )
+
+
+def save_curves(curves: PressCurves, path: Path, title: str) -> None:
+    """Write the curves as a PNG: loading warm, unloading cool, every press a line."""
+    lines = []
+    for row in range(len(curves.target)):
+        names = ("loading", "unloading") if row == 0 else ("", "")
+        lines.append(Curve(names[0], curves.loading[row], _LOADING))
+        lines.append(Curve(names[1], curves.unloading[row], _UNLOADING))
+    picture = line_plot(
+        _SIZE,
+        1e3 * curves.depth,
+        lines,
+        title=f"{title}: compression [N]",
+        marks=np.zeros(0),
+        x_label="depth [mm]",
+    )
+    picture.save(path)
+
+
+def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
+    """Return depth (n,) [m] and compression (n,) [N] during one segment."""
+    segments = session.segments
+    run = int(segments["run"][row])
+    force, pose = session.streams["force"], session.streams["pose"]
+    rows, poses = session.rows_of_run("force", run), session.rows_of_run("pose", run)
+    times = force.t_ns[rows]
+    inside = (times >= segments["start_ns"][row]) & (times < segments["end_ns"][row])
+    value = np.asarray(force.array("value"))[rows][inside, 2]
+    reference = np.flatnonzero(np.asarray(session.reference["run"]) == run)
+    zero = float(session.reference["wrench"][reference[0]][2]) if reference.size else 0.0
+    frame = np.asarray(session.attrs["contact_frame"], np.float64)
+    normal = _normal(frame[3:])
+    place = np.asarray(pose.array("value"))[poses][:, :3]
+    height = (place - frame[:3]) @ normal
+    depth = -align.linear(pose.t_ns[poses], height, times[inside]).value
+    known = np.isfinite(depth)
+    return depth[known], -(value[known] - zero)
+
+
+def _normal(rotation: Floats) -> Floats:
+    """Return z of a frame in its base (3,), from its rotation vector [rad]."""
+    w, x, y, z = align.quaternion(rotation[None])[0]
+    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:
+    """Return the mean force around each depth of the grid (m,); NaN where there is none."""
+    step = grid[1] - grid[0]
+    bins = np.round(depth / step).astype(np.int64)
+    inside = (bins >= 0) & (bins < len(grid))
+    count = np.bincount(bins[inside], minlength=len(grid))
+    total = np.bincount(bins[inside], force[inside], minlength=len(grid))
+    values = np.full(len(grid), np.nan)
+    values[count > 0] = total[count > 0] / count[count > 0]
+    # A fast move may leave a bin empty between two that are not.
+    known = np.flatnonzero(count)
+    if known.size:
+        between = slice(known[0], known[-1] + 1)
+        values[between] = np.interp(grid[between], grid[known], values[known])
+    return values

@@ -1,0 +1,310 @@
+"""Opens a session to read. Needs no lock, changes nothing, and never invents a value.
+
+A chunk that is declared but not there is an error here; a Zarr reader would see fill values.
+"""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from recorder.errors import SessionError
+from recorder.session.align import Sources, sources_of_run
+from recorder.session.window import Window, align_window, ticks_before
+from recorder.store import images
+from recorder.store.attrs import read_session_attrs
+from recorder.store.column import ColumnReader, LazyRows
+from recorder.store.files import LOCAL, Files, locate
+from recorder.store.layout import StreamLayout
+from recorder.store.tables import Table
+
+Array = np.ndarray[Any, Any]
+
+
+class Stream:
+    """One stream of a session: columns of equal length, as recorded."""
+
+    def __init__(self, path: Path, files: Files = LOCAL) -> None:
+        """Open a stream; `Session.streams` does it for you.
+
+        Raises:
+            SessionError: Not a stream.
+        """
+        self.layout = StreamLayout.load(path, files)
+        self.name = path.name
+        self.attrs = self.layout.attrs()
+        self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
+        self._rows = min(reader.rows for reader in self._readers.values())
+        self._columns: dict[str, Array] = {}
+
+    def __len__(self) -> int:
+        """Return how many rows every column holds."""
+        return self._rows
+
+    @property
+    def small(self) -> tuple[str, ...]:
+        """Names of the columns that `array` returns: all but the images."""
+        return tuple(layout.column.name for layout in self.layout.small)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self._readers)
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal rate."""
+        return float(self.attrs["rate_hz"])
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """Time of each row (n,) int64 [ns], the monotonic clock of its run."""
+        return self.array(self.layout.time.column.name)
+
+    def array(self, name: str) -> Array:
+        """Return a small column (n, ...) in memory.
+
+        Raises:
+            SessionError: No such column, an image column, or a damaged chunk.
+        """
+        reader = self._reader(name)
+        if reader.layout.column.is_image:
+            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
+        if name not in self._columns:
+            self._columns[name] = reader.read()[: self._rows]
+        return self._columns[name]
+
+    def column(self, name: str) -> Array | zarr.Array[Any]:
+        """Return a column: in memory, or the Zarr array for images (perhaps longer than `len`).
+
+        Raises:
+            SessionError: No such column, or a damaged chunk.
+        """
+        reader = self._reader(name)
+        if reader.layout.column.is_image:
+            return reader.layout.files.array(reader.layout.path)
+        return self.array(name)
+
+    def rows_between(self, name: str, start: int, stop: int) -> Array:
+        """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
+
+        Raises:
+            SessionError: No such column, an image column, or a damaged chunk.
+        """
+        reader = self._reader(name)
+        if reader.layout.column.is_image:
+            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
+        return reader.rows_between(start, min(stop, self._rows))
+
+    def values(self, rows: slice) -> Array | LazyRows:
+        """Return rows of the column `value` (n, ...): in memory, or read as used if remote."""
+        reader = self._reader("value")
+        if reader.layout.files.local or "value" in self._columns:
+            return self.array("value")[rows]
+        return LazyRows(reader, rows)
+
+    def images(self, rows: Sequence[int] | NDArray[np.integer[Any]] | slice) -> images.Image:
+        """Return images (n, h, w, channels) uint8, RGB.
+
+        Raises:
+            SessionError: No images here, a row outside the stream, or a damaged image.
+        """
+        image = self._image()
+        numbers = range(self._rows)[rows] if isinstance(rows, slice) else rows
+        out = np.empty((len(numbers), *image.layout.column.shape), np.uint8)
+        chunks = image.chunks([self._checked(int(row)) for row in numbers])
+        decode = images.decoder(image.layout.column)
+        for place, data in enumerate(chunks):
+            out[place] = decode(data)
+        return out
+
+    def jpeg(self, row: int) -> bytes | None:
+        """Return the camera's own bytes of one image, or None if it was stored losslessly.
+
+        Raises:
+            SessionError: No images here, or a row outside the stream.
+        """
+        image = self._image()
+        if image.layout.column.codec != "jpeg":
+            return None
+        return image.chunk(self._checked(row))
+
+    @property
+    def jpeg_shape(self) -> tuple[int, ...] | None:
+        """Shape (h, w, channels) of images kept as JPEG bytes; None for any other stream."""
+        image = self.layout.image
+        return image.column.shape if image is not None and image.column.codec == "jpeg" else None
+
+    def jpegs(self, rows: Sequence[int]) -> Iterator[bytes]:
+        """Yield the camera's own bytes of some images, several fetched at once if remote.
+
+        Raises:
+            SessionError: No images here, stored otherwise, or a row outside the stream.
+        """
+        image = self._image()
+        if image.layout.column.codec != "jpeg":
+            raise SessionError(f"{self.name}: images are stored as pixels, without JPEG bytes")
+        return image.chunks([self._checked(int(row)) for row in rows])
+
+    def _reader(self, name: str) -> ColumnReader:
+        if name not in self._readers:
+            raise SessionError(f"{self.name}: no column {name!r}; known: {', '.join(self.names)}")
+        return self._readers[name]
+
+    def _image(self) -> ColumnReader:
+        if self.layout.image is None:
+            raise SessionError(f"{self.name}: has no images; columns: {', '.join(self.names)}")
+        return self._readers[self.layout.image.column.name]
+
+    def _checked(self, row: int) -> int:
+        if not 0 <= row < self._rows:
+            raise SessionError(f"{self.name}: no row {row}, the stream has {self._rows}")
+        return row
+
+
+class Session:
+    """One recorded session, read-only.
+
+    A session that is still being recorded opens with what is sealed so far; `warning` says so.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        storage_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Open a session.
+
+        Args:
+            path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.zarr`.
+            storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+
+        Raises:
+            SessionError: Not a session, of a newer format, out of reach, or remote and unfinished.
+        """
+        self.files, self.path = locate(path, storage_options)
+        self.attrs = read_session_attrs(self.path, self.files)
+        if self.status == "recording" and not self.files.local:
+            raise SessionError(
+                f"{self.name}: was copied while it was recorded; recover it where it was "
+                "recorded (python -m recorder recover) and copy it again"
+            )
+        groups = self.files.groups(self.path / "streams")
+        self.streams: Mapping[str, Stream] = {
+            group.name: Stream(group, self.files) for group in groups
+        }
+        self.targets = Table.of_group(self.path / "targets", self.files)
+        self.segments = _table(self.path / "segments", self.files)
+        self.reference = _table(self.path / "reference", self.files)
+        self.frames = Table.of_group(self.path / "frames", self.files)
+        self._sources: dict[int, Sources] = {}
+
+    @property
+    def name(self) -> str:
+        """Where it is, as a person would write it: the path or the URL."""
+        return self.files.name(self.path)
+
+    @property
+    def status(self) -> str:
+        """One of `spec.STATUSES`."""
+        return str(self.attrs["status"])
+
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """Entries of attrs `runs`, with the `first_row` of each stream."""
+        return list(self.attrs["runs"])
+
+    @property
+    def warning(self) -> str | None:
+        """What a reader should know before trusting the session, or None."""
+        if self.status == "recording":
+            return (
+                f"{self.name}: still recording, or killed while it was; only sealed rows are "
+                "visible (python -m recorder recover, once nothing writes to it)"
+            )
+        return None
+
+    @cached_property
+    def rate_hz(self) -> float:
+        """Rate of the frames view: attrs `rate_hz`; before it is known, the signal's."""
+        if "rate_hz" in self.attrs:
+            return float(self.attrs["rate_hz"])
+        for name in ("camera", "taxels", "pose", "force"):
+            if name in self.streams:
+                return self.streams[name].rate_hz
+        raise SessionError(f"{self.name}: no stream has a rate to go by; say rate_hz")
+
+    def rows_of_run(self, name: str, run: int) -> slice:
+        """Return the rows of a stream that belong to a run."""
+        length = len(self.streams[name])
+        first = [int(entry["first_row"].get(name, 0)) for entry in self.runs]
+        if not first:
+            return slice(0, length)
+        return slice(first[run], first[run + 1] if run + 1 < len(first) else length)
+
+    def sources(self, run: int) -> Sources:
+        """Return the streams of one run, ready to be aligned; kept in memory."""
+        if run not in self._sources:
+            rows = {name: self.rows_of_run(name, run) for name in self.streams}
+            self._sources[run] = sources_of_run(self.streams, rows)
+        return self._sources[run]
+
+    def run_at(self, t_ns: int) -> int:
+        """Return the latest run whose samples enclose a time; the last run when none does."""
+        count = max(len(self.runs), 1)
+        for run in reversed(range(count)):
+            span = self.sources(run).span
+            if span is not None and span[0] <= t_ns <= span[1]:
+                return run
+        return count - 1
+
+    def window(
+        self,
+        t_ns: int,
+        n: int,
+        *,
+        image: str = "held",
+        force: str = "mean_exposure",
+        pose: str = "slerp",
+        taxels: str = "linear",
+        rate_hz: float | None = None,
+        run: int | None = None,
+    ) -> Window:
+        """Return the last `n` synchronised rows at a time, as a live program would have had them.
+
+        Args:
+            t_ns: Tick of the last row [ns]; the others lie before it, one period apart.
+            n: Number of rows.
+            image: `held` (latest before the tick) or `nearest`.
+            force: `mean_exposure`, `linear`, `held` or `nearest`, at the image's capture.
+            pose: `slerp`, `held` or `nearest`, at the image's capture.
+            taxels: `linear`, `held` or `nearest`, at the image's capture.
+            rate_hz: Rate of the rows; the session's own when None.
+            run: Run whose clock `t_ns` is of; found from the samples when None.
+
+        Raises:
+            SessionError: An unknown method, or a damaged stream.
+        """
+        ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
+        sources = self.sources(self.run_at(t_ns) if run is None else run)
+        rows = align_window(ticks, sources, image=image, force=force, pose=pose, taxels=taxels)
+        if rows.image_row is None:
+            return rows
+        camera = self.streams["camera"]
+        pixels = np.zeros((n, *camera.layout.columns[0].column.shape), np.uint8)
+        there = rows.image_row >= 0
+        unique, place = np.unique(rows.image_row[there], return_inverse=True)
+        pixels[there] = camera.images(unique)[place]
+        return replace(rows, image=pixels)
+
+
+def _table(path: Path, files: Files) -> Table:
+    stream = Stream(path, files)
+    return Table(path, stream.names, stream.array)

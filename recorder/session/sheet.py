@@ -1,0 +1,166 @@
+"""The contact sheet: a session on one page, to be looked at before it is believed."""
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from recorder.errors import SessionError
+from recorder.plot import INK, PAPER, SOFT, Curve, font, line_plot, taxel_picture
+from recorder.session.align import NS
+from recorder.session.reader import Session
+from recorder.spec import PHASES
+
+_COLUMNS = 6
+_THUMB = (248, 186)
+_SPACE = 16
+_CAPTION = 44
+_HEAD = 84
+_FORCE_COLORS = ((220, 92, 84), (72, 160, 110), (66, 106, 196))
+_DEPTH_COLOR = (132, 92, 172)
+
+
+def contact_sheet(
+    session_path: str | os.PathLike[str], png_path: str | os.PathLike[str], *, count: int = 12
+) -> None:
+    """Draw a session as a PNG: frames evenly over it, then force and depth over time.
+
+    Args:
+        session_path: A finished session.
+        png_path: Where the picture goes.
+        count: How many frames to show.
+
+    Raises:
+        SessionError: The session has no frames, or `count` is less than 1.
+    """
+    session = Session(session_path)
+    frames = session.frames
+    if "t_ns" not in frames or not len(frames["t_ns"]):
+        raise SessionError(f"{session.name}: has no frames to show")
+    if count < 1:
+        raise SessionError(f"found count {count}, expected at least 1")
+    candidates = np.flatnonzero(frames["valid"])
+    if not candidates.size:
+        candidates = np.arange(len(frames["t_ns"]))
+    chosen = candidates[
+        np.linspace(0, candidates.size - 1, min(count, candidates.size)).astype(int)
+    ]
+    pictures = _pictures(session, chosen)
+    rows = -(-len(chosen) // _COLUMNS)
+    width = _SPACE + _COLUMNS * (_THUMB[0] + _SPACE)
+    grid_height = rows * (_THUMB[1] + _CAPTION + _SPACE)
+    sheet = Image.new("RGB", (width, _HEAD + grid_height + 240 + 220 + _SPACE), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    _head(draw, session, width)
+    for place, (frame, picture) in enumerate(zip(chosen, pictures, strict=True)):
+        x = _SPACE + place % _COLUMNS * (_THUMB[0] + _SPACE)
+        y = _HEAD + place // _COLUMNS * (_THUMB[1] + _CAPTION + _SPACE)
+        sheet.paste(picture, (x, y))
+        _caption(draw, (x, y), place + 1, session, int(frame))
+    seconds = _recorded_seconds(session)
+    top = _HEAD + grid_height
+    wrench = frames["wrench"]
+    forces = [
+        Curve(name, np.asarray(wrench[:, axis], np.float64), color)
+        for axis, (name, color) in enumerate(zip(("Fx", "Fy", "Fz"), _FORCE_COLORS, strict=True))
+    ]
+    depth = [Curve("depth", np.asarray(frames["depth"] * 1e3, np.float64), _DEPTH_COLOR)]
+    marks = seconds[chosen]
+    plot_width = width - _SPACE
+    force = line_plot((plot_width, 240), seconds, forces, title="force [N]", marks=marks)
+    press = line_plot(
+        (plot_width, 220),
+        seconds,
+        depth,
+        title="depth [mm]",
+        marks=marks,
+        x_label="recorded time, pauses between phases left out [s]",
+    )
+    sheet.paste(force, (0, top))
+    sheet.paste(press, (0, top + 240))
+    sheet.save(png_path, "PNG")
+
+
+def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
+    """Return one thumbnail per chosen row of `frames`: the image, or the taxels drawn."""
+    frames = session.frames
+    if "camera" in session.streams:
+        rows = frames["image"][chosen]
+        images = session.streams["camera"].images(np.maximum(rows, 0))
+        return [_fitted(pixels) for pixels in images]
+    if "taxels" not in frames:
+        return [Image.new("RGB", _THUMB, (30, 34, 42)) for _ in chosen]
+    counts = frames["taxels"]
+    change = counts[chosen] - _at_rest(session, counts)
+    full_scale = float(np.nanmax(np.abs(change), initial=1.0))
+    return [taxel_picture(_THUMB, row, full_scale) for row in change]
+
+
+def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:
+    """Return the counts without contact (16, 3): the first reference, else the first frame."""
+    reference = session.reference["taxels"]
+    known = np.flatnonzero(np.isfinite(reference).all(axis=(1, 2)))
+    return np.asarray(reference[known[0]] if known.size else counts[0])
+
+
+def _fitted(pixels: NDArray[np.uint8]) -> Image.Image:
+    """Return an image scaled into the thumbnail, on dark ground."""
+    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).convert("RGB")
+    scale = min(_THUMB[0] / image.width, _THUMB[1] / image.height)
+    size = (max(round(image.width * scale), 1), max(round(image.height * scale), 1))
+    thumb = Image.new("RGB", _THUMB, (30, 34, 42))
+    thumb.paste(
+        image.resize(size, Image.Resampling.LANCZOS),
+        ((_THUMB[0] - size[0]) // 2, (_THUMB[1] - size[1]) // 2),
+    )
+    return thumb
+
+
+def _head(draw: ImageDraw.ImageDraw, session: Session, width: int) -> None:
+    draw.text((_SPACE, 18), session.path.name, fill=INK, font=font(26))
+    attrs = session.attrs
+    said = [str(attrs[key]) for key in ("sensor", "indenter", "operator") if key in attrs]
+    if attrs.get("mock"):
+        said.append("mock")
+    frames = session.frames
+    said.append(f"{len(frames['t_ns'])} frames at {session.rate_hz:g} Hz")
+    targets = np.unique(frames["target"])
+    said.append(f"{int((targets >= 0).sum())} targets")
+    said.append(f"{100 * float(np.mean(frames['valid'])):.1f} % valid")
+    draw.text((_SPACE, 52), "   ·   ".join(said), fill=SOFT, font=font(15))
+    text = session.status
+    color = {"complete": (72, 160, 110), "recording": (220, 92, 84)}.get(text, (214, 150, 60))
+    left = width - _SPACE - draw.textlength(text, font(16)) - 28
+    draw.rounded_rectangle((left, 20, width - _SPACE, 48), 14, fill=color)
+    draw.text(((left + width - _SPACE) / 2, 34), text, fill=PAPER, font=font(16), anchor="mm")
+
+
+def _caption(
+    draw: ImageDraw.ImageDraw, corner: tuple[int, int], number: int, session: Session, frame: int
+) -> None:
+    frames = session.frames
+    x, y = corner
+    draw.rounded_rectangle((x + 6, y + 6, x + 34, y + 26), 10, fill=PAPER)
+    draw.text((x + 20, y + 16), str(number), fill=INK, font=font(13), anchor="mm")
+    below = y + _THUMB[1]
+    target, code = int(frames["target"][frame]), int(frames["phase"][frame])
+    phase = PHASES[code].replace("_", " ") if code >= 0 else ""
+    seconds = (int(frames["t_ns"][frame]) - int(frames["t_ns"][0])) * NS
+    title = f"target {target}" if target >= 0 else f"{seconds:.2f} s"
+    draw.text((x, below + 6), title, fill=INK, font=font(15))
+    draw.text((x + _THUMB[0], below + 6), phase, fill=SOFT, font=font(15), anchor="ra")
+    depth, force = float(frames["depth"][frame]) * 1e3, float(frames["wrench"][frame][2])
+    left = f"{depth:.2f} mm" if np.isfinite(depth) else "depth unknown"
+    right = f"Fz {force:+.2f} N" if np.isfinite(force) else "no force"
+    draw.text((x, below + 25), left, fill=SOFT, font=font(14))
+    draw.text((x + _THUMB[0], below + 25), right, fill=SOFT, font=font(14), anchor="ra")
+
+
+def _recorded_seconds(session: Session) -> NDArray[np.float64]:
+    """Return the time of each frame [s] with the pauses between phases, and between runs, cut."""
+    period = 1.0 / session.rate_hz
+    steps = np.diff(session.frames["t_ns"]) * NS
+    steps = np.where((steps > 1.5 * period) | (steps < 0), period, steps)
+    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,0 +1,403 @@
+"""Appends rows to one stream. The hot path of every recording process."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import SessionError
+from recorder.store import images
+from recorder.store.background import Background
+from recorder.store.durable import TEMPORARY
+from recorder.store.journal import (
+    HEADER,
+    Journal,
+    JournalledRows,
+    pack_block,
+    read_journals,
+    remove_journals,
+    row_time,
+    write_journal,
+)
+from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout, decoded_rows
+from recorder.store.rows import RowPacker
+from recorder.store.shard import ColumnLog, OpenShard, chunk_count, read_index, scan_partial
+
+# What of a stream is there after its writer stopped, however it stopped; and how to go on.
+#
+# Rows below the first journal come from the shards, the others from the journals, an image counts
+# only with its row and a row only with its image. Resuming and recovering are the same act: put the
+# stream back into the state it had while it was written, after its last whole row.
+
+BALLAST = "ballast"
+"""Room kept on the disk of a stream being written, so that a full disk can still be closed."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamState:
+    """What a look at a stream finds, nothing being changed."""
+
+    rows: int
+    """Rows that exist whole in every column."""
+    journalled: JournalledRows | None
+    """Rows that are not stored as chunks yet; None when the stream was closed."""
+    torn_bytes: int
+    """Bytes of records that were being written when the writer died."""
+    dropped_rows: int
+    """Rows that some columns hold and others do not."""
+    unfinished: tuple[Path, ...]
+    """Files that a closed stream does not have."""
+
+
+def survey(layout: StreamLayout) -> StreamState:
+    """Look at a stream without changing it.
+
+    Raises:
+        SessionError: A sealed shard that is needed to count the rows is damaged.
+    """
+    journalled = read_journals(layout)
+    if journalled is None:  # closed, or never opened: the declared lengths hold
+        lengths = [column.rows() for column in layout.columns]
+        return StreamState(min(lengths), None, 0, _spread(lengths), unfinished_files(layout))
+    held, torn = zip(*(count_chunks(column) for column in layout.columns), strict=True)
+    blocks = min(held[-len(layout.small) :])
+    reach = journalled.first_row + len(journalled.rows)
+    lengths = [reach if blocks * layout.block >= journalled.first_row else blocks * layout.block]
+    if layout.image is not None:
+        lengths.append(held[0])
+    return StreamState(
+        min(lengths),
+        journalled,
+        journalled.torn_bytes + sum(torn),
+        _spread(lengths),
+        unfinished_files(layout),
+    )
+
+
+def count_chunks(column: Layout) -> tuple[int, int]:
+    """Return how many chunks a column holds without a hole, and its torn bytes."""
+    chunks = torn = 0
+    numbers = column.shard_numbers()
+    for number in numbers:
+        if column.partial(number).exists():
+            records, torn_here = scan_partial(column, number)
+            held = len(records)
+            torn += torn_here
+        elif number < numbers[-1]:  # nothing is ever begun behind a short shard
+            held = CHUNKS_PER_SHARD
+        else:
+            held = chunk_count(read_index(column.shard(number)))
+        if chunks == number * CHUNKS_PER_SHARD:
+            chunks += held
+    return chunks, torn
+
+
+def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
+    """Return the files that only a stream being written has."""
+    return tuple(sorted(p for p in layout.path.rglob("*") if is_unfinished(layout, p)))
+
+
+def is_unfinished(layout: StreamLayout, path: Path) -> bool:
+    """Return whether a path below a stream is one that only a stream being written has."""
+    name, parent = path.name, path.parent
+    if parent == layout.time.path and (name.startswith("journal-") or name == BALLAST):
+        return True
+    columns = [column.path for column in layout.columns]
+    if name.endswith(TEMPORARY) and parent in (layout.path, *columns):
+        return True
+    return PARTIAL in name and any(column / "c" in path.parents for column in columns)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenStream:
+    """A stream ready to be appended to."""
+
+    image: ColumnLog | None
+    """Its images."""
+    small: tuple[ColumnLog, ...]
+    """Its other columns, up to the start of the journal."""
+    journal: Journal
+    """The rows behind them."""
+
+
+def restore(layout: StreamLayout) -> OpenStream:
+    """Open a stream behind its last whole row. Killed at any point, it can be called again.
+
+    Raises:
+        SessionError: The stream is damaged where it has to be read.
+    """
+    for path in unfinished_files(layout):
+        if path.name.endswith(TEMPORARY) or path.name == BALLAST:
+            path.unlink()
+    state = survey(layout)
+    block = layout.block
+    first_row, rows = _rows_to_journal(layout, state)
+    start = state.rows - state.rows % block
+    image = ColumnLog(layout.image, state.rows) if layout.image else None
+    small = tuple(ColumnLog(column, first_row // block) for column in layout.small)
+    for done in range(0, start - first_row, block):
+        store_block(layout, small, first_row + done, rows[done : done + block])
+    for log in small:
+        log.sync()
+    journal = Journal(layout, start, rows[start - first_row :])
+    journal.sync()
+    if state.journalled is not None:
+        remove_journals(state.journalled.paths, keep=journal.path)
+    for column in layout.columns:
+        if column.rows() > state.rows:
+            column.set_rows(state.rows)
+    return OpenStream(image, small, journal)
+
+
+def store_block(
+    layout: StreamLayout, logs: tuple[ColumnLog, ...], first_row: int, rows: list[bytes]
+) -> None:
+    """Append one block of rows to all small columns, sealing what is full.
+
+    Columns that hold the block already are left alone, so it may be called again after an error.
+    """
+    number = first_row // layout.block
+    for log, chunk in zip(logs, pack_block(layout, rows), strict=True):
+        if log.chunks == number:
+            log.append(chunk, row_time(rows[-1]))
+        log.seal_full()
+
+
+def _rows_to_journal(layout: StreamLayout, state: StreamState) -> tuple[int, list[bytes]]:
+    """Return the rows that must (again) be in a journal, and make sure that they are."""
+    journalled = state.journalled
+    if journalled is not None and journalled.first_row <= state.rows:
+        rows = journalled.rows[: state.rows - journalled.first_row]
+        start = state.rows - state.rows % layout.block
+        if layout.journal(start) not in journalled.paths:
+            write_journal(layout, start, rows[start - journalled.first_row :])
+        return journalled.first_row, rows
+    start = state.rows - state.rows % layout.block
+    rows = _stored_rows(layout, start, state.rows)
+    write_journal(layout, start, rows)
+    return start, rows
+
+
+def _stored_rows(layout: StreamLayout, start: int, stop: int) -> list[bytes]:
+    """Return the rows of the last, short block, packed as in a journal."""
+    if start == stop:
+        return []
+    table = np.zeros(stop - start, layout.row_dtype)
+    for column in layout.small:
+        table[column.column.name] = _read_chunk(column, start // layout.block)[: stop - start]
+    return [row.tobytes() for row in table]
+
+
+def _spread(lengths: list[int]) -> int:
+    return max(lengths) - min(lengths)
+
+
+def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
+    number, place = divmod(chunk, CHUNKS_PER_SHARD)
+    path = column.partial(number)
+    if path.exists():
+        record = scan_partial(column, number)[0][place]
+        offset, nbytes = record.offset, record.nbytes
+    else:
+        path = column.shard(number)
+        offset, nbytes = (int(value) for value in read_index(path)[place])
+    with path.open("rb") as file:
+        file.seek(offset)
+        data = file.read(nbytes)
+    if len(data) != nbytes:
+        raise SessionError(f"{path}: chunk {place} is cut short")
+    return decoded_rows(column, data)
+
+
+_BALLAST_BYTES = 1 << 16  # indices and metadata of a dozen columns, in whole disk blocks
+
+
+class StreamWriter:
+    """The one writer of a stream.
+
+    A row is accepted when `append` returns: from then on it survives the death of this process,
+    and within `sync_interval` seconds that of the machine. Images go straight into the open shard,
+    the other columns into the row journal, which commits the row; sealing, encoding and flushing
+    happen in a thread of their own.
+    """
+
+    def __init__(self, layout: StreamLayout, lock: int, sync_interval: float) -> None:
+        """Use `open` instead."""
+        self._layout = layout
+        self._lock = lock
+        self._closed = False
+        stream = restore(layout)
+        self._image = stream.image
+        self._small = stream.small
+        self._journal = stream.journal
+        self._pack = RowPacker(layout).pack
+        self._time = layout.time.column.name
+        if layout.image is not None:
+            image = layout.image.column
+            self._image_name = image.name
+            self._encode = images.encoder(image, f"{layout.name}.{image.name}")
+        self.rows: int = self._journal.first_row + len(self._journal.rows)
+        """Rows accepted so far."""
+        _write_ballast(layout)
+        layout.set_attrs(sync_interval=sync_interval)
+        self._background = Background(
+            self._sync, interval=sync_interval, name=f"recorder-{layout.name}"
+        )
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str], *, sync_interval: float = 1.0) -> Self:
+        """Open a stream to write behind its last whole row, whatever its last writer came to.
+
+        Args:
+            path: The stream's group, e.g. `<session>/streams/force`.
+            sync_interval: Longest time between two flushes to the disk [s].
+
+        Raises:
+            SessionError: Not a stream, damaged, or open in another writer.
+        """
+        layout = StreamLayout.load(Path(path))
+        lock = lock_stream(layout)
+        try:
+            return cls(layout, lock, sync_interval)
+        except BaseException:
+            os.close(lock)
+            raise
+
+    def append(self, **columns: Any) -> int:
+        """Append one row and return its number.
+
+        An image is JPEG bytes or pixels, as its column declares; every other column a number or
+        array of the declared shape. Integers may go into float columns, NaN only there.
+
+        Raises:
+            SessionError: A missing, unknown or ill-typed column, or a closed writer.
+            OSError: The disk is full or failing. The row is not stored, the rows before it are.
+        """
+        if self._closed:
+            raise SessionError(f"{self._layout.name}: the writer is closed")
+        if self._background.failure is not None:
+            failure = self._background.failure
+            raise OSError(failure.errno, failure.strerror, failure.filename) from failure
+        row = self._pack(columns)
+        t_ns = int(columns[self._time])
+        if self._image is None:
+            self._journal.append(row, t_ns)
+        else:
+            self._image.append(self._encode(columns[self._image_name]), t_ns)
+            try:
+                self._journal.append(row, t_ns)
+            except OSError:
+                self._image.drop_last()
+                raise
+        number = self.rows
+        self.rows += 1
+        self._hand_over()
+        return number
+
+    def set_attrs(self, **attrs: Any) -> None:
+        """Merge into the stream's attributes, atomically.
+
+        Raises:
+            SessionError: A value that JSON cannot hold.
+        """
+        self._layout.set_attrs(**attrs)
+
+    def close(self) -> None:
+        """Seal what was appended, so that every Zarr reader sees it. Safe twice.
+
+        Raises:
+            OSError: No room even for that; all rows are kept for `recover`.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._background.stop()
+            (self._layout.time.path / BALLAST).unlink(missing_ok=True)
+            self._background.drain()
+            self._seal()
+        finally:
+            for log in (*self._small, *([self._image] if self._image else [])):
+                log.close()
+            self._journal.close()
+            os.close(self._lock)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _hand_over(self) -> None:
+        """Give what became full to the background thread and start anew.
+
+        Both hand-overs come after the row was committed, so no shard is ever sealed with an image
+        that has no row.
+        """
+        if self._image is not None:
+            shard = self._image.take_full()
+            if shard is not None:
+                self._background.submit(
+                    partial(self._seal_images, self._image, shard, self._journal)
+                )
+        if self._journal.full:
+            full = self._journal
+            self._journal = Journal(self._layout, self.rows, [])
+            self._background.submit(partial(self._store, full))
+
+    def _seal_images(self, log: ColumnLog, shard: OpenShard, journal: Journal) -> None:
+        journal.sync()
+        log.seal(shard)
+
+    def _store(self, journal: Journal) -> None:
+        store_block(self._layout, self._small, journal.first_row, journal.rows)
+        self._sync()
+        journal.remove()
+
+    def _sync(self) -> None:
+        # Images first: after a power cut a row without its image does not count.
+        if self._image is not None:
+            self._image.sync()
+        for log in self._small:
+            log.sync()
+        self._journal.sync()
+
+    def _seal(self) -> None:
+        self._sync()  # until all columns are sealed, the journal is what a recovery relies on
+        if self._journal.rows:
+            store_block(self._layout, self._small, self._journal.first_row, self._journal.rows)
+        for log in (*([self._image] if self._image else []), *self._small):
+            log.finish(self.rows)
+        self._journal.remove()
+
+
+def lock_stream(layout: StreamLayout) -> int:
+    """Return a file descriptor that holds the stream for this process, until it is closed.
+
+    Raises:
+        SessionError: Another writer holds it.
+    """
+    fd = os.open(layout.time.path, os.O_RDONLY)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(fd)
+        raise SessionError(f"{layout.path}: is being written by another process") from None
+    return fd
+
+
+def _write_ballast(layout: StreamLayout) -> None:
+    """Occupy the room that sealing will need; an already full disk has none to keep."""
+    room = _BALLAST_BYTES + layout.block * (layout.row_dtype.itemsize + HEADER.size)
+    path = layout.time.path / BALLAST
+    try:
+        path.write_bytes(bytes(room))
+    except OSError:
+        path.unlink(missing_ok=True)

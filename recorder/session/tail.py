@@ -1,0 +1,120 @@
+"""Reads one row of an image column that is still being written, for whoever watches.
+
+Looks at the open shard's records and never at more of it than it must: no lock, no scan of what
+was read before, nothing the writer could notice.
+"""
+
+import os
+from pathlib import Path
+from typing import Self
+
+from recorder.errors import SessionError
+from recorder.store import images
+from recorder.store.journal import HEADER, MAGIC, checksum
+from recorder.store.layout import CHUNKS_PER_SHARD, Layout, StreamLayout
+from recorder.store.shard import MISSING, read_index
+
+
+class ImageTail:
+    """The newest images of one growing column, as a context manager.
+
+    Args:
+        layout: The image column, one row a chunk.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._fd = -1
+        self._number = -1
+        self._offsets: list[int] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def chunk(self, row: int) -> bytes | None:
+        """Return the encoded image of a row, or None while it is not there whole.
+
+        The camera's own JPEG bytes where the column keeps them.
+
+        Raises:
+            SessionError: The row's shard is sealed and damaged.
+        """
+        number, place = divmod(row, CHUNKS_PER_SHARD)
+        if self._layout.partial(number).exists():
+            data = self._from_open(number, place, row)
+            if data is not None:
+                return data
+        # Sealed a moment ago, or not written yet.
+        if not self._layout.shard(number).exists():
+            return None
+        offset, nbytes = (int(v) for v in read_index(self._layout.shard(number))[place])
+        if offset == MISSING:
+            return None
+        with self._layout.shard(number).open("rb") as file:
+            return os.pread(file.fileno(), nbytes, offset)
+
+    def jpeg(self, row: int, *, quality: int = 80) -> bytes | None:
+        """Return the image of a row as JPEG, or None while it is not there whole.
+
+        The camera's bytes are passed on unchanged; pixels are encoded at `quality`.
+
+        Raises:
+            SessionError: The image, or its sealed shard, is damaged.
+        """
+        data = self.chunk(row)
+        if data is None or self._layout.column.codec == "jpeg":
+            return data
+        return images.encode_jpeg(images.decoder(self._layout.column)(data), quality)
+
+    def close(self) -> None:
+        """Let go of the file. Safe twice."""
+        if self._fd >= 0:
+            os.close(self._fd)
+        self._fd, self._number = -1, -1
+        self._offsets = []
+
+    def _from_open(self, number: int, place: int, row: int) -> bytes | None:
+        if number != self._number:
+            self.close()
+            try:
+                self._fd = os.open(self._layout.partial(number), os.O_RDONLY)
+            except FileNotFoundError:
+                return None
+            self._number, self._offsets = number, [0]
+        while len(self._offsets) <= place:
+            end = self._end_of_record(self._offsets[-1])
+            if end is None:
+                return None
+            self._offsets.append(end)
+        head = os.pread(self._fd, HEADER.size, self._offsets[place])
+        if len(head) < HEADER.size:
+            return None
+        magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
+        data = os.pread(self._fd, nbytes, self._offsets[place] + HEADER.size)
+        whole = magic == MAGIC and index == row & 0xFFFFFFFF and len(data) == nbytes
+        if whole and checksum(data, t_ns, index) == crc:
+            return data
+        # Half written, or the writer took a record back: the next look starts afresh.
+        self.close()
+        return None
+
+    def _end_of_record(self, offset: int) -> int | None:
+        head = os.pread(self._fd, HEADER.size, offset)
+        if len(head) < HEADER.size or head[:4] != MAGIC:
+            return None
+        return offset + HEADER.size + int(HEADER.unpack(head)[1])
+
+
+def open_tail(stream: os.PathLike[str]) -> ImageTail:
+    """Return the tail of the image column of the stream group at a path.
+
+    Raises:
+        SessionError: Not a stream, or one without images.
+    """
+    layout = StreamLayout.load(Path(stream)).image
+    if layout is None:
+        raise SessionError(f"{stream}: has no images")
+    return ImageTail(layout)

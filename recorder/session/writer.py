@@ -1,0 +1,185 @@
+"""Creates a session, takes its runs, and closes it."""
+
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from recorder.errors import SessionError
+from recorder.session.frames import write_frames
+from recorder.session.recover import recover_streams
+from recorder.session.stream_writer import StreamWriter, survey
+from recorder.spec import (
+    FORMAT,
+    FORMAT_VERSION,
+    REFERENCE,
+    SEGMENTS,
+    STATUSES,
+    TARGET_UNITS,
+    StreamSpec,
+)
+from recorder.store.attrs import read_session_attrs
+from recorder.store.durable import sync_directory
+from recorder.store.layout import StreamLayout, create_stream, merge_attrs, write_group
+from recorder.store.tables import write_table
+
+_CREATING = ".creating"
+
+
+class SessionWriter:
+    """The session as a whole: its attributes, runs and tables.
+
+    It does not write the streams: each has a `StreamWriter` of its own, usually in a process of its
+    own, opened with `stream_path(name)`.
+    """
+
+    segments: StreamWriter
+    """One row per recorded phase, columns of `SEGMENTS`."""
+    reference: StreamWriter
+    """One row per no-contact moment, columns of `REFERENCE`."""
+
+    def __init__(self, path: Path) -> None:
+        """Use `create` or `resume` instead."""
+        self.path = path
+        self.segments = StreamWriter.open(path / "segments")
+        try:
+            self.reference = StreamWriter.open(path / "reference")
+        except BaseException:
+            self.segments.close()
+            raise
+
+    @classmethod
+    def create(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        attrs: dict[str, Any],
+        streams: Sequence[StreamSpec],
+        targets: Mapping[str, np.ndarray[Any, Any]],
+    ) -> Self:
+        """Create a session with empty streams, status `recording`.
+
+        Args:
+            path: Where; nothing may be there yet.
+            attrs: What is known of the session; `format`, `status` and `runs` are added.
+            streams: Streams to record; the name is that of the group below `streams`.
+            targets: Columns of the targets, one row per target.
+
+        Raises:
+            SessionError: `path` exists, or something in the arguments cannot be stored.
+        """
+        final = Path(path)
+        if final.exists():
+            raise SessionError(f"{final}: exists already; resume it or choose another name")
+        building = final.with_name(final.name + _CREATING)
+        shutil.rmtree(building, ignore_errors=True)
+        try:
+            _build(building, attrs, streams, targets)
+        except BaseException:
+            shutil.rmtree(building, ignore_errors=True)
+            raise
+        building.rename(final)
+        sync_directory(final.parent)
+        return cls(final)
+
+    @classmethod
+    def resume(cls, path: str | os.PathLike[str]) -> Self:
+        """Open a session to add a run, recovering first what a crash left behind.
+
+        Raises:
+            SessionError: Not a session, or one that is being written.
+        """
+        session = Path(path)
+        read_session_attrs(session)
+        recover_streams(session)
+        merge_attrs(session, {"status": "recording", "reason": ""})
+        return cls(session)
+
+    def begin_run(self, entry: dict[str, Any]) -> None:
+        """Add a run, before its streams are opened.
+
+        Args:
+            entry: What belongs to the run alone, above all its clock anchor `t0_ns`, `utc` and
+                `boot_id`. `first_row`, the row of each stream that it starts with, is added.
+        """
+        names = [*_stream_names(self.path)]
+        first_row = {name: survey(StreamLayout.load(self.stream_path(name))).rows for name in names}
+        first_row |= {"segments": self.segments.rows, "reference": self.reference.rows}
+        runs = read_session_attrs(self.path)["runs"]
+        merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
+
+    def stream_path(self, name: str) -> Path:
+        """Return the group of a stream, to be opened by a `StreamWriter`.
+
+        Raises:
+            SessionError: The session has no such stream.
+        """
+        names = _stream_names(self.path)
+        if name not in names:
+            raise SessionError(f"{self.path}: no stream {name!r}; known: {', '.join(names)}")
+        return self.path / "streams" / name
+
+    def set_attrs(self, **attrs: Any) -> None:
+        """Merge into the session's attributes, atomically."""
+        merge_attrs(self.path, attrs)
+
+    def finish(self, status: str, reason: str = "", *, rate_hz: float) -> None:
+        """Close the session: tables, the frames view, and the status last of all.
+
+        Streams whose process died are recovered. Safe to repeat after an error.
+
+        Args:
+            status: `complete`, `stopped` or `recovered`.
+            reason: Why, in a few words.
+            rate_hz: Rate of the frames view.
+
+        Raises:
+            SessionError: An unknown status, or a stream that is still being written.
+        """
+        final = STATUSES[1:]
+        if status not in final:
+            raise SessionError(f"found status {status!r}, expected one of {', '.join(final)}")
+        self.close()
+        recover_streams(self.path)
+        merge_attrs(self.path, {"rate_hz": float(rate_hz)})
+        write_frames(self.path, rate_hz)
+        merge_attrs(self.path, {"status": status, "reason": reason})
+
+    def close(self) -> None:
+        """Close the tables and leave the status as it is. Safe twice."""
+        try:
+            self.segments.close()
+        finally:
+            self.reference.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _stream_names(path: Path) -> list[str]:
+    root = path / "streams"
+    return sorted(entry.name for entry in root.iterdir() if (entry / "zarr.json").exists())
+
+
+def _build(
+    path: Path,
+    attrs: dict[str, Any],
+    streams: Sequence[StreamSpec],
+    targets: Mapping[str, np.ndarray[Any, Any]],
+) -> None:
+    path.mkdir(parents=True)
+    fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
+    write_group(path, {**attrs, **fixed})
+    (path / "streams").mkdir()
+    write_group(path / "streams", {})
+    for spec in streams:
+        create_stream(path / "streams" / spec.name, spec)
+    create_stream(path / "segments", SEGMENTS)
+    create_stream(path / "reference", REFERENCE)
+    write_table(path / "targets", targets, TARGET_UNITS)

@@ -1,0 +1,357 @@
+"""Where the files of a session lie: this machine's disk, or a remote store behind a URL.
+
+Readers ask for files through `Files` and name them by `Path`; below a URL a path is the key of an
+object. Writers always write to a disk, and use it directly.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol
+
+import zarr
+
+from recorder.errors import SessionError
+
+Range = tuple[int, int]
+"""Offset and length in a file [bytes]."""
+
+
+class Files(Protocol):
+    """Reading, by name."""
+
+    @property
+    def local(self) -> bool:
+        """Whether the paths are those of this machine."""
+        ...
+
+    def name(self, path: Path) -> str:
+        """Return how a person would write the path."""
+        ...
+
+    def read(self, path: Path) -> bytes:
+        """Return a whole file.
+
+        Raises:
+            FileNotFoundError: No such file.
+        """
+        ...
+
+    def tail(self, path: Path, nbytes: int) -> bytes:
+        """Return the last `nbytes` of a file, or all of a shorter one.
+
+        Raises:
+            FileNotFoundError: No such file.
+        """
+        ...
+
+    def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
+        """Return parts of a file; a part that reaches behind its end is short.
+
+        Raises:
+            FileNotFoundError: No such file.
+        """
+        ...
+
+    def groups(self, path: Path) -> list[Path]:
+        """Return the directories right below one that hold a `zarr.json`, sorted."""
+        ...
+
+    def listed(self, path: Path) -> list[Path]:
+        """Return all files below a directory."""
+        ...
+
+    def sizes(self, path: Path) -> dict[Path, int]:
+        """Return all files below a directory with their sizes [bytes]."""
+        ...
+
+    def array(self, path: Path) -> zarr.Array[Any]:
+        """Return a Zarr array, read-only."""
+        ...
+
+
+class LocalFiles:
+    """The disk of this machine."""
+
+    local = True
+
+    def name(self, path: Path) -> str:
+        """Return the path as it is."""
+        return str(path)
+
+    def read(self, path: Path) -> bytes:
+        """Return a whole file."""
+        return path.read_bytes()
+
+    def tail(self, path: Path, nbytes: int) -> bytes:
+        """Return the last bytes of a file."""
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            return os.pread(file.fileno(), nbytes, max(size - nbytes, 0))
+
+    def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
+        """Return parts of a file."""
+        fd = os.open(path, os.O_RDONLY)
+        try:
+            return [os.pread(fd, nbytes, offset) for offset, nbytes in wanted]
+        finally:
+            os.close(fd)
+
+    def groups(self, path: Path) -> list[Path]:
+        """Return the Zarr nodes right below a directory."""
+        return sorted(entry.parent for entry in path.glob("*/zarr.json"))
+
+    def listed(self, path: Path) -> list[Path]:
+        """Return all files below a directory."""
+        return [entry for entry in path.rglob("*") if entry.is_file()]
+
+    def sizes(self, path: Path) -> dict[Path, int]:
+        """Return all files below a directory with their sizes."""
+        found = {}
+        for entry in self.listed(path):
+            try:
+                found[entry] = entry.stat().st_size
+            except FileNotFoundError:  # sealed or removed meanwhile, by whoever records
+                continue
+        return found
+
+    def array(self, path: Path) -> zarr.Array[Any]:
+        """Return a Zarr array."""
+        return zarr.open_array(path, mode="r")
+
+
+LOCAL = LocalFiles()
+"""The only one that writers know."""
+
+
+def is_url(place: str | os.PathLike[str]) -> bool:
+    """Return whether a place is named by a URL, such as `s3://bucket/x.zarr`."""
+    return isinstance(place, str) and "://" in place
+
+
+def locate(
+    place: str | os.PathLike[str], storage_options: Mapping[str, Any] | None = None
+) -> tuple[Files, Path]:
+    """Return the files that a place is in, and its path among them.
+
+    Args:
+        place: A path, or a URL that fsspec knows.
+        storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+
+    Raises:
+        SessionError: An unknown kind of URL, a missing library, or options for a local path.
+    """
+    if is_url(place):
+        return open_url(str(place), storage_options or {})
+    if storage_options:
+        raise SessionError(f"{place}: storage options are for URLs; this is a path")
+    return LOCAL, Path(place)
+
+
+def read_document(files: Files, path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file.
+
+    Raises:
+        SessionError: The file is missing, or not a JSON object.
+    """
+    try:
+        document = json.loads(files.read(path))
+    except FileNotFoundError:
+        raise SessionError(f"{files.name(path)}: missing") from None
+    except (OSError, ValueError) as error:
+        raise SessionError(f"{files.name(path)}: not readable as JSON: {error}") from error
+    if not isinstance(document, dict):
+        found = type(document).__name__
+        raise SessionError(f"{files.name(path)}: found {found}, expected a JSON object")
+    return document
+
+
+# Reading from object stores and web servers, through fsspec: `s3://`, `https://`, `memory://` ...
+#
+# Only what is needed crosses the network: a shard's index once, then the byte ranges of the chunks
+# asked for, neighbours in one request and requests side by side where the store allows it.
+
+_JOIN_GAP = 1 << 14
+"""Bytes between two ranges that are cheaper to fetch than another request."""
+_HINTS = {
+    "NoCredentialsError": "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
+    "storage_options={'anon': True} for a public bucket",
+    "PermissionError": "not allowed: wrong credentials, or no right to read here",
+    "EndpointConnectionError": "nobody answers at the store's address",
+    "ClientConnectorError": "nobody answers at this address",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteFiles:
+    """Files of one remote store; pickled and forked as protocol and options."""
+
+    protocol: str
+    """Kind of the store, as fsspec names it."""
+    options: Mapping[str, Any]
+    """What fsspec needs to open it; never printed, it may hold secrets."""
+    prefix: str
+    """What stands before a path in a URL."""
+    local: bool = field(default=False, init=False)
+    """Never this machine's disk."""
+    _documents: dict[Path, bytes] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )  # zarr.json files: a finished session does not change
+
+    def name(self, path: Path) -> str:
+        """Return the URL of a path."""
+        return self.prefix + str(path).lstrip("/") if self.prefix else str(path)
+
+    def read(self, path: Path) -> bytes:
+        """Return a whole file; metadata is fetched once."""
+        if path in self._documents:
+            return self._documents[path]
+        with self._said(path):
+            data: bytes = self._system().cat_file(self._key(path))
+        if path.name == "zarr.json":
+            self._documents[path] = data
+        return data
+
+    def tail(self, path: Path, nbytes: int) -> bytes:
+        """Return the last bytes of a file."""
+        with self._said(path):
+            data: bytes = self._system().cat_file(self._key(path), start=-nbytes)
+        return data
+
+    def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
+        """Return parts of a file: near ones in one request, the others side by side."""
+        joined = join_ranges(wanted)
+        key = self._key(path)
+        with self._said(path):
+            if len(joined) == 1:
+                (start, stop) = joined[0]
+                parts = [self._system().cat_file(key, start=start, end=stop)]
+            else:
+                starts, stops = [r[0] for r in joined], [r[1] for r in joined]
+                parts = self._system().cat_ranges(
+                    [key] * len(joined), starts, stops, on_error="raise"
+                )
+        out = []
+        for offset, nbytes in wanted:
+            place = next(i for i, (start, stop) in enumerate(joined) if start <= offset < stop)
+            first = offset - joined[place][0]
+            out.append(bytes(parts[place][first : first + nbytes]))
+        return out
+
+    def groups(self, path: Path) -> list[Path]:
+        """Return the Zarr nodes right below a directory."""
+        with self._said(path):
+            try:
+                found = self._system().ls(self._key(path), detail=False)
+            except FileNotFoundError:
+                return []
+        places = [path / PurePosixPath(str(entry).rstrip("/")).name for entry in found]
+        return sorted(place for place in self._with_documents(places) if place != path)
+
+    def listed(self, path: Path) -> list[Path]:
+        """Return all files below a directory."""
+        with self._said(path):
+            found = self._system().find(self._key(path))
+        return [Path(name.removeprefix(self.prefix)) for name in found]
+
+    def sizes(self, path: Path) -> dict[Path, int]:
+        """Return all files below a directory with their sizes."""
+        with self._said(path):
+            found = self._system().find(self._key(path), detail=True)
+            sizes = {name: entry["size"] for name, entry in found.items()}
+            unknown = [name for name, size in sizes.items() if size is None]
+            if unknown:  # a web server's listing does not tell
+                sizes |= zip(unknown, self._system().sizes(unknown), strict=True)
+        return {Path(name.removeprefix(self.prefix)): int(size) for name, size in sizes.items()}
+
+    def array(self, path: Path) -> zarr.Array[Any]:
+        """Return a Zarr array."""
+        from fsspec.implementations.asyn_wrapper import AsyncFileSystemWrapper
+
+        with self._said(path):
+            system = AsyncFileSystemWrapper(self._system(), asynchronous=True)
+            store = zarr.storage.FsspecStore(system, read_only=True, path=self._key(path))
+            return zarr.open_array(store, mode="r")
+
+    def _with_documents(self, places: list[Path]) -> list[Path]:
+        """Return those of some directories that hold a `zarr.json`, all fetched side by side."""
+        keys = {self._key(place / "zarr.json"): place for place in places}
+        if not keys:
+            return []
+        with self._said(places[0]):
+            found = self._system().cat(list(keys), on_error="return")
+            for key, data in found.items():
+                if isinstance(data, bytes):
+                    self._documents[keys[key] / "zarr.json"] = data
+                elif not isinstance(data, FileNotFoundError | NotADirectoryError):
+                    raise data
+        return [keys[key] for key, data in found.items() if isinstance(data, bytes)]
+
+    def _system(self) -> Any:
+        # fsspec keeps one instance per set of options, and makes another after a fork.
+        return _fsspec().filesystem(self.protocol, **self.options)
+
+    def _key(self, path: Path) -> str:
+        # A path cannot hold the two slashes of a web address; a key of the others has none.
+        return self.name(path) if self.protocol in _WEB else str(path)
+
+    @contextmanager
+    def _said(self, path: Path) -> Iterator[None]:
+        """Turn what a store's client raises into one sentence; a missing file stays one."""
+        try:
+            yield
+        except (FileNotFoundError, SessionError):
+            raise
+        except Exception as error:
+            # Each store has exceptions of its own, and this is the one door they come through.
+            said = _HINTS.get(type(error).__name__, f"{type(error).__name__}: {error}")
+            raise SessionError(f"{self.name(path)}: {said}") from error
+
+
+_WEB = ("http", "https")
+
+
+def open_url(url: str, options: Mapping[str, Any]) -> tuple[RemoteFiles, Path]:
+    """Return the store of a URL and the path in it.
+
+    Raises:
+        SessionError: fsspec or the store's own library is missing, or the URL is of no known kind.
+    """
+    fsspec = _fsspec()
+    protocol = url.partition("://")[0]
+    try:
+        system = fsspec.filesystem(protocol, **options)
+    except (ImportError, ValueError, TypeError) as error:
+        raise SessionError(f"{url}: {error}") from error
+    if protocol in _WEB:
+        host, _, path = url.partition("://")[2].rstrip("/").partition("/")
+        return RemoteFiles(protocol, dict(options), f"{protocol}://{host}/"), Path(path)
+    key = str(system._strip_protocol(url)).rstrip("/")
+    return RemoteFiles(protocol, dict(options), f"{protocol}://"), Path(key)
+
+
+def join_ranges(wanted: Sequence[Range]) -> list[Range]:
+    """Return the fewest ranges (start, stop) that cover all (offset, length), ascending.
+
+    Ranges closer than 16 KiB become one.
+    """
+    joined: list[list[int]] = []
+    for offset, nbytes in sorted(wanted):
+        if joined and offset <= joined[-1][1] + _JOIN_GAP:
+            joined[-1][1] = max(joined[-1][1], offset + nbytes)
+        else:
+            joined.append([offset, offset + nbytes])
+    return [(start, stop) for start, stop in joined]
+
+
+def _fsspec() -> Any:
+    try:
+        import fsspec
+    except ModuleNotFoundError:
+        raise SessionError("remote stores need fsspec: pip install 'tactile-rig[remote]'") from None
+    return fsspec

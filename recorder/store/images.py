@@ -1,0 +1,174 @@
+"""One image <-> the bytes of its chunk."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numcodecs.zstd
+import numpy as np
+import simplejpeg
+import zarr
+from numpy.typing import NDArray
+from zarr.abc.codec import ArrayBytesCodec
+from zarr.core.array_spec import ArraySpec
+from zarr.core.buffer import Buffer, NDBuffer
+from zarr.registry import register_codec
+
+from recorder.errors import SessionError
+from recorder.spec import Column
+
+Image = NDArray[np.uint8]
+
+ZSTD_LEVEL = 1
+JPEG_QUALITY = 95
+"""Used only where somebody writes pixels through Zarr: the recorder never encodes a JPEG."""
+
+_COLORSPACE = {1: "GRAY", 3: "RGB"}
+
+
+def compress(data: bytes | memoryview) -> bytes:
+    """Return `data` as one zstd frame."""
+    packed: bytes = numcodecs.zstd.compress(data, ZSTD_LEVEL)
+    return packed
+
+
+def decompress(data: bytes) -> bytes:
+    """Return the content of one zstd frame.
+
+    Raises:
+        SessionError: The frame is damaged.
+    """
+    try:
+        plain: bytes = numcodecs.zstd.decompress(data)
+    except RuntimeError as error:
+        raise SessionError(f"zstd: {error}") from error
+    return plain
+
+
+def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
+    """Return the pixels of a JPEG as uint8 `shape` = (h, w, 1 or 3), RGB.
+
+    Raises:
+        SessionError: Not a JPEG, damaged, or of another size.
+    """
+    try:
+        image: Image = simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[shape[2]])
+    except ValueError as error:
+        raise SessionError(f"jpeg: {error}") from error
+    if image.shape != shape:
+        raise SessionError(f"jpeg: found {image.shape}, expected {shape}")
+    return image
+
+
+def encode_jpeg(image: Image, quality: int) -> bytes:
+    """Return pixels (h, w, 1 or 3), RGB, as JPEG without chroma subsampling."""
+    data: bytes = simplejpeg.encode_jpeg(
+        np.ascontiguousarray(image),
+        quality=quality,
+        colorspace=_COLORSPACE[image.shape[2]],
+        colorsubsampling="Gray" if image.shape[2] == 1 else "444",
+    )
+    return data
+
+
+def decoder(column: Column) -> Callable[[bytes], Image]:
+    """Return the function from an image column's chunk to its pixels."""
+    shape = column.shape
+    if column.codec == "jpeg":
+        return lambda data: decode_jpeg(data, shape)
+
+    def decode(data: bytes) -> Image:
+        pixels = np.frombuffer(decompress(data), np.uint8)
+        if pixels.size != column.row_bytes:
+            raise SessionError(f"zstd: found {pixels.size} bytes, expected {column.row_bytes}")
+        return pixels.reshape(shape)
+
+    return decode
+
+
+def encoder(column: Column, where: str) -> Callable[[object], bytes]:
+    """Return the function from what a caller appends to the bytes of its chunk.
+
+    A `jpeg` column takes JPEG bytes and keeps them as they are; a `zstd` column takes pixels.
+    """
+    expected = f"uint8 {column.shape}"
+
+    def keep(value: object) -> bytes:
+        if not isinstance(value, bytes | bytearray | memoryview):
+            raise SessionError(
+                f"{where}: found {type(value).__name__}, expected JPEG bytes of {expected} "
+                "(declare codec 'zstd' to store pixels)"
+            )
+        data = bytes(value)
+        try:
+            height, width, *_ = simplejpeg.decode_jpeg_header(data)
+        except ValueError as error:
+            raise SessionError(f"{where}: found no JPEG ({error}), expected {expected}") from error
+        if (height, width) != column.shape[:2]:
+            raise SessionError(f"{where}: found JPEG {height}x{width}, expected {expected}")
+        return data
+
+    def pack(value: object) -> bytes:
+        if not isinstance(value, np.ndarray):
+            raise SessionError(f"{where}: found {type(value).__name__}, expected pixels {expected}")
+        if value.dtype != np.uint8 or value.shape != column.shape:
+            raise SessionError(f"{where}: found {value.dtype} {value.shape}, expected {expected}")
+        return compress(np.ascontiguousarray(value).data.cast("B"))
+
+    return keep if column.codec == "jpeg" else pack
+
+
+# `imagecodecs_jpeg` for zarr-python: reads images that were stored as the camera's own JPEG.
+#
+# The name and the configuration are those of `imagecodecs.zarr`, which offers the same codec on
+# Python 3.12 and later; the bytes are plain JPEG, so either reads what the other wrote.
+
+NAME = "imagecodecs_jpeg"
+
+
+@dataclass(frozen=True)
+class JpegCodec(ArrayBytesCodec):
+    """One image per chunk, as JPEG."""
+
+    is_fixed_size = False
+
+    level: int = JPEG_QUALITY
+    """Quality of what is written through Zarr; reading does not use it."""
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Self:
+        """Return the codec that an array's metadata names; keys it does not use are ignored."""
+        configuration = data.get("configuration", {})
+        return cls(level=int(configuration.get("level", JPEG_QUALITY)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the metadata of this codec."""
+        return {"name": NAME, "configuration": {"level": self.level}}
+
+    def compute_encoded_size(self, input_byte_length: int, chunk_spec: ArraySpec) -> int:
+        """Not known before encoding."""
+        raise NotImplementedError
+
+    def _decode_sync(self, chunk: Buffer, spec: ArraySpec) -> NDBuffer:
+        pixels = decode_jpeg(chunk.to_bytes(), tuple(spec.shape[-3:]))
+        return spec.prototype.nd_buffer.from_numpy_array(pixels.reshape(spec.shape))
+
+    def _encode_sync(self, chunk: NDBuffer, spec: ArraySpec) -> Buffer:
+        pixels = chunk.as_numpy_array().reshape(spec.shape[-3:])
+        return spec.prototype.buffer.from_bytes(encode_jpeg(pixels, self.level))
+
+    async def _decode_single(self, chunk_data: Buffer, chunk_spec: ArraySpec) -> NDBuffer:
+        return await asyncio.to_thread(self._decode_sync, chunk_data, chunk_spec)
+
+    async def _encode_single(self, chunk_data: NDBuffer, chunk_spec: ArraySpec) -> Buffer:
+        return await asyncio.to_thread(self._encode_sync, chunk_data, chunk_spec)
+
+
+def register() -> None:
+    """Make zarr-python use this codec for `imagecodecs_jpeg`, whoever else offers it."""
+    register_codec(NAME, JpegCodec)
+    # Without a choice zarr-python warns when imagecodecs has registered the same name.
+    zarr.config.set({f"codecs.{NAME}": f"{JpegCodec.__module__}.{JpegCodec.__qualname__}"})

@@ -1,0 +1,298 @@
+"""The row journal: one record per row, until a block of rows is stored as chunks.
+
+A chunk per sample would make every plain reader crawl, a sample that waits in memory for its chunk
+would be lost in a crash. So each row is first appended here, all small columns of the stream in one
+record, and a whole block later becomes one chunk per column.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import google_crc32c
+import numpy as np
+
+from recorder.store import images
+from recorder.store.durable import replace_file, sync_directory
+from recorder.store.layout import Layout, StreamLayout
+
+# The record: how every byte that must survive a crash is framed.
+#
+# A log is a file of records, one after the other, nothing between them::
+#
+#     magic   4 bytes  b"TRL1"
+#     nbytes  uint32   length of the payload
+#     crc     uint32   CRC-32C of t_ns, index and payload
+#     t_ns    int64    time of the (last) sample in the payload [ns]
+#     index   uint32   number of the payload in its column or journal, modulo 2**32
+#     payload nbytes
+#
+# All little-endian. A record that is short, or whose checksum does not match, and everything behind
+# it, was being written when the writer died and does not count.
+
+MAGIC = b"TRL1"
+HEADER = struct.Struct("<4sIIqI")
+_STAMP = struct.Struct("<qI")
+_FRAME = struct.Struct("<4sII")
+_JOIN_BELOW = 1 << 14  # bytes; under this one copy is cheaper than a vectored write
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Where one whole record lies in a log."""
+
+    index: int
+    """Number of the payload, modulo 2**32."""
+    t_ns: int
+    """Time of the last sample in it [ns]."""
+    offset: int
+    """First byte of the payload in the file."""
+    nbytes: int
+    """Length of the payload."""
+
+    @property
+    def end(self) -> int:
+        """First byte behind the record."""
+        return self.offset + self.nbytes
+
+
+def checksum(payload: bytes, t_ns: int, index: int) -> int:
+    """Return the CRC-32C that guards a payload together with its place and time."""
+    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    crc: int = google_crc32c.extend(google_crc32c.value(stamp), payload)
+    return crc
+
+
+def header(payload: bytes, t_ns: int, index: int) -> bytes:
+    """Return the 24 bytes that go in front of a payload."""
+    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    crc = google_crc32c.extend(google_crc32c.value(stamp), payload)
+    return _FRAME.pack(MAGIC, len(payload), crc) + stamp
+
+
+def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[Record]:
+    """Yield the whole records at the start of a log, at most `limit`, numbered from `first_index`.
+
+    Stops at the first that is torn, corrupt or out of order.
+    """
+    position = 0
+    for index in range(first_index, first_index + limit):
+        start = position + HEADER.size
+        if start > len(data):
+            return
+        magic, nbytes, crc, t_ns, found = HEADER.unpack_from(data, position)
+        if magic != MAGIC or found != index & 0xFFFFFFFF or start + nbytes > len(data):
+            return
+        if checksum(data[start : start + nbytes], t_ns, index) != crc:
+            return
+        yield Record(found, t_ns, start, nbytes)
+        position = start + nbytes
+
+
+class RecordLog:
+    """A file that only grows by whole records.
+
+    `append` is called by one thread; `sync` may be called by another.
+    """
+
+    def __init__(self, path: Path, *, end: int = 0, below: Path | None = None) -> None:
+        """Open a log, creating it when missing, and drop whatever lies behind byte `end`.
+
+        Directories below `below` may be as new as the file, and are made durable with it.
+        """
+        self.path = path
+        self.end = end
+        depth = len(path.relative_to(below).parts) if below is not None else 1
+        self._directories = [*path.parents][:depth]
+        self._fd = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
+        os.ftruncate(self._fd, end)
+        self._synced = -1  # bytes; a fresh file's name is not durable either
+
+    def append(self, payload: bytes, t_ns: int, index: int) -> int:
+        """Add one record and return the byte offset of its payload.
+
+        Raises:
+            OSError: The record could not be written whole (ENOSPC when the disk is full). The file
+                is back to its last whole record and the log may be used further.
+        """
+        head = header(payload, t_ns, index)
+        start = self.end + HEADER.size
+        try:
+            if len(payload) < _JOIN_BELOW:
+                written = os.pwrite(self._fd, head + payload, self.end)
+            else:
+                written = os.pwritev(self._fd, [head, payload], self.end)
+            # A full disk shortens a write without an error; the next one would then fail.
+            if written != HEADER.size + len(payload):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        except OSError:
+            os.ftruncate(self._fd, self.end)
+            raise
+        self.end = start + len(payload)
+        return start
+
+    def finish(self, trailer: bytes) -> None:
+        """Add bytes that are no record, as the last of the file, and make all of it durable.
+
+        Raises:
+            OSError: As for `append`.
+        """
+        try:
+            if os.pwrite(self._fd, trailer, self.end) != len(trailer):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+            os.fdatasync(self._fd)
+        except OSError:
+            os.ftruncate(self._fd, self.end)
+            raise
+
+    def truncate(self, end: int) -> None:
+        """Drop everything behind byte `end`, which must be the end of a record."""
+        os.ftruncate(self._fd, end)
+        self.end = end
+        self._synced = min(self._synced, end - 1)
+
+    def sync(self) -> None:
+        """Make everything appended so far survive a power cut."""
+        end = self.end
+        if end == self._synced:
+            return
+        os.fdatasync(self._fd)
+        if self._synced < 0:
+            for directory in self._directories:
+                sync_directory(directory)
+        self._synced = end
+
+    def close(self) -> None:
+        """Let go of the file. Safe twice."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Journal:
+    """The open journal of a stream: the rows from `first_row` on, at most one block."""
+
+    def __init__(self, layout: StreamLayout, first_row: int, rows: list[bytes]) -> None:
+        """Open the journal that starts at a row and holds `rows`; drop what lies behind them."""
+        self.first_row = first_row
+        self.rows = rows
+        self.path = layout.journal(first_row)
+        self._block = layout.block
+        width = HEADER.size + layout.row_dtype.itemsize
+        self._log = RecordLog(self.path, end=width * len(rows))
+
+    @property
+    def full(self) -> bool:
+        """Whether it holds a whole block."""
+        return len(self.rows) == self._block
+
+    def append(self, row: bytes, t_ns: int) -> None:
+        """Add one packed row. With this the row exists.
+
+        Raises:
+            OSError: It could not be written whole; the journal is as before.
+        """
+        self._log.append(row, t_ns, self.first_row + len(self.rows))
+        self.rows.append(row)
+
+    def sync(self) -> None:
+        """Make its rows survive a power cut. May be called from another thread."""
+        self._log.sync()
+
+    def close(self) -> None:
+        """Let go of the file. Safe twice."""
+        self._log.close()
+
+    def remove(self) -> None:
+        """Delete the file: its rows are stored as chunks, durably."""
+        self._log.close()
+        self.path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, slots=True)
+class JournalledRows:
+    """What the journals of a stream hold."""
+
+    first_row: int
+    """Row of the stream that `rows` starts with."""
+    rows: list[bytes]
+    """Packed rows, all whole."""
+    paths: tuple[Path, ...]
+    """All journal files, also those whose rows do not follow on."""
+    torn_bytes: int
+    """Bytes that belong to no row."""
+
+
+def read_journals(layout: StreamLayout) -> JournalledRows | None:
+    """Return the rows that are journalled, or None without a journal."""
+    found = sorted(
+        (int(path.name.removeprefix("journal-")), path)
+        for path in layout.time.path.glob("journal-*")
+        if path.name.removeprefix("journal-").isdecimal()
+    )
+    if not found:
+        return None
+    rows: list[bytes] = []
+    torn = 0
+    first_row = found[0][0]
+    for first, path in found:
+        data = path.read_bytes()
+        end = 0
+        if first == first_row + len(rows):  # otherwise the journal before it is torn
+            for record in scan(data, first_index=first, limit=layout.block):
+                rows.append(data[record.offset : record.end])
+                end = record.end
+        torn += len(data) - end
+    return JournalledRows(first_row, rows, tuple(path for _, path in found), torn)
+
+
+def write_journal(layout: StreamLayout, first_row: int, rows: list[bytes]) -> None:
+    """Write a journal at once, durably."""
+    records = []
+    for index, row in enumerate(rows, first_row):
+        records += [header(row, row_time(row), index), row]
+    replace_file(layout.journal(first_row), b"".join(records))
+
+
+def row_time(row: bytes) -> int:
+    """Return the time of a packed row [ns]: its last eight bytes."""
+    return int.from_bytes(row[-8:], "little", signed=True)
+
+
+def pack_block(layout: StreamLayout, rows: list[bytes]) -> list[bytes]:
+    """Return one encoded chunk per small column; a short block is padded with fill values."""
+    table = np.frombuffer(b"".join(rows), layout.row_dtype)
+    chunks = []
+    for column in layout.small:
+        chunk = np.full(column.chunk_shape, fill_value(column), column.dtype)
+        chunk[: len(rows)] = table[column.column.name]
+        chunks.append(images.compress(chunk.data.cast("B")))
+    return chunks
+
+
+def fill_value(column: Layout) -> float | int:
+    """Return what a Zarr reader finds where nothing is stored."""
+    return np.nan if column.dtype.kind == "f" else 0
+
+
+def remove_journals(paths: tuple[Path, ...], *, keep: Path | None = None) -> None:
+    """Delete journals, in order of their rows, whose rows are stored elsewhere.
+
+    In this order what a crash leaves behind is still a row of journals without a hole, which
+    starts no later than the chunks end.
+    """
+    for path in paths:
+        if path != keep:
+            path.unlink(missing_ok=True)

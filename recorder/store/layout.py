@@ -1,0 +1,284 @@
+"""Where the arrays of a stream lie, and the Zarr v3 metadata that describes them.
+
+Every column is one array with one kind of chunking: `rows_per_chunk` rows in an inner chunk,
+`CHUNKS_PER_SHARD` inner chunks in a shard, one shard a file `c/<shard>/0/...`.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from recorder.errors import SessionError
+from recorder.spec import Column, StreamSpec
+from recorder.store import images
+from recorder.store.durable import read_json, write_json
+from recorder.store.files import LOCAL, Files, read_document
+
+CHUNKS_PER_SHARD = 64
+PARTIAL = ".partial"
+"""Suffix of a shard that is still growing; no Zarr reader looks at it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """One column on disk."""
+
+    path: Path
+    """Directory of the array."""
+    column: Column
+    """What a row is."""
+    rows_per_chunk: int
+    """Rows of an inner chunk: 1 for images."""
+    files: Files = field(default=LOCAL, repr=False, compare=False)
+    """What the directory is in."""
+    dtype: np.dtype[Any] = field(init=False)
+    """Little-endian numpy type of the column."""
+
+    def __post_init__(self) -> None:
+        """Derive the numpy type."""
+        object.__setattr__(self, "dtype", np.dtype(self.column.dtype).newbyteorder("<"))
+
+    @property
+    def rows_per_shard(self) -> int:
+        """Rows of a full shard."""
+        return self.rows_per_chunk * CHUNKS_PER_SHARD
+
+    @property
+    def chunk_shape(self) -> tuple[int, ...]:
+        """Shape of an inner chunk."""
+        return (self.rows_per_chunk, *self.column.shape)
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Size of a decoded inner chunk [bytes]."""
+        return self.rows_per_chunk * self.column.row_bytes
+
+    def shard(self, number: int) -> Path:
+        """Return the path of a sealed shard."""
+        return self.path.joinpath("c", str(number), *("0" for _ in self.column.shape))
+
+    def partial(self, number: int) -> Path:
+        """Return the path of the same shard while it grows."""
+        final = self.shard(number)
+        return final.with_name(final.name + PARTIAL)
+
+    def shard_numbers(self) -> list[int]:
+        """Return the numbers of all shards, sealed or growing, in order."""
+        root = self.path / "c"
+        if not root.is_dir():
+            return []
+        names = {entry.name.removesuffix(PARTIAL) for entry in root.iterdir()}
+        numbers = sorted(int(name) for name in names if name.isdecimal())
+        # A directory alone is what a crash before the first record leaves.
+        return [n for n in numbers if self.shard(n).exists() or self.partial(n).exists()]
+
+    def rows(self) -> int:
+        """Return the length of the array as every Zarr reader sees it."""
+        return int(read_document(self.files, self.path / "zarr.json")["shape"][0])
+
+    def set_rows(self, rows: int) -> None:
+        """Declare the length of the array, atomically."""
+        document = read_json(self.path / "zarr.json")
+        if document["shape"][0] != rows:
+            document["shape"][0] = rows
+            write_json(self.path / "zarr.json", document)
+
+    def create(self) -> None:
+        """Write the metadata of an empty array."""
+        self.path.mkdir()
+        write_json(self.path / "zarr.json", self._document())
+
+    def _document(self) -> dict[str, Any]:
+        column = self.column
+        return {
+            "zarr_format": 3,
+            "node_type": "array",
+            "shape": [0, *column.shape],
+            "data_type": column.dtype,
+            "chunk_grid": {
+                "name": "regular",
+                "configuration": {"chunk_shape": [self.rows_per_shard, *column.shape]},
+            },
+            "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+            # What is missing should look missing, as far as the type allows.
+            "fill_value": "NaN" if column.dtype.startswith("float") else 0,
+            "codecs": [
+                {
+                    "name": "sharding_indexed",
+                    "configuration": {
+                        "chunk_shape": list(self.chunk_shape),
+                        "codecs": _inner_codecs(column),
+                        "index_codecs": [
+                            {"name": "bytes", "configuration": {"endian": "little"}},
+                            {"name": "crc32c"},
+                        ],
+                        "index_location": "end",
+                    },
+                }
+            ],
+            "attributes": {"units": column.units, "description": column.description},
+            "dimension_names": ["row", *(column.dims or _numbered(column.shape))],
+            "storage_transformers": [],
+        }
+
+    @classmethod
+    def load(cls, path: Path, files: Files = LOCAL) -> Self:
+        """Return the layout that an array's metadata describes.
+
+        Raises:
+            SessionError: Not an array of this kind.
+        """
+        document = read_document(files, path / "zarr.json")
+        try:
+            (sharding,) = (codec["configuration"] for codec in document["codecs"])
+            inner = sharding["codecs"][0]["name"]
+            attributes = document["attributes"]
+            column = Column(
+                path.name,
+                document["data_type"],
+                tuple(document["shape"][1:]),
+                units=attributes.get("units", ""),
+                dims=tuple(document["dimension_names"][1:]),
+                description=attributes.get("description", ""),
+                codec="jpeg" if inner == "imagecodecs_jpeg" else "zstd",
+            )
+            layout = cls(path, column, sharding["chunk_shape"][0], files)
+            expected = layout._document()
+            found = {key: document[key] for key in ("node_type", "chunk_grid", "codecs")}
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise SessionError(f"{path}: not an array of a stream: {error!r}") from error
+        for key, value in found.items():
+            if value != expected[key]:
+                raise SessionError(f"{path}: found {key} {value}, expected {expected[key]}")
+        return layout
+
+
+@dataclass(frozen=True, slots=True)
+class StreamLayout:
+    """One stream on disk: its columns, apart by how they are written."""
+
+    path: Path
+    """Directory of the group."""
+    small: tuple[Layout, ...]
+    """Columns whose rows are journalled together, the time column last."""
+    image: Layout | None
+    """The column of images, if there is one."""
+
+    @property
+    def name(self) -> str:
+        """Name of the stream."""
+        return self.path.name
+
+    @property
+    def columns(self) -> tuple[Layout, ...]:
+        """All columns, the image first."""
+        return ((self.image,) if self.image else ()) + self.small
+
+    @property
+    def time(self) -> Layout:
+        """The time column."""
+        return self.small[-1]
+
+    @property
+    def block(self) -> int:
+        """Rows of one chunk of the small columns, and of one journal."""
+        return self.time.rows_per_chunk
+
+    @property
+    def row_dtype(self) -> np.dtype[np.void]:
+        """Packed numpy type of one journal row."""
+        return np.dtype([(c.column.name, c.dtype, c.column.shape) for c in self.small])
+
+    def journal(self, first_row: int) -> Path:
+        """Return the path of the journal that starts at a row.
+
+        It lies inside the time column's directory, where no Zarr reader lists it.
+        """
+        return self.time.path / f"journal-{first_row}"
+
+    def attrs(self) -> dict[str, Any]:
+        """Return the attributes of the group."""
+        document = read_document(self.time.files, self.path / "zarr.json")
+        attributes: dict[str, Any] = document.get("attributes", {})
+        return attributes
+
+    def set_attrs(self, **attrs: Any) -> None:
+        """Merge into the attributes of the group, atomically."""
+        merge_attrs(self.path, attrs)
+
+    @classmethod
+    def load(cls, path: Path, files: Files = LOCAL) -> Self:
+        """Return the layout of a stream on disk.
+
+        Raises:
+            SessionError: Not a stream, or its columns do not fit together.
+        """
+        names = read_document(files, path / "zarr.json").get("attributes", {}).get("columns")
+        if not isinstance(names, list) or not names:
+            raise SessionError(f"{path}: found no attrs columns, expected a stream")
+        for name in map(str, names):
+            if Path(name).name != name or name == "..":  # it must not lead out of the stream
+                raise SessionError(f"{path}: found column {name!r}, expected a plain name")
+        columns = [Layout.load(path / str(name), files) for name in names]
+        small = tuple(column for column in columns if not column.column.is_image)
+        images_ = [column for column in columns if column.column.is_image]
+        if not small or len({column.rows_per_chunk for column in small}) != 1:
+            raise SessionError(f"{path}: the columns {names} are not chunked alike")
+        return cls(path, small, images_[0] if images_ else None)
+
+
+def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
+    """Create the group and the empty arrays of a stream.
+
+    Raises:
+        SessionError: Attributes that JSON cannot hold.
+        FileExistsError: Something is there already.
+    """
+    path.mkdir()
+    attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
+    write_group(path, {**spec.attrs, **attrs})
+    for column in spec.columns:
+        Layout(path / column.name, column, 1 if column.is_image else spec.block).create()
+    return StreamLayout.load(path)
+
+
+def write_group(path: Path, attrs: dict[str, Any]) -> None:
+    """Write the metadata of a Zarr group."""
+    write_json(path / "zarr.json", {"zarr_format": 3, "node_type": "group", "attributes": attrs})
+
+
+def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
+    """Merge into the attributes of a group, atomically."""
+    document = read_json(path / "zarr.json")
+    before = document.get("attributes", {})
+    document["attributes"] = {**before, **attrs}
+    if document["attributes"] != before:
+        write_json(path / "zarr.json", document)
+
+
+def _inner_codecs(column: Column) -> list[dict[str, Any]]:
+    if column.codec == "jpeg":
+        return [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
+    return [
+        {"name": "bytes", "configuration": {"endian": "little"}},
+        {"name": "zstd", "configuration": {"level": images.ZSTD_LEVEL, "checksum": False}},
+    ]
+
+
+def _numbered(shape: tuple[int, ...]) -> list[str]:
+    return [f"dim_{axis}" for axis in range(1, len(shape) + 1)]
+
+
+def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
+    """Return the rows of one chunk of a small column, fill values included.
+
+    Raises:
+        SessionError: The chunk is damaged.
+    """
+    plain = images.decompress(data)
+    if len(plain) != layout.chunk_bytes:
+        due = layout.chunk_bytes
+        raise SessionError(f"{layout.path}: found a chunk of {len(plain)} bytes, expected {due}")
+    return np.frombuffer(plain, layout.dtype).reshape(layout.chunk_shape)

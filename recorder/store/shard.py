@@ -1,0 +1,263 @@
+"""The shard that is its own write-ahead log.
+
+While it grows, a shard is a log of records (`records.py`) in `<key>.partial`. Sealing appends the
+standard `sharding_indexed` index, whose offsets simply point past the record headers, makes the
+file durable and renames it to its key: from then on it is a plain Zarr v3 shard.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.errors import SessionError
+from recorder.store.durable import TEMPORARY, sync_directory
+from recorder.store.files import LOCAL, Files
+from recorder.store.journal import HEADER, Record, RecordLog, scan
+from recorder.store.layout import CHUNKS_PER_SHARD, Layout
+
+MISSING = 0xFFFF_FFFF_FFFF_FFFF
+CRC_BYTES = 4
+
+Index = NDArray[np.uint64]
+"""(slots, 2): offset and length of each inner chunk, MISSING twice for none."""
+
+
+class OpenShard:
+    """One growing shard of one column."""
+
+    def __init__(self, layout: Layout, number: int, records: list[Record]) -> None:
+        """Open `<key>.partial`, which holds `records`, and drop whatever lies behind them."""
+        self.number = number
+        self._sealed = False
+        self._layout = layout
+        self._entries = [(record.offset, record.nbytes) for record in records]
+        path = layout.partial(number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        end = records[-1].end if records else 0
+        self._log = RecordLog(path, end=end, below=layout.path)
+
+    def __len__(self) -> int:
+        """Return how many chunks it holds."""
+        return len(self._entries)
+
+    @property
+    def full(self) -> bool:
+        """Whether it can take no more."""
+        return len(self._entries) == CHUNKS_PER_SHARD
+
+    def append(self, chunk: bytes, t_ns: int) -> None:
+        """Add one encoded chunk.
+
+        Raises:
+            OSError: It could not be written whole; the shard is as before.
+        """
+        index = self.number * CHUNKS_PER_SHARD + len(self._entries)
+        offset = self._log.append(chunk, t_ns, index)
+        self._entries.append((offset, len(chunk)))
+
+    def drop_last(self) -> None:
+        """Take the last chunk back."""
+        offset, _ = self._entries.pop()
+        self._log.truncate(offset - HEADER.size)
+
+    def sync(self) -> None:
+        """Make its chunks survive a power cut. May be called from another thread."""
+        self._log.sync()
+
+    def seal(self) -> None:
+        """Turn the log into a shard and give it its name, replacing a shorter one. Safe twice.
+
+        Raises:
+            OSError: No room for the index; the shard is as before.
+        """
+        if self._sealed:
+            return
+        self._log.finish(packed_index(self._entries))
+        final = self._layout.shard(self.number)
+        self._log.path.replace(final)
+        sync_directory(final.parent)
+        self._log.close()
+        self._sealed = True
+
+    def close(self) -> None:
+        """Let go of the file as it is."""
+        self._log.close()
+
+
+def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) -> bytes:
+    """Return the bytes that close a shard: an offset and a length a slot, and their checksum."""
+    index = np.full((slots, 2), MISSING, "<u8")
+    index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
+    data = index.tobytes()
+    return data + int(google_crc32c.value(data)).to_bytes(CRC_BYTES, "little")
+
+
+def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) -> Index:
+    """Return the index of a sealed shard that has room for so many chunks.
+
+    Raises:
+        SessionError: No such shard, or its index is damaged.
+    """
+    try:
+        tail = files.tail(path, 16 * slots + CRC_BYTES)
+    except FileNotFoundError:
+        raise SessionError(f"{files.name(path)}: shard missing") from None
+    if len(tail) != 16 * slots + CRC_BYTES:
+        found = len(tail)
+        raise SessionError(f"{files.name(path)}: {found} bytes, too short for a shard index")
+    if int(google_crc32c.value(tail[:-CRC_BYTES])) != int.from_bytes(tail[-CRC_BYTES:], "little"):
+        raise SessionError(f"{files.name(path)}: checksum of the shard index does not match")
+    return np.frombuffer(tail[:-CRC_BYTES], "<u8").reshape(slots, 2)
+
+
+def chunk_count(index: Index) -> int:
+    """Return how many chunks a shard holds before the first missing one."""
+    missing = np.flatnonzero(index[:, 0] == MISSING)
+    return int(missing[0]) if missing.size else CHUNKS_PER_SHARD
+
+
+def scan_partial(layout: Layout, number: int) -> tuple[list[Record], int]:
+    """Return the whole records of a growing shard, and how many torn bytes lie behind them."""
+    data = layout.partial(number).read_bytes()
+    first = number * CHUNKS_PER_SHARD
+    records = list(scan(data, first_index=first, limit=CHUNKS_PER_SHARD))
+    tail = data[records[-1].end if records else 0 :]
+    # A writer that died between index and rename leaves the index behind: nothing is torn then.
+    index = packed_index([(record.offset, record.nbytes) for record in records])
+    return records, 0 if index.startswith(tail) else len(tail)
+
+
+def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
+    """Open a shard to grow on behind its first `chunks` chunks, which must be there.
+
+    A sealed shard stays where it is; its chunks are copied, and it is replaced when the copy is
+    sealed in turn.
+
+    Raises:
+        SessionError: The shard holds fewer whole records.
+    """
+    partial, sealed = layout.partial(number), layout.shard(number)
+    records = scan_partial(layout, number)[0] if partial.exists() else []
+    if len(records) < chunks and sealed.exists():
+        _copy_records(sealed, partial, chunks)
+        records = scan_partial(layout, number)[0]
+    if len(records) < chunks:
+        raise SessionError(f"{partial}: {len(records)} whole records, expected {chunks}")
+    return OpenShard(layout, number, records[:chunks])
+
+
+def _copy_records(sealed: Path, partial: Path, chunks: int) -> None:
+    end = int(read_index(sealed)[chunks - 1].sum())
+    temporary = partial.with_name(partial.name + TEMPORARY)
+    with sealed.open("rb") as source, temporary.open("wb") as copy:
+        rest = end
+        while rest and (data := source.read(min(rest, 1 << 22))):
+            copy.write(data)
+            rest -= len(data)
+        copy.flush()
+        os.fsync(copy.fileno())
+    # Only a complete copy may be called partial: from here on it stands for the sealed one.
+    temporary.replace(partial)
+    sync_directory(partial.parent)
+
+
+# One column while it is written: sealed shards behind it, one open shard at its end.
+
+
+class ColumnLog:
+    """Appends encoded chunks to a column and seals its shards.
+
+    The array's declared length grows only after a shard is sealed, so whatever a Zarr reader may
+    see is there.
+    """
+
+    def __init__(self, layout: Layout, chunks: int) -> None:
+        """Open the column behind its first `chunks` chunks; what lies behind them is dropped.
+
+        Raises:
+            SessionError: The column holds fewer chunks.
+        """
+        self.layout = layout
+        self.chunks = chunks
+        self._shard: OpenShard | None = None
+        number, held = divmod(chunks, CHUNKS_PER_SHARD)
+        for other in layout.shard_numbers():
+            if other < number and layout.partial(other).exists():
+                self.seal(reopen(layout, other, CHUNKS_PER_SHARD))
+            elif other > number:
+                layout.partial(other).unlink(missing_ok=True)
+        if held:
+            self._shard = reopen(layout, number, held)
+        else:
+            layout.partial(number).unlink(missing_ok=True)
+
+    def append(self, chunk: bytes, t_ns: int) -> None:
+        """Add one encoded chunk, whose last sample is from `t_ns`.
+
+        Raises:
+            OSError: It could not be written whole; the column is as before.
+        """
+        if self._shard is None:
+            self._shard = OpenShard(self.layout, self.chunks // CHUNKS_PER_SHARD, [])
+        self._shard.append(chunk, t_ns)
+        self.chunks += 1
+
+    def drop_last(self) -> None:
+        """Take back the chunk that was added last."""
+        if self._shard is not None and len(self._shard):
+            self._shard.drop_last()
+            self.chunks -= 1
+
+    def take_full(self) -> OpenShard | None:
+        """Hand over the open shard if it is full; the next chunk starts another."""
+        if self._shard is None or not self._shard.full:
+            return None
+        shard, self._shard = self._shard, None
+        return shard
+
+    def seal(self, shard: OpenShard) -> None:
+        """Seal a full shard of this column, then let the array's length include it."""
+        shard.seal()
+        rows = (shard.number + 1) * self.layout.rows_per_shard
+        self.layout.set_rows(max(rows, self.layout.rows()))
+
+    def seal_full(self) -> None:
+        """Seal the open shard if it is full. May be called again after an error."""
+        if self._shard is not None and self._shard.full:
+            self.seal(self._shard)
+            self._shard = None
+
+    def sync(self) -> None:
+        """Make what was appended survive a power cut. May be called from another thread."""
+        shard = self._shard
+        if shard is not None:
+            shard.sync()
+
+    def finish(self, rows: int) -> None:
+        """Seal the open shard and declare the array to be `rows` long."""
+        if self._shard is not None:
+            self._shard.seal()
+            self._shard = None
+        self.layout.set_rows(rows)
+        self._remove_behind(-(-rows // self.layout.rows_per_shard))
+
+    def close(self) -> None:
+        """Let go of the open shard as it is. Safe twice."""
+        if self._shard is not None:
+            self._shard.close()
+            self._shard = None
+
+    def _remove_behind(self, shards: int) -> None:
+        for number in self.layout.shard_numbers():
+            if number < shards:
+                continue
+            self.layout.partial(number).unlink(missing_ok=True)
+            self.layout.shard(number).unlink(missing_ok=True)
+            if self.layout.column.shape:
+                shutil.rmtree(self.layout.path / "c" / str(number))
