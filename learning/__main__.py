@@ -1,35 +1,29 @@
-"""Command line of learning: `python -m learning VERB`; every verb is a file of `learning.verbs`."""
+"""Command line of learning: `python -m learning VERB`; every verb is a file of `learning.cli`."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from learning.errors import LearningError
-from learning.verbs import (
-    compensate,
+from learning.cli import (
     evaluate,
     experiment,
     export_genforce,
     export_onnx,
     import_genforce,
-    import_weights,
     markers,
     predict,
     split,
-    train_autoencoder,
-    train_diffusion,
-    train_direct,
-    train_field,
-    train_force,
-    train_marker_vae,
     translate,
 )
-from recorder import SessionError
-
-EXIT_WRONG_INPUT = 2
-EXIT_INTERRUPTED = 130
+from learning.command import EXIT_WRONG_INPUT, run
+from learning.compensation import command as compensate
+from learning.force import command as train_force
+from learning.translation.diffusion import command as train_diffusion
+from learning.translation.diffusion import vae_command, weights_command
+from learning.translation.direct import autoencoder_command
+from learning.translation.direct import command as train_direct
+from learning.translation.field import command as train_field
 
 _VERBS = (
     # Data
@@ -39,11 +33,11 @@ _VERBS = (
     split,
     # From sensor to sensor
     train_field,
-    train_autoencoder,
+    autoencoder_command,
     train_direct,
-    train_marker_vae,
+    vae_command,
     train_diffusion,
-    import_weights,
+    weights_command,
     translate,
     # Forces
     compensate,
@@ -83,22 +77,6 @@ def main(argv: list[str] | None = None) -> int:
         )
         return EXIT_WRONG_INPUT
     return run(arguments(), words)
-
-
-def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
-    options = parser.parse_args(argv)
-    try:
-        return int(options.run(options))
-    except (LearningError, SessionError) as error:
-        print(f"wrong input: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except OSError as error:
-        print(f"cannot read or write: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on with an archive", file=sys.stderr)
-        return EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":

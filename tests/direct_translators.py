@@ -8,11 +8,10 @@ from pathlib import Path
 import torch
 from torch.nn import functional
 
-from learning.training.launch import LaunchSettings
-from learning.training.run_folder import RunFolder
-from learning.translation.autoencoder.network import Autoencoder, Encoder
+from learning.training.run import LaunchSettings, RunFolder
 from learning.translation.direct import KIND, DirectNetwork
-from learning.translation.direct.aligned import AlignedImages
+from learning.translation.direct.autoencoder import Autoencoder, Encoder
+from learning.translation.direct.data import AlignedImages
 from learning.translation.direct.settings import DirectSettings
 from learning.translation.direct.train import new_network
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from learning.data.presses import Presses
-from learning.force.settings import (
+from learning.force.model import (
     ForceSettings,
     InputSettings,
     NetworkSettings,

@@ -25,9 +25,9 @@ from learning.compensation import (
     prior_of_coefficients,
     read_stored,
 )
-from learning.compensation.labels import paired_labels
+from learning.compensation.search import paired_labels
+from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
-from learning.genforce.coefficients import Compensation
 from recorder import PHASES, MarkerArchive
 
 DOWN, SHEARED, BACK, UP = range(len(PHASES))

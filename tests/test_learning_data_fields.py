@@ -7,7 +7,7 @@ import pytest
 import torch
 from made_up_archives import LATTICE, State, field_at, lattice_field, mask_of
 
-from learning.data.fields import (
+from learning.data.images import (
     Fields,
     filled,
     inverse,
@@ -15,9 +15,9 @@ from learning.data.fields import (
     marker_maps,
     on_cells,
     sampled,
+    shrink_masks,
     warp,
 )
-from learning.data.images import shrink_masks
 from learning.errors import LearningError
 
 PRESSED = State((320.0, 260.0), 90.0, 1.0, (0.3, -0.2))

@@ -10,15 +10,20 @@ import pytest
 import torch
 from made_up_archives import made_up_archive
 
+from learning.archive_writer import archive_fingerprint
 from learning.data import presses as presses_module
-from learning.data import residence
-from learning.data.fingerprint import archive_fingerprint
-from learning.data.force_range import AUTHORS, ForceRange
+from learning.data import presses as residence
 from learning.data.images import shrink
-from learning.data.pairs import load_pairs
-from learning.data.presses import load_presses, press_table
-from learning.data.residence import Resident, Streaming, open_frames
-from learning.data.splits import make_split
+from learning.data.presses import (
+    AUTHORS,
+    ForceRange,
+    Resident,
+    Streaming,
+    load_presses,
+    open_frames,
+    press_table,
+)
+from learning.data.splits import load_pairs, make_split
 from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
 from recorder.archive import location_pairs

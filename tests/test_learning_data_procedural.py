@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from learning.data.fields import warp
-from learning.data.images import shrink_masks
-from learning.data.procedural import (
+from learning.data.images import shrink_masks, warp
+from learning.data.synthetic import (
     before,
     random_fields,
     random_patterns,

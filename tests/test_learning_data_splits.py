@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from made_up_archives import made_up_archive
 
+from learning.cli.split import add_to
 from learning.data.splits import NO_ROLE, ROLES, Split, make_split, presses_of, read_split
 from learning.errors import LearningError
-from learning.verbs.split import add_to
 from recorder import MarkerArchive, SessionError
 
 

@@ -10,8 +10,8 @@ from tiny_diffusion import CLIP, VGG, tiny_pretrained
 from torch import nn
 from torch.nn import functional
 
-from learning.translation.diffusion.augmentation import augment
-from learning.translation.diffusion.discriminator import (
+from learning.translation.diffusion.data import augment
+from learning.translation.diffusion.losses import (
     Blur,
     ClipFeatures,
     DiscriminatorHeads,

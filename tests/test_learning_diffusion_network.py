@@ -15,21 +15,23 @@ from tiny_diffusion import SIDE, UNET, WIDTH, striped_pairs, tiny_pretrained, ti
 from torch import nn
 
 from benchmarks.learning import diffusion_full_size
+from learning.config import read_settings
 from learning.errors import LearningError
-from learning.settings import read_settings
-from learning.translation.diffusion.adapters import (
+from learning.translation.diffusion.conditioning import ReferenceTokens, sine_places
+from learning.translation.diffusion.data import unit
+from learning.translation.diffusion.losses import ClipFeatures, DiscriminatorHeads
+from learning.translation.diffusion.network import (
     UNET_ADAPTER,
     UNET_TARGETS,
     VAE_ADAPTER,
     VAE_TARGETS,
+    MarkerToMarker,
     add_adapter,
+    build,
+    clean_latent,
     is_adapter,
+    remaining_signal,
 )
-from learning.translation.diffusion.conditioning import ReferenceTokens, sine_places
-from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
-from learning.translation.diffusion.network import MarkerToMarker, build
-from learning.translation.diffusion.one_step import clean_latent, remaining_signal
-from learning.translation.diffusion.pairs import unit
 from learning.translation.diffusion.perceptual import WIDTHS
 from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
 from learning.translation.diffusion.train import train

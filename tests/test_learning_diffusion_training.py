@@ -21,15 +21,14 @@ from tiny_diffusion import (
 
 from benchmarks.learning import diffusion_full_size
 from benchmarks.learning.diffusion_full_size import check, overfitted_pairs, table
+from learning.config import preset_names, read_settings
 from learning.errors import LearningError
-from learning.settings import preset_names, read_settings
-from learning.training.launch import LaunchSettings, accelerator
-from learning.training.run_folder import METRICS, RunFolder
-from learning.training.schedules import Constant
-from learning.translation.diffusion import train_vae, updates
-from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
+from learning.training.optim import Constant
+from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
+from learning.translation.diffusion import losses, train_vae
+from learning.translation.diffusion.data import ImagePairs
+from learning.translation.diffusion.losses import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import build
-from learning.translation.diffusion.pairs import ImagePairs
 from learning.translation.diffusion.settings import (
     MARKER_VAE_PRESETS,
     TRANSLATOR_PRESETS,
@@ -141,12 +140,12 @@ class _Listening:
 def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
     clip = tiny_pretrained().clip
     heads = DiscriminatorHeads(clip.config.hidden_size, clip.config.projection_dim)
-    side = updates.Side(heads, torch.optim.AdamW(heads.parameters()), 1.0)
-    judges = updates.Judges(LossWeights(), None, ClipFeatures(clip), side)
+    side = losses.Side(heads, torch.optim.AdamW(heads.parameters()), 1.0)
+    judges = losses.Judges(LossWeights(), None, ClipFeatures(clip), side)
     made = (torch.rand(1, 3, SIDE, SIDE) * 2 - 1).requires_grad_()
     nothing = torch.zeros(1)
-    batch = updates.Batch(nothing, nothing, nothing, None, None, torch.Generator())
-    updates._fooling(made, batch, judges, accelerator(LaunchSettings(device="cpu"))).backward()
+    batch = losses.Batch(nothing, nothing, nothing, None, None, torch.Generator())
+    losses._fooling(made, batch, judges, accelerator(LaunchSettings(device="cpu"))).backward()
     assert made.grad is not None
     assert float(made.grad.abs().sum()) > 0
     assert all(each.grad is None and each.requires_grad for each in heads.parameters())

@@ -14,15 +14,14 @@ from tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
 
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
-from learning.training.model_folder import read_model_folder
-from learning.training.run_folder import RunFolder
+from learning.training.checkpoint import read_model_folder
+from learning.training.run import RunFolder
 from learning.translation import Translator, load_translator
-from learning.translation.diffusion.loading import BASE, KIND, base_of
+from learning.translation.diffusion import command, vae_command
+from learning.translation.diffusion.data import read_image_pairs, read_role_images
 from learning.translation.diffusion.network import MarkerToMarker, build
-from learning.translation.diffusion.pairs import read_image_pairs, read_role_images
-from learning.translation.diffusion.translator import DiffusionTranslator
+from learning.translation.diffusion.translator import BASE, KIND, DiffusionTranslator, base_of
 from learning.translation.diffusion.weights import fingerprint
-from learning.verbs import train_diffusion, train_marker_vae
 from recorder import MarkerArchive
 
 
@@ -135,12 +134,12 @@ def test_verbs_train_both_stages_and_resume(
     shared = ["--split", str(tmp_path / "split.json"), "--base", str(base)]
     tiny = ["--set", "steps=2", "--set", "batch=1", "--set", "launch.device=cpu",
             "--set", "optimiser.rate={kind: constant, rate: 0.001}"]  # fmt: skip
-    run = _verb(train_marker_vae, "train-marker-vae")
+    run = _verb(vae_command, "train-marker-vae")
     vae = tmp_path / "vae"
     assert run([str(archive.path), *shared, *tiny, "--out", str(vae)]) == 0
     assert run([str(archive.path), *shared, *tiny, "--out", str(vae), "--resume"]) == 0
     assert "is finished" in capsys.readouterr().out
-    run = _verb(train_diffusion, "train-diffusion")
+    run = _verb(command, "train-diffusion")
     none = ["--set", "losses.adversarial=0", "--set", "losses.perceptual=0"]
     begin = [str(archive.path), *shared, *tiny, *none]
     out = tmp_path / "m2m"

@@ -16,12 +16,17 @@ from safetensors.torch import load_file, save_file
 from tiny_diffusion import SIDE, VGG, tiny_pretrained, tiny_settings, write_base
 
 from learning.errors import LearningError
-from learning.training.model_folder import read_model_folder
-from learning.translation.diffusion.adapters import UNET_TARGETS, VAE_TARGETS, is_adapter
+from learning.training.checkpoint import read_model_folder
 from learning.translation.diffusion.authors import import_checkpoint, read_authors
-from learning.translation.diffusion.loading import load_network, load_vae_adapter
-from learning.translation.diffusion.network import MarkerToMarker, build
+from learning.translation.diffusion.network import (
+    UNET_TARGETS,
+    VAE_TARGETS,
+    MarkerToMarker,
+    build,
+    is_adapter,
+)
 from learning.translation.diffusion.perceptual import PerceptualDistance
+from learning.translation.diffusion.translator import load_network, load_vae_adapter
 from learning.translation.diffusion.weights import (
     fingerprint,
     read_clip,

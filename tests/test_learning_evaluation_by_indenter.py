@@ -10,7 +10,7 @@ from test_learning_evaluation_forces import TRUE, predictions
 
 from benchmarks.learning.tables.by_indenter import by_indenter
 from learning.evaluation.predictions import Predictions
-from learning.force_errors import r_squared
+from learning.metrics import r_squared
 
 ROLES = np.array(["new_indenter"] * 8 + ["new_press"] * 4)
 

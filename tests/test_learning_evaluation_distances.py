@@ -10,10 +10,19 @@ import torch
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.evaluation.distances import frechet_distance, kernel_distance, squared_kernel_distance
-from learning.evaluation.features import MarkerGrid, load_extractor
-from learning.evaluation.inception import FEATURES, Inception, load_inception
-from learning.evaluation.two_samples import classifier_accuracy, embedded, mixing_score
+from learning.evaluation.distribution import (
+    FEATURES,
+    Inception,
+    MarkerGrid,
+    classifier_accuracy,
+    embedded,
+    frechet_distance,
+    kernel_distance,
+    load_extractor,
+    load_inception,
+    mixing_score,
+    squared_kernel_distance,
+)
 
 
 def exactly(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 
 from learning.errors import LearningError
-from learning.evaluation.force_table import ALL, csv_text, force_rows, gain_line
-from learning.evaluation.predictions import Predictions, merged, read_predictions
-from learning.force_errors import (
+from learning.evaluation.predictions import (
+    ALL,
+    Predictions,
+    csv_text,
+    force_rows,
+    gain_line,
+    merged,
+    read_predictions,
+)
+from learning.metrics import (
     force_errors,
     mean_absolute_error,
     r_squared,

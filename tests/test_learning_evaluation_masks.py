@@ -8,9 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.evaluation.baselines import nearest_frames
-from learning.evaluation.marker_errors import endpoint_errors, marker_errors
-from learning.evaluation.overlap import overlap
+from learning.evaluation.translation import endpoint_errors, marker_errors, nearest_frames, overlap
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
 

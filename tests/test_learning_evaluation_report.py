@@ -14,26 +14,27 @@ import torch
 from made_up_archives import made_up_archive
 from test_learning_evaluation_forces import predictions
 
+from learning.cli import evaluate
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.evaluation.features import MarkerGrid
-from learning.evaluation.force_table import force_rows
+from learning.evaluation.distribution import MarkerGrid
 from learning.evaluation.paper_figures import PAPER, beside_the_paper, group_of
+from learning.evaluation.predictions import force_rows
 from learning.evaluation.report import write_report
-from learning.evaluation.scoring import half_of_locations, score_translation
-from learning.evaluation.translation_scores import (
+from learning.evaluation.translation import (
     FLOOR,
     NEAREST,
     REFERENCE,
     SOURCE,
     TRANSLATED,
     TranslationScores,
+    half_of_locations,
     paired_rows,
     read_scores,
     require_alone,
+    score_translation,
 )
 from learning.translation.archive import Model, Pair, translate_archive
-from learning.verbs import evaluate
 from recorder import MarkerArchive
 
 

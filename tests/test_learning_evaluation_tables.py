@@ -14,8 +14,8 @@ from benchmarks.__main__ import main
 from benchmarks.learning.tables.group_results import read_group
 from benchmarks.learning.tables.page import write_tables
 from learning.compensation import Branch, Choice, Prior, StoredCompensation
-from learning.compensation.store import StoredPair
-from learning.evaluation.translation_scores import PairedScore, TranslationScores
+from learning.compensation.fit import StoredPair
+from learning.evaluation.translation import PairedScore, TranslationScores
 
 PAIRS = (("array-i", "circle-i"), ("circle-i", "array-i"))
 

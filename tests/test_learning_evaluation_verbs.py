@@ -10,13 +10,13 @@ import torch
 from force_models import TOY
 from made_up_archives import made_up_archive
 
+from learning.cli import predict
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
-from learning.force.network import ForceModel
-from learning.force.predictor import KIND
-from learning.training.run_folder import RunFolder
-from learning.verbs import predict
+from learning.force.model import ForceModel
+from learning.force.predict import KIND
+from learning.training.run import RunFolder
 from recorder import MarkerArchive
 
 

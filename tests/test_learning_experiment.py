@@ -11,13 +11,13 @@ import pytest
 import torch
 from made_up_archives import made_up_archive
 
+from learning.config import preset_names, read_settings
 from learning.data.images import shrink_masks
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
-from learning.experiment import forces, running, side_by_side
-from learning.experiment.blind import Blind
-from learning.experiment.force_settings import force_settings
+from learning.experiment import forces, running, worker
+from learning.experiment.forces import force_settings
 from learning.experiment.parts import (
     as_images,
     frames_of_a_press,
@@ -27,10 +27,9 @@ from learning.experiment.parts import (
     trained_on,
 )
 from learning.experiment.settings import PRESETS, ExperimentSettings
-from learning.experiment.translating import flow_fields, translate_presses, warp_presses
+from learning.experiment.translating import Blind, flow_fields, translate_presses, warp_presses
 from learning.experiment.worker import Done
-from learning.force_errors import force_errors
-from learning.settings import preset_names, read_settings
+from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive
@@ -135,7 +134,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
             went_on.set()
         return Done(), [" ".join(piece)]
 
-    monkeypatch.setattr(side_by_side, "_do", do)
+    monkeypatch.setattr(worker, "_do", do)
     pieces: dict[tuple[str, ...], set[tuple[str, ...]]] = {
         slow: set(),
         after_slow: {slow},
@@ -144,7 +143,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     }
     said: list[str] = []
     with ThreadPoolExecutor(2) as pool:
-        assert len(side_by_side._done(pool, pieces, said.append)) == 4
+        assert len(worker._done(pool, pieces, said.append)) == 4
     # The slow one ends only when what waits for the quick one has begun.
     assert begun[2:] == [after_quick, after_slow]
     assert set(begun) == set(pieces)
@@ -163,11 +162,11 @@ def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
             begun.append(piece)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(side_by_side, "_worker", Stopped())
-    monkeypatch.setattr(side_by_side, "_stopped", False)
+    monkeypatch.setattr(worker, "_worker", Stopped())
+    monkeypatch.setattr(worker, "_stopped", False)
     for name in ("one", "two"):
         with pytest.raises(KeyboardInterrupt):
-            side_by_side._do(("own", name))
+            worker._do(("own", name))
     assert begun == [("own", "one")]
 
 
@@ -178,9 +177,9 @@ def test_a_process_without_memory_says_that_jobs_are_too_many(
         def do(self, piece: tuple[str, ...]) -> None:
             raise torch.OutOfMemoryError("tried to allocate 150 MiB")
 
-    monkeypatch.setattr(side_by_side, "_worker", Full())
+    monkeypatch.setattr(worker, "_worker", Full())
     with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
-        side_by_side._do(("own", "one"))
+        worker._do(("own", "one"))
 
 
 def test_presses_translated_together_are_those_translated_one_by_one(

@@ -11,11 +11,11 @@ from onnx import TensorProto, helper
 
 from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
 from benchmarks.learning.latency.costs import Variant, costs, sample_of, sample_of_noise
-from learning.data.force_range import ForceRange
+from learning.data.presses import ForceRange
 from learning.errors import LearningError
 from learning.force.export import export_onnx, torch_stream
-from learning.force.network import ForceModel
-from learning.force.predictor import ForcePredictor
+from learning.force.model import ForceModel
+from learning.force.predict import ForcePredictor
 from learning.force.stream import ForceStream, open_exported
 
 

@@ -7,12 +7,17 @@ import torch
 from force_models import TOY, toy
 from torch.utils.flop_counter import FlopCounterMode
 
+from learning.config import preset_names, read_settings
 from learning.errors import LearningError
-from learning.force.batches import error
-from learning.force.inputs import prepare
-from learning.force.network import ForceModel
-from learning.force.settings import PRESETS, ForceSettings, InputSettings, NetworkSettings
-from learning.settings import preset_names, read_settings
+from learning.force.data import error
+from learning.force.model import (
+    PRESETS,
+    ForceModel,
+    ForceSettings,
+    InputSettings,
+    NetworkSettings,
+    prepare,
+)
 
 
 def _preset(name: str) -> ForceModel:

@@ -12,14 +12,8 @@ from force_models import TOY, noise_presses, toy
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.settings import (
-    ForceSettings,
-    OptimiserSettings,
-    SequenceSettings,
-    StageSettings,
-)
-from learning.force.together import train_together
-from learning.force.train import train_force
+from learning.force.model import ForceSettings, OptimiserSettings, SequenceSettings, StageSettings
+from learning.force.train import train_force, train_together
 
 SETTINGS = toy(
     stages=(

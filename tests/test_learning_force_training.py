@@ -10,17 +10,14 @@ import pytest
 import torch
 from force_models import TOY, noise_presses, toy
 
-from learning.data.force_range import AUTHORS
-from learning.data.presses import Presses
+from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
-from learning.force.batches import forces_of, frames_of
-from learning.force.labels import force_range, labels_of
-from learning.force.predictor import KIND, ForcePredictor
-from learning.force.sequences import Sequences, epoch
-from learning.force.settings import ForceSettings, InputSettings, SequenceSettings, StageSettings
+from learning.force.data import Sequences, epoch, force_range, forces_of, frames_of, labels_of
+from learning.force.model import ForceSettings, InputSettings, SequenceSettings, StageSettings
+from learning.force.predict import KIND, ForcePredictor
 from learning.force.train import train_force
-from learning.training.run_folder import RunFolder
+from learning.training.run import RunFolder
 
 EVERYTHING = toy(
     stages=(

@@ -15,8 +15,7 @@ from learning_sessions import record
 from PIL import Image
 
 from learning.__main__ import main
-from learning.errors import LearningError
-from learning.genforce import (
+from learning.data.genforce import (
     Compensation,
     export_training,
     import_folder,
@@ -26,7 +25,8 @@ from learning.genforce import (
     read_mask,
     write_coefficients,
 )
-from learning.genforce.importing import Choices
+from learning.data.genforce.importing import Choices
+from learning.errors import LearningError
 from learning.indenters import NAMES
 from learning.markers import archive_sessions
 from recorder import MarkerArchive, SessionError, check

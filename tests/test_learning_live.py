@@ -10,12 +10,11 @@ from marker_truth import VIEWS
 
 from learning.data.images import shrink
 from learning.errors import LearningError
-from learning.force.contact import Contact, ContactRule
-from learning.force.live import LivePredictor, open_live
+from learning.force.live import Contact, ContactRule, LivePredictor, open_live
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset, taxel_masks
-from learning.markers.preset import CameraPreset, TaxelPreset
-from learning.translation.flow import FieldReader
+from learning.markers.displacement import FieldReader
+from learning.markers.segment import CameraPreset, TaxelPreset
 from recorder.markers import pack
 from rig.world.markers import MarkerCamera
 from rig.world.surface import Surface

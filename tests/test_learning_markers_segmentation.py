@@ -24,7 +24,7 @@ from learning.markers import (
     read_preset,
     taxel_masks,
 )
-from learning.markers.preset import BlurDifference, ColourBelow, Contrast, Dark, Morphology, Region
+from learning.markers.segment import BlurDifference, ColourBelow, Contrast, Dark, Morphology, Region
 from recorder.markers import draw_discs, place_discs
 
 

@@ -15,8 +15,8 @@ from PIL import Image
 
 import sim.indenters
 from learning.__main__ import main
+from learning.archive_writer import FLAG, INVALID
 from learning.errors import LearningError
-from learning.flags import FLAG, INVALID
 from learning.indenters import NAMES
 from learning.markers import Segmenter, archive_sessions, find_centres, grey, preset, taxel_masks
 from recorder import MarkerArchive, Session, check

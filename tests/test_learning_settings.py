@@ -8,8 +8,8 @@ from typing import ClassVar, Literal
 
 import pytest
 
+from learning.config import differing_keys, read_settings, settings_to_dict
 from learning.errors import LearningError
-from learning.settings import differing_keys, read_settings, settings_to_dict
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def test_words_that_begin_like_a_number_stay_words(presets: Path, text: str) -> 
 
 
 def test_plain_values_make_the_same_settings_again(presets: Path) -> None:
-    from learning.settings import build
+    from learning.config import build
 
     read = read_settings(Outer, presets, "full")
     assert build(Outer, settings_to_dict(read), "again") == read

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from learning.training.model_folder import read_model_folder
+from learning.training.checkpoint import read_model_folder
 
 SCRIPT = """
 import sys

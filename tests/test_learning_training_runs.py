@@ -12,12 +12,16 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.ema import Ema
-from learning.training.model_folder import load_finished, read_config, read_model_folder
-from learning.training.run_folder import RunFolder
-from learning.training.sampling import generator, seed_torch
-from learning.training.schedules import Cosine, set_rate
-from learning.training.weights import load_weights, read_weights, save_weights
+from learning.training.checkpoint import (
+    load_finished,
+    load_weights,
+    read_config,
+    read_model_folder,
+    read_weights,
+    save_weights,
+)
+from learning.training.optim import Cosine, Ema, set_rate
+from learning.training.run import RunFolder, generator, seed_torch
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,16 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.ema import Ema
-from learning.training.launch import LaunchSettings, accelerator, described
-from learning.training.sampling import batch, generator, seed_torch
-from learning.training.schedules import Constant, Cosine, InversePower, Stages, set_rate
-from learning.training.stopping import Stop
+from learning.training.optim import Constant, Cosine, Ema, InversePower, Stages, set_rate
+from learning.training.run import (
+    LaunchSettings,
+    Stop,
+    accelerator,
+    batch,
+    described,
+    generator,
+    seed_torch,
+)
 
 
 def test_chance_depends_on_seed_and_words_alone() -> None:

@@ -9,17 +9,16 @@ import pytest
 import torch
 from made_up_archives import made_up_archive
 
+from learning.archive_writer import UNIT_ROWS
+from learning.cli import translate as verb
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.filling import UNIT_ROWS
-from learning.training.model_folder import Config
+from learning.training.checkpoint import Config
 from learning.translation import archive as translating
 from learning.translation import load_translator
-from learning.translation.archive import Model, Pair, hash_of, translate_archive
+from learning.translation.archive import Model, Pair, dice, hash_of, translate_archive
 from learning.translation.flow import FlowTranslator
-from learning.translation.sheet import dice
 from learning.translation.translator import SensorView, aimed
-from learning.verbs import translate as verb
 from recorder import MarkerArchive, SessionError
 from recorder.archive import check_archive, location_pairs
 from recorder.store.files import LOCAL

@@ -9,18 +9,25 @@ import torch
 from made_up_archives import made_up_archive
 
 from learning.__main__ import main
+from learning.config import preset_names, read_settings
 from learning.data.images import shrink
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.settings import preset_names, read_settings
-from learning.training.launch import LaunchSettings, accelerator
-from learning.training.run_folder import RunFolder
-from learning.translation.autoencoder import KIND, load_autoencoder
-from learning.translation.autoencoder.images import deformed_patterns, orient, read_images, scaled
-from learning.translation.autoencoder.network import Autoencoder, divergence
-from learning.translation.autoencoder.overlap import soft_dice
-from learning.translation.autoencoder.settings import PRESETS, AutoencoderSettings
-from learning.translation.autoencoder.train import new_autoencoder, train, validate
+from learning.training.run import LaunchSettings, RunFolder, accelerator
+from learning.translation.direct.autoencoder import (
+    KIND,
+    PRESETS,
+    Autoencoder,
+    AutoencoderSettings,
+    deformed_patterns,
+    divergence,
+    load_autoencoder,
+    orient,
+    read_images,
+    scaled,
+    soft_dice,
+)
+from learning.translation.direct.train_autoencoder import new_autoencoder, train, validate
 from recorder import MarkerArchive
 
 TINY = AutoencoderSettings(

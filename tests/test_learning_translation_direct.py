@@ -12,11 +12,19 @@ from made_up_archives import made_up_archive
 from learning.data.images import shrink
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.training.model_folder import read_model_folder
+from learning.training.checkpoint import read_model_folder
 from learning.translation import load_translator
-from learning.translation.direct.aligned import AlignedImages, align
-from learning.translation.direct.augmentation import Augmentation, blot, disturb_source, move_edges
-from learning.translation.direct.examples import all_pairs, draw_examples, examples_at
+from learning.translation.direct.data import (
+    AlignedImages,
+    Augmentation,
+    align,
+    all_pairs,
+    blot,
+    disturb_source,
+    draw_examples,
+    examples_at,
+    move_edges,
+)
 from learning.translation.direct.network import DirectNetwork, fetched
 from recorder import MarkerArchive
 from recorder.archive import location_pairs

@@ -10,16 +10,14 @@ from direct_translators import TINY, coarse, encoder, finished_run, tiny_network
 from made_up_archives import made_up_archive
 
 from learning.__main__ import main
+from learning.config import preset_names, read_settings
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.settings import preset_names, read_settings
-from learning.training.launch import LaunchSettings, accelerator
-from learning.training.run_folder import RunFolder
+from learning.training.run import LaunchSettings, RunFolder, accelerator
 from learning.translation.direct import KIND, DirectNetwork, load_network
-from learning.translation.direct.aligned import AlignedImages, align
-from learning.translation.direct.augmentation import Augmentation
-from learning.translation.direct.discriminator import PatchDiscriminator, fooling, telling
+from learning.translation.direct.data import AlignedImages, Augmentation, align
 from learning.translation.direct.losses import LossWeights, perceptual, reconstruction
+from learning.translation.direct.network import PatchDiscriminator, fooling, telling
 from learning.translation.direct.settings import PRESETS, DirectSettings
 from learning.translation.direct.train import new_network, train, validate
 from recorder import MarkerArchive

@@ -9,23 +9,21 @@ import torch
 from made_up_archives import LATTICE, State, lattice_field, made_up_archive, mask_of
 from torch import Tensor
 
+from learning.config import read_settings
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.settings import read_settings
 from learning.translation import SensorView, load_translator
-from learning.translation.field.deformation import (
+from learning.translation.field.data import Bank, Frames, draw_examples, gather_role, random_shifts
+from learning.translation.field.network import (
     CHANNELS,
     SIDE,
     carried,
     from_displacement,
     render,
+    signed_distance,
 )
-from learning.translation.field.distance import signed_distance
-from learning.translation.field.examples import Bank, draw_examples, random_shifts
-from learning.translation.field.frames import Frames, gather_role
-from learning.translation.field.model import FieldModel
 from learning.translation.field.settings import PRESETS, ExampleSettings, FieldSettings
-from learning.translation.field.translator import FieldTranslator
+from learning.translation.field.translator import FieldModel, FieldTranslator
 from recorder import MarkerArchive, SessionError
 from recorder.markers import HEIGHT, WIDTH, draw_discs, place_discs
 
@@ -206,7 +204,7 @@ def test_frames_are_those_of_the_role_and_pairs_share_place_and_phase(
 def test_more_frames_than_there_is_memory_for_are_refused(
     archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("learning.translation.field.frames.free_bytes", lambda device: 1_000_000)
+    monkeypatch.setattr("learning.translation.field.data.free_bytes", lambda device: 1_000_000)
     with pytest.raises(LearningError, match="frames: found"):
         gather_role(archive, make_split(archive), tuple(archive), "train")
 

@@ -11,18 +11,16 @@ from made_up_archives import MM_PER_PX, made_up_archive
 from test_learning_translation_field import TINY, tiny
 from torch import Tensor
 
+from learning.config import read_settings
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.settings import read_settings
-from learning.training.run_folder import RunFolder
+from learning.training.run import RunFolder
 from learning.translation import load_translator
-from learning.translation.field.frames import Frames, gather_role
-from learning.translation.field.model import FieldModel
+from learning.translation.field import command as train_field_verb
+from learning.translation.field.data import Frames, gather_role
 from learning.translation.field.settings import PRESETS, FieldSettings
-from learning.translation.field.train import train_field
-from learning.translation.field.translator import FieldTranslator
-from learning.translation.field.validation import found_in_sources, map_scores, net_scores
-from learning.verbs import train_field as train_field_verb
+from learning.translation.field.train import found_in_sources, map_scores, net_scores, train_field
+from learning.translation.field.translator import FieldModel, FieldTranslator
 from recorder import MarkerArchive
 
 STAGES = ("field_stage", "map_stage")

@@ -5,11 +5,15 @@ import pytest
 from made_up_archives import LATTICE, State, field_at, mask_of
 
 from learning.errors import LearningError
-from learning.translation.flow import FieldReader, marker_fields
-from learning.translation.flow.matching import Matcher
-from learning.translation.flow.presses import PackedPresses, fields_of_presses
-from learning.translation.flow.spline import Spline
-from learning.translation.sheet import dice
+from learning.markers.displacement import (
+    FieldReader,
+    Matcher,
+    PackedPresses,
+    Spline,
+    fields_of_presses,
+    marker_fields,
+)
+from learning.translation.archive import dice
 from learning.translation.translator import SensorView, shows_discs
 from recorder.markers import HEIGHT, WIDTH, draw_discs, marker_centres, pack, place_discs
 

@@ -283,12 +283,11 @@ def write_model(folder: Path) -> None:
     """Export an untrained model of a few thousand weights."""
     import torch
 
-    from learning.data.force_range import AUTHORS
+    from learning.config import read_settings
+    from learning.data.presses import AUTHORS
     from learning.force.export import export_onnx
-    from learning.force.network import ForceModel
-    from learning.force.predictor import ForcePredictor
-    from learning.force.settings import PRESETS, ForceSettings
-    from learning.settings import read_settings
+    from learning.force.model import PRESETS, ForceModel, ForceSettings
+    from learning.force.predict import ForcePredictor
 
     settings = read_settings(ForceSettings, PRESETS, "tiny", [])
     torch.manual_seed(0)

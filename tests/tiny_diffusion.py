@@ -8,8 +8,8 @@ from typing import Any
 import torch
 
 from benchmarks.learning.diffusion_full_size import random_pretrained
-from learning.settings import read_settings
-from learning.translation.diffusion.pairs import ImagePairs
+from learning.config import read_settings
+from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
 from learning.translation.diffusion.train import Pretrained
 

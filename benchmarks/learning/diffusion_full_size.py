@@ -23,19 +23,15 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from learning.config import read_settings, settings_to_dict
 from learning.data.images import SIDE, enlarge_images
-from learning.data.procedural import before, random_fields, sample_patterns, untouched
+from learning.data.synthetic import before, random_fields, sample_patterns, untouched
 from learning.errors import LearningError
 from learning.progress import Progress
-from learning.settings import read_settings, settings_to_dict
-from learning.training.launch import accelerator as launched
-from learning.training.launch import described
-from learning.training.run_folder import METRICS, RunFolder
-from learning.training.sampling import generator
-from learning.translation.diffusion.adapters import fuse
-from learning.translation.diffusion.loading import KIND
-from learning.translation.diffusion.network import MarkerToMarker
-from learning.translation.diffusion.pairs import ImagePairs
+from learning.training.run import METRICS, RunFolder, described, generator
+from learning.training.run import accelerator as launched
+from learning.translation.diffusion.data import ImagePairs
+from learning.translation.diffusion.network import MarkerToMarker, fuse
 from learning.translation.diffusion.perceptual import WIDTHS, PerceptualDistance
 from learning.translation.diffusion.settings import (
     TRANSLATOR_PRESETS,
@@ -43,7 +39,7 @@ from learning.translation.diffusion.settings import (
     TranslatorSettings,
 )
 from learning.translation.diffusion.train import Pretrained, train
-from learning.translation.diffusion.translator import DiffusionTranslator
+from learning.translation.diffusion.translator import KIND, DiffusionTranslator
 from learning.translation.diffusion.weights import vendor
 from recorder.store.durable import replace_file
 

@@ -15,16 +15,13 @@ from typing import Any
 
 import torch
 
+from learning.config import read_settings
 from learning.data.images import shrink_masks
-from learning.settings import read_settings
-from learning.training.launch import accelerator
-from learning.training.sampling import generator
-from learning.translation.field.examples import random_shifts
-from learning.translation.field.frames import Frames, distances_of
-from learning.translation.field.model import FieldModel
+from learning.training.run import accelerator, generator
+from learning.translation.field.data import Frames, distances_of, random_shifts
 from learning.translation.field.settings import PRESETS, FieldSettings
 from learning.translation.field.train import train_field
-from learning.translation.field.translator import FieldTranslator
+from learning.translation.field.translator import FieldModel, FieldTranslator
 from recorder.markers import HEIGHT, WIDTH
 
 _SECONDS = 3.0

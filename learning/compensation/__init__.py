@@ -4,11 +4,20 @@ Priors say how hard a flat indenter has to press each sensor to a depth; their r
 labels that a force model of the target is trained on.
 """
 
-from learning.compensation.choosing import Choice, Grid, Paired, best_for_labels, best_for_priors
-from learning.compensation.correction import DEFAULT_D0, DEFAULT_WEIGHT, compensate
-from learning.compensation.curves import ForceDepth, curve_of_session, curve_of_table
-from learning.compensation.prior import Branch, Prior, fit_prior, prior_of_coefficients
-from learning.compensation.store import PairCompensation, StoredCompensation, read_stored
+from learning.compensation.fit import PairCompensation, StoredCompensation, read_stored
+from learning.compensation.prior import (
+    DEFAULT_D0,
+    DEFAULT_WEIGHT,
+    Branch,
+    ForceDepth,
+    Prior,
+    compensate,
+    curve_of_session,
+    curve_of_table,
+    fit_prior,
+    prior_of_coefficients,
+)
+from learning.compensation.search import Choice, Grid, Paired, best_for_labels, best_for_priors
 
 __all__ = [
     "DEFAULT_D0",

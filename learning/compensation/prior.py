@@ -2,17 +2,131 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation.curves import ForceDepth
+from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
-from learning.genforce.coefficients import Compensation
-from recorder import PHASES
+from recorder import PHASES, Session
+from recorder.session.press_curve import press_curves
+
+# Force over depth as it was measured: rows of an archive, or a session of `rig force-depth`.
 
 Floats = NDArray[np.float64]
+Table = Mapping[str, np.ndarray[Any, Any]]
+
+DOWN, UP = PHASES.index("normal_inc"), PHASES.index("normal_dec")
+INDENTER = "prism"
+"""The flat, rigid indenter of the paper's material test (the paper, Methods)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceDepth:
+    """What it took to press one sensor to some depths, all repeats together."""
+
+    sensor: str
+    indenter: str
+    source: str
+    """Where it was measured, in words."""
+    loading: Floats
+    """Depth [m] and compression [N] on the way down (n, 2)."""
+    unloading: Floats
+    """The same on the way up (m, 2)."""
+
+    @property
+    def depth_max(self) -> float:
+        """Deepest depth [m]."""
+        return float(max(self.loading[:, 0].max(), self.unloading[:, 0].max()))
+
+
+def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> ForceDepth | None:
+    """Return what force-depth rows of an archive's table say; None where there are none.
+
+    Such rows have location -1 and the phase `normal_inc` or `normal_dec`. Rows that are not valid,
+    or where nothing is touched (depth 0), are left out.
+
+    Args:
+        sensor: Name of the sensor.
+        table: Its table.
+        indenters: Names of the archive's indenters, by code.
+
+    Raises:
+        LearningError: Rows without a label, several indenters of which none is the paper's prism,
+            or one of the two phases alone.
+    """
+    phase = table["phase"]
+    rows = (table["location"] < 0) & table["valid"] & np.isin(phase, (DOWN, UP))
+    if not rows.any():
+        return None
+    indenter = _indenter(sensor, table, rows, indenters)
+    rows &= (table["indenter"] == indenters.index(indenter)) & (table["depth"] > 0)
+    force = -table["wrench"][:, 2]
+    unknown = np.flatnonzero(rows & ~np.isfinite(force))
+    if unknown.size:
+        raise LearningError(
+            f"{sensor}.wrench: found NaN in row {unknown[0]} (and {unknown.size - 1} more) of the "
+            "force-depth presses; allowed: numbers"
+        )
+    pairs = np.stack([table["depth"], force], axis=1)
+    presses = len(np.unique(table["target"][rows]))
+    return ForceDepth(
+        sensor,
+        indenter,
+        f"{presses} force-depth presses of the archive",
+        pairs[rows & (phase == DOWN)],
+        pairs[rows & (phase == UP)],
+    )
+
+
+def curve_of_session(path: Path, sensor: str | None = None) -> ForceDepth:
+    """Return what a session of `python -m rig force-depth` says.
+
+    Args:
+        path: The session.
+        sensor: What its sensor is called; as the session says when None.
+
+    Raises:
+        LearningError: A session that does not say what it is of.
+        SessionError: No session, or none in which a target was pressed and released.
+    """
+    session = Session(path)
+    curves = press_curves(session)
+    known = [session.attrs.get(name) for name in ("sensor", "indenter")]
+    if not all(isinstance(name, str) and name for name in known):
+        raise LearningError(
+            f"{path}: found sensor {known[0]!r}, indenter {known[1]!r}; allowed: names"
+        )
+    return ForceDepth(
+        sensor or str(known[0]),
+        str(known[1]),
+        f"session {path.name}",
+        _known(curves.depth, curves.loading),
+        _known(curves.depth, curves.unloading),
+    )
+
+
+def _indenter(sensor: str, table: Table, rows: NDArray[np.bool_], indenters: Sequence[str]) -> str:
+    found = [str(indenters[code]) for code in np.unique(table["indenter"][rows])]
+    if INDENTER in found:
+        return INDENTER
+    if len(found) > 1:
+        raise LearningError(
+            f"{sensor}: found force-depth presses of {', '.join(found)}; allowed: one indenter, or "
+            f"{INDENTER} among them"
+        )
+    return found[0]
+
+
+def _known(depth: Floats, force: Floats) -> Floats:
+    """Return depth and force (n, 2) of curves (r, m) over common depths (m,), without gaps."""
+    pairs = np.stack([np.broadcast_to(depth, force.shape), force], axis=-1).reshape(-1, 2)
+    return pairs[np.isfinite(pairs[:, 1]) & (pairs[:, 0] > 0)]
+
 
 DEGREE = 2
 """Of the polynomials that are fitted (the paper, Results, material softness)."""
@@ -151,3 +265,107 @@ def _fitted(sensor: str, name: str, pairs: Floats, span: float) -> Branch:
             "(compression is negative Fz)"
         )
     return Branch(tuple(float(value) for value in coefficients), residual, len(pairs))
+
+
+# Equations 7 to 9: forces scaled by what two skins need for the same depth (supplement, Text 9).
+#
+#     r = f_T / f_S - 1        F_SC = F_S (1 + lambda r) where d > d0, else F_S
+#
+# The ratio f_T / f_S is of the loading curves while the sensor is loaded, else of the unloading
+# ones.
+
+LEAST, LARGEST = 0.1, 10.0
+"""f_T / f_S is kept within these: where the source hardly pushes back it says nothing."""
+DEFAULT_D0, DEFAULT_WEIGHT = 0.0, 0.75
+"""Taken where no label of the target is known: of the supplement's 48 choices (Tables S1 and
+S2) the most frequent d0 and the median lambda."""
+
+
+def compensate(
+    wrench: NDArray[np.floating],
+    depth: Floats,
+    phase: NDArray[np.integer],
+    source: Prior,
+    target: Prior,
+    d0: float,
+    lam: float,
+) -> tuple[Floats, int]:
+    """Return the labels of the source as the target would give them, and how many were clamped.
+
+    All axes are scaled alike, torques too (authors' code).
+
+    Args:
+        wrench: Labels of the source (n, 3) or (n, 6) [N, N m].
+        depth: Indentation of the source (n,) [m].
+        phase: Codes of phases (n,); -1 only where nothing is compensated.
+        source: Prior of the sensor that the labels are of.
+        target: Prior of the sensor that they are for.
+        d0: Share of the source's depth range up to which nothing is changed, 0 to 1.
+        lam: Weight of the correction, 0 to 1.
+
+    Raises:
+        LearningError: NaN, lengths that differ, a depth without a phase, or d0 or lam outside.
+    """
+    forces: Floats = np.asarray(wrench, np.float64)
+    depth = np.asarray(depth, np.float64)
+    _require_labels(forces, depth, phase)
+    require_choice(d0, lam)
+    ratio, clamped = ratios(depth, phase, source, target)
+    deep = depth / source.depth_range > d0
+    unknown = np.flatnonzero(deep & ((phase < 0) | (phase >= len(PHASES))))
+    if unknown.size:
+        raise LearningError(
+            f"phase: found {phase[unknown[0]]} in row {unknown[0]}, which is pressed; allowed: "
+            f"0 to {len(PHASES) - 1}"
+        )
+    scale = np.where(deep, 1.0 + lam * (ratio - 1.0), 1.0)
+    return forces * scale[:, None], int(np.count_nonzero(clamped & deep)) if lam > 0 else 0
+
+
+def ratios(
+    depth: Floats, phase: NDArray[np.integer], source: Prior, target: Prior
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return f_T / f_S (n,), within `LEAST` and `LARGEST`, and which of them were clamped.
+
+    Both curves are read at the same share of their ranges, and no deeper than both were measured:
+    beyond, the ratio stays what it was. Where the source's curve is at or below 0 the ratio is the
+    largest, and 1 where neither pushes back.
+    """
+    share = np.clip(depth / source.depth_range, 0.0, min(source.share_max, target.share_max))
+    loading = np.isin(phase, LOADING)
+    own, other = (
+        np.where(loading, prior.loading.compression(share), prior.unloading.compression(share))
+        for prior in (source, target)
+    )
+    pushes = own > 0
+    ratio = np.where(pushes, other / np.where(pushes, own, 1.0), np.where(other > 0, np.inf, 1.0))
+    kept = np.clip(ratio, LEAST, LARGEST)
+    return kept, (kept != ratio) | ~pushes
+
+
+def require_choice(d0: float, lam: float) -> None:
+    """Refuse a starting depth or a weight outside of the paper's ranges.
+
+    Raises:
+        LearningError: Names it.
+    """
+    for name, value in (("d0", d0), ("lambda", lam)):
+        if not 0.0 <= value <= 1.0:
+            raise LearningError(f"{name}: found {value}; allowed: 0 to 1")
+
+
+def _require_labels(wrench: Floats, depth: Floats, phase: NDArray[np.integer]) -> None:
+    if wrench.ndim != 2 or wrench.shape[1] not in (3, 6):
+        raise LearningError(f"wrench: found shape {wrench.shape}; allowed: (n, 3) or (n, 6)")
+    for name, values in (("depth", depth), ("phase", phase)):
+        if np.shape(values) != (len(wrench),):
+            raise LearningError(
+                f"{name}: found shape {np.shape(values)}; allowed: ({len(wrench)},), as the wrench"
+            )
+    for name, rows in (("wrench", np.isfinite(wrench).all(axis=1)), ("depth", np.isfinite(depth))):
+        wrong = np.flatnonzero(~rows)
+        if wrong.size:
+            raise LearningError(
+                f"{name}: found NaN or infinity in {wrong.size} rows, first {wrong[0]}; allowed: "
+                "numbers (leave out rows without a label)"
+            )

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
 
-from learning.data.fields import FIELD_SIDE, marker_maps, read_fields
-from learning.data.images import SIDE, shrink, shrink_masks, unpack_masks
+from learning.data.images import (
+    FIELD_SIDE,
+    SIDE,
+    marker_maps,
+    read_fields,
+    shrink,
+    shrink_masks,
+    unpack_masks,
+)
 from learning.errors import LearningError
 from recorder.archive import ArchivedSensor
 
@@ -257,7 +266,7 @@ def _read_fields(
         known = ", ".join(get_args(FieldSource))
         raise LearningError(f"field_source: found {source!r}; allowed: {known}")
     # Translation reads data; here alone data ask it, for what it finds in masks.
-    from learning.translation.flow.presses import PackedPresses, fields_of_presses
+    from learning.markers.displacement import PackedPresses, fields_of_presses
 
     rows, starts = presses.rows.numpy(), presses.starts.numpy()
     fields = torch.empty(len(rows), 3, FIELD_SIDE, FIELD_SIDE)
@@ -321,3 +330,225 @@ def _require_one_press(
         raise LearningError(
             f"{sensor.name}: location {location[twice[0]]} belongs to several presses; allowed: one"
         )
+
+
+# The box of forces that a model answers in: its last layer gives numbers from 0 to 1.
+#
+# The paper normalises by the least and greatest force of each axis (Methods); the authors' code has
+# fixed ones. Ours come from the training split and are stored with the model.
+
+Force = tuple[float, float, float]
+Values = TypeVar("Values", bound=Any)
+
+LEAST = 1e-3
+"""An axis along which forces differ by less [N] is widened to this: it carries no signal."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceRange:
+    """Least and greatest force of each axis."""
+
+    low: Force
+    """Fx, Fy, Fz [N] that become 0."""
+    high: Force
+    """Fx, Fy, Fz [N] that become 1."""
+
+    def __post_init__(self) -> None:
+        ends = np.array([self.low, self.high], np.float64)
+        if ends.shape != (2, 3) or not np.isfinite(ends).all() or (ends[0] >= ends[1]).any():
+            raise LearningError(
+                f"force range: found {self.low} to {self.high}; allowed: three finite forces [N] "
+                "each, low < high"
+            )
+
+    @classmethod
+    def from_training(cls, wrench: Any, *, margin: float = 0.0) -> ForceRange:
+        """Return the range of forces (n, 3) or wrenches (n, 6) [N], an array or a tensor.
+
+        Args:
+            wrench: Those of the training split.
+            margin: Share of the range that is added at both ends: a sigmoid never reaches its own.
+
+        Raises:
+            LearningError: None, NaN among them, or a negative margin.
+        """
+        forces: NDArray[np.float64] = np.asarray(
+            wrench.cpu() if hasattr(wrench, "cpu") else wrench, np.float64
+        )
+        if forces.ndim != 2 or forces.shape[1] not in (3, 6) or not len(forces):
+            raise LearningError(f"wrench: found {forces.shape}; allowed: (n, 3) or (n, 6), n > 0")
+        if margin < 0:
+            raise LearningError(f"margin: found {margin}; allowed: 0 and more")
+        forces = forces[:, :3]
+        if not np.isfinite(forces).all():
+            row = int(np.flatnonzero(~np.isfinite(forces).all(axis=1))[0])
+            raise LearningError(f"wrench: found {forces[row]} in row {row}; allowed: finite forces")
+        low, high = forces.min(axis=0), forces.max(axis=0)
+        wider = np.maximum(LEAST - (high - low), 0) / 2 + margin * (high - low)
+        return cls(_force(low - wider), _force(high + wider))
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> ForceRange:
+        """Return the range that `to_dict` wrote.
+
+        Raises:
+            LearningError: Not such a mapping.
+        """
+        try:
+            low, high = (tuple(map(float, stored[end])) for end in ("low", "high"))
+        except (KeyError, TypeError, ValueError) as error:
+            raise LearningError(f"force range: found {stored!r}; allowed: low, high") from error
+        return cls(low, high)  # type: ignore[arg-type]
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """Return plain values for a file."""
+        return {"low": list(self.low), "high": list(self.high)}
+
+    def normalise(self, force: Values) -> Values:
+        """Return forces (..., 3) [N], an array or a tensor, as numbers that are 0 to 1 inside."""
+        low = _like(force, self.low)
+        shares: Values = (force - low) / (_like(force, self.high) - low)
+        return shares
+
+    def denormalise(self, numbers: Values) -> Values:
+        """Return numbers (..., 3) as forces [N]."""
+        low = _like(numbers, self.low)
+        forces: Values = numbers * (_like(numbers, self.high) - low) + low
+        return forces
+
+
+AUTHORS = ForceRange((-5.0, -5.0, -20.0), (5.0, 5.0, 5.0))
+"""The range in the authors' code."""
+
+
+def _like(values: Any, ends: Force) -> Any:
+    """Return the ends of a range as what is calculated with."""
+    if isinstance(values, np.ndarray):
+        return np.asarray(ends, values.dtype)
+    return values.new_tensor(ends)
+
+
+def _force(values: NDArray[np.float64]) -> Force:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+# Where the frames of a training lie: all in the memory of the device, or still in the archive.
+#
+# Both give the same batches, as which frames a step sees is decided before, by seed and step alone
+# (`learning.training.run`). 180,000 frames are 11.8 GB in memory; where that is too much, worker
+# processes read what is asked for, in order and ahead of time.
+
+FRAME_BYTES = SIDE * SIDE
+"""Memory that an image takes."""
+SHARE = 0.6
+"""Of the free memory images may take this much: the network and its gradients want the rest."""
+
+Numbers = NDArray[np.int64]
+
+
+class FrameSource(Protocol):
+    """Gives images by the number of their frame among the presses."""
+
+    def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
+        """Yield, for each list of frame numbers (n,), images (n, 256, 256) uint8 on the device."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Resident:
+    """All images in the device's memory."""
+
+    presses: Presses
+
+    def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
+        """Yield images (n, 256, 256) for each list of frame numbers."""
+        for numbers in wanted:
+            yield self.presses.images[torch.from_numpy(numbers).to(self.presses.device)]
+
+
+@dataclass(frozen=True, slots=True)
+class Streaming:
+    """Images read from the archive by worker processes when they are needed."""
+
+    sensor: ArchivedSensor
+    presses: Presses
+    device: torch.device
+    workers: int
+    """Processes; 0 reads in this one."""
+
+    def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
+        """Yield images (n, 256, 256) for each list of frame numbers."""
+        loader: DataLoader[Tensor] = DataLoader(
+            _Read(self.sensor, self.presses.rows.numpy()),
+            batch_size=None,
+            sampler=_Wanted(wanted),
+            num_workers=self.workers,
+            pin_memory=self.device.type == "cuda",
+        )
+        for images in loader:
+            yield images.to(self.device, non_blocking=True)
+
+
+def open_frames(
+    sensor: ArchivedSensor,
+    rows: Any,
+    *,
+    device: torch.device | str = "cpu",
+    workers: int = 4,
+    share: float = SHARE,
+    progress: Progress = lambda done, total: None,
+) -> tuple[Presses, FrameSource]:
+    """Return presses and where their images come from: memory if they fit, else the archive.
+
+    Where they do not fit, the presses' own `images` have a shape and no content.
+
+    Args:
+        sensor: What is read.
+        rows: Rows of its table.
+        device: Where images are wanted.
+        workers: Processes that read, if they do not fit; 0: none but this one.
+        share: Of the free memory that images may take.
+        progress: Called with the frames that are read and their number.
+
+    Raises:
+        LearningError: Rows that repeat or are not valid, or a wrong number.
+        SessionError: No such row, or an archive that is unfinished or damaged.
+    """
+    if workers < 0 or not 0 <= share <= 1:
+        raise LearningError(
+            f"workers, share: found {workers}, {share}; allowed: 0 and more, 0 to 1"
+        )
+    where = torch.device(device)
+    described = press_table(sensor, rows)
+    if described.frames * FRAME_BYTES <= share * free_bytes(where):
+        presses = load_presses(sensor, rows, device=where, progress=progress)
+        return presses, Resident(presses)
+    return described, Streaming(sensor, described, where, workers)
+
+
+def free_bytes(device: torch.device) -> int:
+    """Return how much memory of a device is free."""
+    if device.type == "cuda":
+        return int(torch.cuda.mem_get_info(device)[0])
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+class _Read(Dataset[Tensor]):
+    """Reads a batch: its index is the list of frame numbers."""
+
+    def __init__(self, sensor: ArchivedSensor, rows: Numbers) -> None:
+        self._sensor, self._rows = sensor, rows
+
+    def __getitem__(self, numbers: Numbers) -> Tensor:
+        return read_frames(self._sensor, self._rows[numbers], torch.device("cpu"))
+
+
+class _Wanted:
+    """Lets a loader take lists of frame numbers for the indices of a data set."""
+
+    def __init__(self, wanted: Iterable[Numbers]) -> None:
+        self._wanted = wanted
+
+    def __iter__(self) -> Iterator[Numbers]:
+        return iter(self._wanted)

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from learning.evaluation.force_table import AXES_NAMED, ForceRow, variant_name
-from learning.evaluation.predictions import Predictions
+from learning.evaluation.predictions import AXES_NAMED, ForceRow, Predictions, variant_name
 from recorder.strict_yaml import natural_key
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from learning.evaluation.force_table import ALL, UNSEEN, ForceRow, of_role
-from learning.force_errors import AXES
+from learning.evaluation.predictions import ALL, UNSEEN, ForceRow, of_role
+from learning.metrics import AXES
 
 GROUPS = {
     "homogeneous": ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i"),

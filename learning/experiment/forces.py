@@ -4,36 +4,79 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import torch
 
+from learning.archive_writer import archive_fingerprint
 from learning.compensation import StoredCompensation
-from learning.data.fingerprint import archive_fingerprint
+from learning.config import read_settings
 from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.evaluation.predictions import CHOICES, Predictions, predictions_of, read_predictions
-from learning.experiment.force_settings import force_settings
-from learning.experiment.models import Places
-from learning.experiment.parts import Pair, Tested, as_images, look_of, tested_on, trained_on
+from learning.experiment.models import Places, Tuning, tune_together
+from learning.experiment.parts import (
+    Pair,
+    Tested,
+    as_images,
+    frames_of_a_press,
+    look_of,
+    tested_on,
+    trained_on,
+)
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
-from learning.experiment.tuning import Tuning, tune_together
-from learning.force.labels import Compensation
-from learning.force.predictor import KIND, ForcePredictor, load_force_model
-from learning.force.settings import ForceSettings
+from learning.force.data import Compensation
+from learning.force.model import PRESETS, ForceSettings
+from learning.force.predict import KIND, ForcePredictor, load_force_model
 from learning.force.train import train_force
-from learning.force_errors import force_errors
+from learning.metrics import force_errors
 from learning.progress import Progress
-from learning.training.model_folder import read_model_folder
-from learning.training.run_folder import RunFolder
-from learning.training.stopping import Stop
+from learning.training.checkpoint import read_model_folder
+from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, aimed
 from recorder import MarkerArchive
+
+# How the force models of an experiment are trained.
+
+
+def force_settings(
+    experiment: ExperimentSettings,
+    archive: MarkerArchive,
+    device: torch.device,
+    *,
+    tuning: bool = False,
+) -> ForceSettings:
+    """Return how force models learn.
+
+    Args:
+        experiment: Names a preset and what is changed of it.
+        archive: What they learn from.
+        device: Where they do.
+        tuning: Whether they go on from the source's model on translated frames.
+
+    Raises:
+        LearningError: A preset or a value that is none, or a model that sees no images.
+    """
+    changed = experiment.force.set + (experiment.fine_tuning if tuning else ())
+    settings = read_settings(
+        ForceSettings, PRESETS, experiment.force.preset, (*changed, f"launch.device={device.type}")
+    )
+    if settings.input.stored_form != "images":
+        raise LearningError(
+            f"force: found {experiment.force.preset}, which sees marker fields; allowed: a model "
+            "that sees images, which is what is translated"
+        )
+    if experiment.memory:
+        return settings
+    # A step sees as many frames as with whole presses.
+    batch = settings.sequences.batch * frames_of_a_press(archive)
+    return replace(settings, sequences=replace(settings.sequences, batch=batch))
+
 
 BEFORE, TRANSFERRED, TARGET = "source-only", "transferred", "target"
 

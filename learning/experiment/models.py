@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
 
+from learning.command import run
+from learning.compensation import command as compensate
+from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.experiment.blind import Blind
+from learning.experiment.parts import Pair
 from learning.experiment.settings import ExperimentSettings, ModelChoice
-from learning.training.stopping import EXIT_INTERRUPTED
+from learning.experiment.translating import Blind
+from learning.force.data import Compensation
+from learning.force.model import ForceSettings
+from learning.force.predict import ForcePredictor
+from learning.force.train import train_together
+from learning.progress import Progress
+from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop
 from learning.translation.archive import Model, hash_of
+from learning.translation.direct import autoencoder_command as train_autoencoder
+from learning.translation.direct import command as train_direct
+from learning.translation.field import command as train_field
 from learning.translation.translator import FLOW, load_translator
 
 
@@ -93,15 +109,21 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
         LearningError: It ended with an error, which it has printed.
         KeyboardInterrupt: It was interrupted.
     """
-    from learning.__main__ import main
-
     said = "python -m learning " + " ".join(command)
     say(said)
-    code = main(list(command))
+    code = run(_parser(), command)
     if code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
     if code:
         raise LearningError(f"`{said}` ended with exit code {code}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m learning")
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    for verb in (compensate, train_field, train_autoencoder, train_direct):
+        verb.add_to(verbs)
+    return parser
 
 
 def _commands(
@@ -122,3 +144,76 @@ def _training(places: Places, kind: str, choice: ModelChoice, device: torch.devi
     for each in (*choice.set, f"launch.device={device.type}"):
         command += ["--set", each]
     return command
+
+
+# Models that learn from translated frames, several at once: what a GPU needs to be kept busy.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tuning:
+    """One of the models."""
+
+    pair: Pair
+    """From which sensor to which."""
+    method: str
+    """What its labels are, as evaluations call it."""
+    translator: str
+    """What made its frames."""
+    labels: Compensation | None
+    """What changes the labels."""
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"force-{self.pair.source}-to-{self.pair.target}.{self.method}.{self.translator}"
+
+
+def tune_together(
+    tunings: Sequence[Tuning],
+    shown: Mapping[Pair, Presses],
+    settings: ForceSettings,
+    start_from: ForcePredictor,
+    open_run: Callable[[Tuning], RunFolder],
+) -> None:
+    """Train the models that are not there yet, all at once, and store them.
+
+    Args:
+        tunings: Which.
+        shown: What they learn from, as they see it.
+        settings: How.
+        start_from: What they begin with.
+        open_run: Opens the folder of one.
+
+    Raises:
+        LearningError: Presses or settings that they cannot share, or a training that diverged.
+        KeyboardInterrupt: It was stopped; nothing of it is stored.
+    """
+    with ExitStack() as opened:
+        runs = [opened.enter_context(open_run(each)) for each in tunings]
+        due = [number for number, run in enumerate(runs) if not run.finished]
+        if not due:
+            return
+        steps = Progress(f"steps of {len(due)} models, {tunings[due[0]].name} first", sys.stderr)
+        taken = 0
+
+        def passed(done: int, total: int) -> None:
+            nonlocal taken
+            taken = done
+            steps(done, total)
+
+        try:
+            with Stop(partial(print, file=sys.stderr)) as stop:
+                trained = train_together(
+                    [shown[tunings[number].pair] for number in due],
+                    settings,
+                    start_from=start_from,
+                    compensation=[tunings[number].labels for number in due],
+                    stopped=lambda: stop.asked,
+                    progress=passed,
+                )
+        finally:
+            steps.close()
+        if trained is None:
+            raise KeyboardInterrupt
+        for number, predictor in zip(due, trained, strict=True):
+            runs[number].finish(taken, {"model": predictor.model})

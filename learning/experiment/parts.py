@@ -17,7 +17,7 @@ from learning.errors import LearningError
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import Look
 from learning.progress import Progress
-from learning.training.sampling import generator
+from learning.training.run import generator
 from learning.translation.archive import target_references
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive

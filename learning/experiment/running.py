@@ -12,19 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from learning.data.fingerprint import archive_fingerprint
+from learning.archive_writer import archive_fingerprint
+from learning.config import settings_to_dict
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
-from learning.evaluation.force_table import UNSEEN, ForceRow
-from learning.evaluation.predictions import after
+from learning.evaluation.predictions import UNSEEN, ForceRow, after
 from learning.evaluation.report import Report, write_report
 from learning.experiment.forces import BEFORE, TRANSFERRED
 from learning.experiment.models import Places
 from learning.experiment.parts import Pair, pairs_of
 from learning.experiment.settings import ExperimentSettings
-from learning.experiment.side_by_side import do_all
-from learning.experiment.worker import Work
-from learning.settings import settings_to_dict
+from learning.experiment.worker import Work, do_all
 from recorder import MarkerArchive
 from recorder.store.durable import replace_file
 

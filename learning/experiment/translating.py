@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -11,9 +12,13 @@ from torch import Tensor
 
 from learning.data.images import shrink_masks, unpack_masks
 from learning.data.presses import Presses
-from learning.translation.flow.presses import PackedPresses, fields_of_presses
-from learning.translation.flow.warping import warp_masks
+from learning.markers.displacement import PackedPresses, fields_of_presses
+from learning.translation.flow import warp_masks
 from learning.translation.translator import SensorView, Translator
+
+if TYPE_CHECKING:
+    import torch
+
 
 _AT_ONCE = 256
 """Frames translated at once: 79 MB of masks."""
@@ -145,3 +150,36 @@ def _groups(own: Tensor, other: Tensor) -> Iterator[tuple[Tensor, int, int]]:
         rows = torch.from_numpy(np.flatnonzero((both == (one, another)).all(axis=1)))
         for part in rows.split(_AT_ONCE):
             yield part, one, another
+
+
+# A translator that is not told how the source looks untouched: what that is worth, by its lack.
+
+
+class Blind:
+    """Gives frames and the target's reference to a translator, and nothing else."""
+
+    def __init__(self, translator: Translator) -> None:
+        """Wrap a translator that can do without, as `direct` can."""
+        self._translator = translator
+        self.name = f"{translator.name}-blind"
+
+    def translate(
+        self,
+        source: torch.Tensor,
+        target_reference: torch.Tensor,
+        source_reference: torch.Tensor | None = None,
+        *,
+        ordered: bool = False,
+    ) -> torch.Tensor:
+        """Return the frames as the target would have shown them, bool (n, 480, 640).
+
+        Args:
+            source: Masks of the source, bool (n, 480, 640).
+            target_reference: The untouched target, bool (480, 640).
+            source_reference: Not looked at.
+            ordered: Likewise: the first frame of a press would tell the same.
+
+        Raises:
+            LearningError: Wrong shapes or types, or a translator that needs the reference.
+        """
+        return self._translator.translate(source, target_reference)

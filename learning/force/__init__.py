@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import torch
 
-    from learning.force.predictor import ForcePredictor
+    from learning.force.predict import ForcePredictor
 
 
 def load_force_model(
@@ -23,6 +23,6 @@ def load_force_model(
     Raises:
         LearningError: Not such a folder, a model of another kind, or weights that do not fit it.
     """
-    from learning.force import predictor
+    from learning.force import predict
 
-    return predictor.load_force_model(folder, device)
+    return predict.load_force_model(folder, device)

@@ -6,16 +6,17 @@ import copy
 import logging
 import os
 import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from learning.errors import LearningError
-from learning.force.inputs import prepare, stored_shape
-from learning.force.network import ForceModel
-from learning.force.predictor import ForcePredictor
+from learning.force.model import ForceModel, prepare, stored_shape
+from learning.force.predict import ForcePredictor
 from learning.force.stream import (
     AFTER,
     FORCE,
@@ -149,3 +150,47 @@ def _difference(predictor: ForcePredictor, file: Path) -> float:
         float(np.abs((streams[0].step(frame) - streams[1].step(frame)) / box).max())
         for frame in frames
     )
+
+
+# Convolutions of an exported model in 8-bit integers, by ONNX Runtime.
+
+
+def quantise(exported: Path, out: Path, inputs: Iterable[Mapping[str, Any]]) -> None:
+    """Write a model whose convolutions are int8: weights by channel, activations by tensor.
+
+    Args:
+        exported: The model in float.
+        out: Where the new one goes.
+        inputs: Inputs of steps, by name, that show how large activations become.
+
+    Raises:
+        LearningError: The package `onnx` is not installed.
+    """
+    try:
+        from onnxruntime import quantization
+    except ImportError:
+        raise LearningError("onnx: not installed; pip install onnx") from None
+    reader = _reader(quantization.CalibrationDataReader, iter(inputs))
+    quiet = logging.getLogger()
+    level = quiet.level
+    quiet.setLevel(logging.ERROR)  # it advises to run a step first that needs another package
+    try:
+        quantization.quantize_static(
+            str(exported),
+            str(out),
+            reader,
+            quant_format=quantization.QuantFormat.QDQ,
+            per_channel=True,
+            op_types_to_quantize=["Conv"],
+        )
+    finally:
+        quiet.setLevel(level)
+
+
+def _reader(base: Any, inputs: Iterator[Mapping[str, Any]]) -> Any:
+    class Reader(base):  # type: ignore[misc]
+        def get_next(self) -> dict[str, Any] | None:
+            found = next(inputs, None)
+            return None if found is None else dict(found)
+
+    return Reader()

@@ -5,10 +5,10 @@
         found = predictor.step(picture)  # None while the untouched sensor is looked at
 
 Each frame goes the way of the training data: markers by a preset of `learning.markers`, the image
-or the marker field that the network takes (`learning.force.shown`), the network step by step with
+or the marker field that the network takes (`learning.force.live`), the network step by step with
 its memory carried along. The first frames must show the untouched sensor. Training sequences begin
 untouched and are short, so the memory is cleared for as long as nothing touches the sensor
-(`learning.force.contact`).
+(`learning.force.live`).
 """
 
 from __future__ import annotations
@@ -20,15 +20,166 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.data.images import shrink
 from learning.errors import LearningError
-from learning.force.contact import Contact, ContactRule
-from learning.force.shown import Shown, shown_to
 from learning.force.stream import ForceStream, open_exported
-from learning.markers.catalogue import preset, preset_of_sensor
-from learning.markers.frames import one_thread
-from learning.markers.preset import CameraPreset, Preset
-from learning.markers.segmentation import Segmenter
-from learning.markers.taxels import taxel_masks
+from learning.markers.displacement import MAP_SIDE, FieldReader
+from learning.markers.frames import one_thread, taxel_masks
+from learning.markers.segment import CameraPreset, Preset, Segmenter, preset, preset_of_sensor
+from recorder.markers import pack
+
+# What a network is shown of a mask, frame after frame: its image, or its marker field.
+
+Mask = NDArray[np.bool_]
+
+
+class Shown(Protocol):
+    """Makes of masks what a network takes."""
+
+    @property
+    def reference(self) -> NDArray[np.uint8] | None:
+        """The image of the untouched sensor, for a network that takes images."""
+
+    def of(self, mask: Mask) -> NDArray[Any]:
+        """Return what is shown of the next mask (480, 640)."""
+
+    def restart(self) -> None:
+        """Forget the frames before: the next is untouched."""
+
+
+def shown_to(network: ForceStream, reference: Mask) -> Shown:
+    """Return what makes of masks what a network takes.
+
+    Args:
+        network: The force model.
+        reference: The untouched mask (480, 640).
+
+    Raises:
+        LearningError: A network of another input, or a reference without markers.
+    """
+    shape = network.inputs.frame[1:]
+    if network.inputs.is_image:
+        return Images(reference)
+    if shape != (3, MAP_SIDE, MAP_SIDE):
+        raise LearningError(
+            f"model: takes frames {shape}; allowed: images, or marker fields (3, {MAP_SIDE}, "
+            f"{MAP_SIDE})"
+        )
+    return Fields(reference)
+
+
+class Images:
+    """Images of 256 x 256, as training data have them."""
+
+    def __init__(self, reference: Mask) -> None:
+        """Take the untouched mask (480, 640)."""
+        self.reference: NDArray[np.uint8] | None = self.of(reference)
+
+    def of(self, mask: Mask) -> NDArray[np.uint8]:
+        """Return the image (256, 256) of a mask (480, 640)."""
+        (image,) = shrink(pack(mask)[None])
+        return np.asarray(image, np.uint8)
+
+    def restart(self) -> None:
+        """An image does not depend on the one before."""
+
+
+class Fields(FieldReader):
+    """Marker fields (3, 32, 32), whose markers are followed from frame to frame."""
+
+    reference: NDArray[np.uint8] | None = None
+
+    def of(self, mask: Mask) -> NDArray[np.float32]:
+        """Return displacement [px] and growth (3, 32, 32) of the next mask (480, 640)."""
+        match = self._matcher.step(mask)
+        values = np.concatenate([match.moved, match.growth[:, None]], axis=1)
+        field = (self._map_operator @ values).T.reshape(3, MAP_SIDE, MAP_SIDE)
+        return np.ascontiguousarray(field, np.float32)
+
+    def restart(self) -> None:
+        """Expect the next mask to look like the reference."""
+        self._matcher.restart()
+
+
+# Whether a sensor is touched, told from its markers: has any edge of one moved?
+#
+# The share of pixels in which a mask differs from the untouched one, over the length of the
+# markers' edges, is how far those edges moved on average [px]. What it is in the frames that the
+# untouched mask was taken from is the noise. Contact is above twice that and a little more; contact
+# has ended after a few frames in a row below, so that a press that passes through its untouched
+# look does not lose its history.
+
+
+@dataclass(frozen=True, slots=True)
+class ContactRule:
+    """When a sensor counts as touched."""
+
+    times_noise: float = 2.0
+    """Of the largest motion among the untouched frames."""
+    least_px: float = 0.02
+    """And so much more, mean motion of the markers' edges [px of 640 x 480]."""
+    frames: int = 5
+    """Contact has ended after so many frames in a row below."""
+    noise_px: float = 0.5
+    """Untouched frames that differ by more are not untouched."""
+
+    def __post_init__(self) -> None:
+        """Refuse a rule by which nothing ever ends, or all is contact."""
+        if not (self.times_noise >= 1 and self.least_px > 0 and self.frames >= 1):
+            raise LearningError(
+                f"contact: found {self}; allowed: times_noise 1 or more, least_px above 0, frames "
+                "1 or more"
+            )
+
+
+class Contact:
+    """Follows the masks of one sensor: is it touched?"""
+
+    def __init__(self, untouched: NDArray[np.bool_], rule: ContactRule | None = None) -> None:
+        """Take the untouched mask and its noise from frames without contact.
+
+        Args:
+            untouched: Masks (n, 480, 640), one or more.
+            rule: When it counts as touched.
+
+        Raises:
+            LearningError: No markers, or frames that differ too much to be untouched.
+        """
+        self._rule = rule or ContactRule()
+        self.reference: Mask = np.asarray(2 * untouched.sum(axis=0) > len(untouched), np.bool_)
+        """What most of them show (480, 640)."""
+        self._edge = _edge_length(self.reference)
+        if not self._edge:
+            raise LearningError("untouched frames: found no markers; allowed: another preset")
+        noise = max(self.moved(mask) for mask in untouched)
+        if noise > self._rule.noise_px:
+            raise LearningError(
+                f"untouched frames: their markers move by {noise:.2f} px; allowed: "
+                f"{self._rule.noise_px} px; was the sensor touched while its reference was taken?"
+            )
+        self.threshold_px = self._rule.times_noise * noise + self._rule.least_px
+        """Mean motion of edges above which it is touched [px]."""
+        self._still = self._rule.frames
+        self.motion_px = 0.0
+        """Mean motion of the markers' edges in the last frame [px]."""
+
+    def moved(self, mask: Mask) -> float:
+        """Return how far the markers' edges lie from where they are untouched, on average [px]."""
+        return float(np.count_nonzero(mask != self.reference)) / self._edge
+
+    def step(self, mask: Mask) -> bool:
+        """Return whether the sensor is touched in the next frame (480, 640)."""
+        self.motion_px = self.moved(mask)
+        self._still = 0 if self.motion_px > self.threshold_px else self._still + 1
+        return self._still < self._rule.frames
+
+
+def _edge_length(mask: Mask) -> int:
+    """Return the number of sides that pixels of markers share with others."""
+    across = np.count_nonzero(mask[:, 1:] != mask[:, :-1])
+    down = np.count_nonzero(mask[1:] != mask[:-1])
+    return int(across + down)
+
 
 Frame = NDArray[Any]
 
@@ -179,7 +330,7 @@ def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceS
     import torch
 
     from learning.force.export import torch_stream
-    from learning.force.predictor import load_force_model
+    from learning.force.predict import load_force_model
 
     if threads:
         torch.set_num_threads(threads)

@@ -17,21 +17,30 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call, stack_module_state
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.batches import error, forces_of, frames_of, require_form
-from learning.force.labels import Compensation, force_range, labels_of
-from learning.force.network import AXES, ForceModel
-from learning.force.predictor import ForcePredictor, predicted_shares
-from learning.force.sequences import Epoch, epoch
-from learning.force.settings import ForceSettings, OptimiserSettings, StageSettings
-from learning.training import launch
-from learning.training.ema import Ema
-from learning.training.run_folder import RunFolder
-from learning.training.sampling import generator, seed_torch
-from learning.training.schedules import Constant, Cosine, InversePower, Schedule, set_rate
-from learning.training.weights import load_weights, read_weights
+from learning.force.data import (
+    Compensation,
+    Epoch,
+    epoch,
+    error,
+    force_range,
+    forces_of,
+    frames_of,
+    labels_of,
+    mirrored,
+    prepared_rows,
+    require_form,
+    signs,
+)
+from learning.force.model import AXES, ForceModel, ForceSettings, OptimiserSettings, StageSettings
+from learning.force.predict import ForcePredictor, predicted_shares
+from learning.training import run as launch
+from learning.training.checkpoint import load_weights, read_weights
+from learning.training.optim import Constant, Cosine, Ema, InversePower, Schedule, set_rate
+from learning.training.run import RunFolder, generator, seed_torch
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
@@ -300,3 +309,169 @@ def _finished(
     # Without this the model would go on to evaluate in the precision that it was trained in.
     bare: ForceModel = accelerator.unwrap_model(model, keep_fp32_wrapper=False)
     return ForcePredictor(bare.eval(), settings)
+
+
+# Trains force models side by side: one for each sensor that would have shown the same presses.
+#
+# A small network leaves a GPU waiting for orders most of the time. Models of one network that learn
+# from the same presses, as several sensors would have shown them, take the same orders; here each
+# is given once for all of them (`torch.vmap` over weights and frames). Every model learns what
+# `train_force` would have taught it alone, up to round-off. Nothing is stored on the way: it is for
+# trainings of a minute, which are begun anew when they were stopped.
+
+_AT_ONCE = 256
+"""Frames prepared at once."""
+
+
+def train_together(
+    presses: Sequence[Presses],
+    settings: ForceSettings,
+    *,
+    start_from: ForcePredictor | None = None,
+    compensation: Sequence[Compensation | None] = (),
+    stopped: Callable[[], bool] = lambda: False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[ForcePredictor] | None:
+    """Return a trained force model for each of the presses; None: it was stopped.
+
+    Args:
+        presses: The same presses, as each of the sensors shows them; on the device of the training.
+        settings: The network and how it is trained; precision as `launch` says.
+        start_from: A model with the same network, whose weights are begun with.
+        compensation: Changes the labels of each; empty: of none.
+        stopped: Asked before every step.
+        progress: Called with steps done and steps there are.
+
+    Raises:
+        LearningError: Presses that differ, that have no labels or the wrong form, settings that
+            models cannot share, a network that `start_from` does not fit, or a loss that is no
+            number.
+    """
+    _require_alike(presses, settings)
+    device = presses[0].device
+    changes = list(compensation) or [None] * len(presses)
+    labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
+    models = [begun_model([each], settings, start_from, device) for each in labels]
+    forces = torch.stack(labels)  # (k, n, 3)
+    low, high = (
+        torch.stack([getattr(model, name) for model in models])[:, None, None]
+        for name in ("low", "high")
+    )
+    frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
+
+    weights, buffers = stack_module_state(models)
+    total = sum(
+        stage.epochs * epoch_of(presses[:1], stage, settings, 0).steps(1)
+        for stage in settings.stages
+    )
+    done = passed = 0
+    for stage in settings.stages:
+        optimiser = optimiser_of(weights.values(), settings.optimiser)
+        steps = epoch_of(presses[:1], stage, settings, passed).steps(1)
+        schedule = schedule_of(stage, stage.epochs * steps)
+        summed = torch.zeros(len(models), dtype=torch.float64, device=device)
+        for number in range(stage.epochs * steps):
+            if stopped():
+                return None
+            if number % steps == 0:
+                passes = epoch_of(presses[:1], stage, settings, passed)
+                passed += 1
+            sequences = passes.sequences(number % steps)
+            seed_torch(settings.seed, "force", "step", done, 0)
+            lengths = sequences.lengths if settings.sequences.padding == "masked" else None
+            rows = torch.from_numpy(sequences.rows).to(device)
+            seen = mirrored(frames[:, rows], sequences.flips, settings.input)
+            wanted = (forces[:, rows] * signs(sequences.flips, device) - low) / (high - low)
+            with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
+                shares = _forward(models[0], weights, buffers, seen, lengths, settings)
+            losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023
+                shares, wanted
+            )
+            set_rate(optimiser, schedule.at(number))
+            optimiser.zero_grad()
+            losses.sum().backward()
+            if settings.optimiser.clip is not None:
+                _clip(weights.values(), settings.optimiser.clip)
+            optimiser.step()
+            summed += losses.detach()
+            done += 1
+            progress(done, total)
+        for each, loss in zip(presses, summed.tolist(), strict=True):
+            if not math.isfinite(loss):
+                raise LearningError(
+                    f"loss of {each.sensor}: found {loss}; allowed: a finite one, as a smaller "
+                    "learning_rate may give"
+                )
+    for number, model in enumerate(models):
+        found = {**weights, **buffers}
+        model.load_state_dict({name: each[number].detach() for name, each in found.items()})
+    return [ForcePredictor(model.eval(), settings) for model in models]
+
+
+def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
+    """Refuse presses and settings that models cannot share.
+
+    Raises:
+        LearningError: They are not the same presses, or one model's training would touch another's.
+    """
+    if not presses or not len(presses[0]):
+        raise LearningError("presses: found none; allowed: one and more, of one sensor and more")
+    for each in presses:
+        require_form(each, settings.input)
+        if not torch.equal(each.starts, presses[0].starts) or each.device != presses[0].device:
+            raise LearningError(
+                f"presses of {each.sensor}: found others than those of {presses[0].sensor}; "
+                "allowed: the same presses, on one device"
+            )
+    alone = {
+        "network.encoder_norm": settings.network.encoder_norm == "batch",
+        "network.tail_norm": settings.network.tail_norm == "batch",
+        "ema": settings.ema is not None,
+        "launch.mixed_precision": settings.launch.mixed_precision == "fp16",
+    }
+    for key, found in alone.items():
+        if found:
+            raise LearningError(
+                f"{key}: found what models have to be trained for one at a time; allowed together: "
+                "norms none, instance or group, no ema, precision no or bf16"
+            )
+
+
+def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:
+    """Return all frames (n, planes, h, w) as the network takes them."""
+    rows = torch.arange(presses.frames, device=presses.device)
+    return torch.cat(
+        [prepared_rows(presses, part, settings.input) for part in rows.split(_AT_ONCE)]
+    )
+
+
+def _in_bf16(settings: ForceSettings) -> bool:
+    return settings.launch.mixed_precision == "bf16"
+
+
+def _forward(
+    model: ForceModel,
+    weights: dict[str, Any],
+    buffers: dict[str, Any],
+    frames: Tensor,
+    lengths: Sequence[int] | None,
+    settings: ForceSettings,
+) -> Tensor:
+    """Return forces (k, b, s, 3), 0 to 1, of frames (k, b, s, planes, h, w), each by its model."""
+
+    def one(own: dict[str, Tensor], fixed: dict[str, Tensor], seen: Tensor) -> Tensor:
+        how = {"lengths": lengths, "truncate": settings.sequences.truncate_frames}
+        shares: Tensor = functional_call(model, (own, fixed), (seen,), how)[0]
+        return shares
+
+    shares: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)
+    return shares
+
+
+def _clip(weights: Any, most: float) -> None:
+    """Scale the gradients of each model (k, ...) whose norm is above `most`."""
+    grads = [each.grad for each in weights if each.grad is not None]
+    norms = torch.stack([grad.flatten(1).square().sum(dim=1) for grad in grads]).sum(dim=0).sqrt()
+    share = (most / (norms + 1e-6)).clamp(max=1.0)
+    for grad in grads:
+        grad.mul_(share.view(-1, *[1] * (grad.ndim - 1)))

@@ -4,14 +4,23 @@ A preset says how (`preset`); `Segmenter` makes masks, `find_centres` places mar
 pixel, `Tracker` follows them. `archive_sessions` does it for whole sessions.
 """
 
-from learning.markers.building import Built, archive_sessions
-from learning.markers.catalogue import names, preset, preset_of_sensor, read_preset
-from learning.markers.centres import Centres, find_centres
+from learning.markers.build import Built, archive_sessions
 from learning.markers.efficient_sam import EfficientSam
-from learning.markers.preset import CameraPreset, Preset, TaxelPreset
-from learning.markers.segmentation import Segmenter, grey
-from learning.markers.taxels import taxel_masks
-from learning.markers.tracking import Track, Tracker
+from learning.markers.frames import taxel_masks
+from learning.markers.segment import (
+    CameraPreset,
+    Centres,
+    Preset,
+    Segmenter,
+    TaxelPreset,
+    find_centres,
+    grey,
+    names,
+    preset,
+    preset_of_sensor,
+    read_preset,
+)
+from learning.markers.track import Track, Tracker
 
 __all__ = [
     "Built",

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.markers.centres import find_centres
+from learning.markers.segment import find_centres
 from recorder.markers import HEIGHT, WIDTH
 
 CORNERS = (2.0, 3.0)

@@ -10,18 +10,41 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.archive_writer import CHUNK_ROWS, FLAG, INVALID, UNIT_ROWS, Flagger, Frames
 from learning.errors import LearningError
-from learning.filling import CHUNK_ROWS, UNIT_ROWS, Frames
-from learning.flags import FLAG, INVALID, Flagger
 from learning.indenters import UNSEEN
 from learning.markers.efficient_sam import EfficientSam
-from learning.markers.group import Placed, SensorGroup
-from learning.markers.preset import CameraPreset, Preset, TaxelPreset
-from learning.markers.recording import Recording
-from learning.markers.segmentation import Segmenter
-from learning.markers.taxels import taxel_masks
+from learning.markers.recording import Placed, Recording, SensorGroup
+from learning.markers.segment import CameraPreset, Preset, Segmenter, TaxelPreset
 from recorder.archive import MarkerCount, SensorPlan
-from recorder.markers import HEIGHT, WIDTH, find_blobs, pack
+from recorder.markers import HEIGHT, WIDTH, draw_discs, find_blobs, pack
+
+# Marker images of taxels: counts less the untouched ones, drawn as discs.
+
+_SIDE = 4
+
+
+def taxel_masks(
+    counts: NDArray[np.floating | np.integer],
+    untouched: NDArray[np.floating | np.integer],
+    preset: TaxelPreset,
+) -> NDArray[np.bool_]:
+    """Return the masks (n, 480, 640) of counts.
+
+    Args:
+        counts: As the device sends them (n, 16, 3) [counts].
+        untouched: Without contact (16, 3), or one for each (n, 16, 3) [counts].
+        preset: How taxels are numbered.
+
+    Raises:
+        ValueError: Another shape, or counts that are not finite.
+    """
+    change = np.asarray(counts, np.float64) - np.asarray(untouched, np.float64)
+    if preset.rows_from_top:
+        rows = change.reshape(*change.shape[:-2], _SIDE, _SIDE, 3)
+        change = (rows[..., ::-1, :, :] * [1.0, -1.0, 1.0]).reshape(change.shape)
+    return draw_discs(change)
+
 
 Masks = NDArray[np.bool_]
 

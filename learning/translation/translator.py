@@ -125,7 +125,7 @@ def load_translator(name_or_folder: str | Path, device: torch.device | str = "cp
         from learning.translation.flow import FlowTranslator
 
         return FlowTranslator()
-    from learning.training.model_folder import CONFIG, read_config
+    from learning.training.checkpoint import CONFIG, read_config
 
     folder = Path(name_or_folder)
     kind = read_config(folder).kind

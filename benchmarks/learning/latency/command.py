@@ -13,8 +13,8 @@ from learning.progress import Progress
 
 if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
-    from learning.force.predictor import ForcePredictor
-    from learning.verbs.options import Verbs
+    from learning.command import Verbs
+    from learning.force.predict import ForcePredictor
 
 PRESETS = "paper,half,quarter,tiny,displacement"
 
@@ -95,7 +95,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _models(options: argparse.Namespace) -> dict[str, ForcePredictor]:
     from learning.force import load_force_model
-    from learning.force.predictor import untrained
+    from learning.force.predict import untrained
 
     if options.model:
         if options.presets:

@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.export import OneFrame, export_onnx, made_up_frames, stepped_by, torch_stream
-from learning.force.network import ForceModel
-from learning.force.predictor import ForcePredictor
-from learning.force.quantise import quantise
+from learning.force.export import (
+    OneFrame,
+    export_onnx,
+    made_up_frames,
+    quantise,
+    stepped_by,
+    torch_stream,
+)
+from learning.force.model import ForceModel
+from learning.force.predict import ForcePredictor
 from learning.force.stream import ForceStream, open_exported
 
 WARM_UP = 5

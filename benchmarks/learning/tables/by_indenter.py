@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learning.evaluation.force_table import UNSEEN
-from learning.evaluation.predictions import Predictions
-from learning.force_errors import force_errors, r_squared
+from learning.evaluation.predictions import UNSEEN, Predictions
+from learning.metrics import force_errors, r_squared
 from recorder.strict_yaml import natural_key
 
 Variant = tuple[str, str]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.verbs.options import Verbs
+    from learning.command import Verbs
 
 
 def add_to(verbs: Verbs) -> None:

@@ -9,16 +9,18 @@ from pathlib import Path
 from benchmarks.learning.tables.by_indenter import IndenterErrors, Variant, by_indenter
 from learning.compensation import StoredCompensation, read_stored
 from learning.errors import LearningError
-from learning.evaluation.force_table import UNSEEN, ForceRow, force_rows, of_role
 from learning.evaluation.paper_figures import Beside, beside_the_paper
-from learning.evaluation.predictions import CHOICES, after, merged
-from learning.evaluation.results_folder import read_folder
-from learning.evaluation.translation_scores import (
-    TRANSLATED,
-    PairedScore,
-    TranslationScores,
-    paired_rows,
+from learning.evaluation.predictions import (
+    CHOICES,
+    UNSEEN,
+    ForceRow,
+    after,
+    force_rows,
+    merged,
+    of_role,
 )
+from learning.evaluation.report import read_folder
+from learning.evaluation.translation import TRANSLATED, PairedScore, TranslationScores, paired_rows
 
 NO_TRANSLATOR = ""
 

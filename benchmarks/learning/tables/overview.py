@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from benchmarks.learning.tables.group_results import Group, mean
 from benchmarks.learning.tables.markdown import head, line, or_dash
-from learning.evaluation.force_table import BEFORE, TARGET, ForceRow, variant_name
 from learning.evaluation.paper_figures import NORMAL, SHEAR, label_share
+from learning.evaluation.predictions import BEFORE, TARGET, ForceRow, variant_name
 
 TOLD = """\
 Means over pairs, on unseen indenters. `before`: the source's model on the target's own frames;

@@ -12,9 +12,10 @@ from benchmarks.learning.tables.markdown import head, line, or_dash
 from benchmarks.learning.tables.overview import overview
 from learning.compensation import Choice
 from learning.evaluation.charts import heatmaps
-from learning.evaluation.force_section import beside_line
-from learning.evaluation.force_table import (
+from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
+from learning.evaluation.predictions import (
     BEFORE,
+    CHOICES,
     TARGET,
     ForceRow,
     csv_text,
@@ -22,9 +23,8 @@ from learning.evaluation.force_table import (
     variant_name,
     variants,
 )
-from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
-from learning.evaluation.predictions import CHOICES
-from learning.evaluation.translation_scores import TRANSLATED, score_line
+from learning.evaluation.report import beside_line
+from learning.evaluation.translation import TRANSLATED, score_line
 from recorder.store.durable import replace_file
 from recorder.strict_yaml import natural_key
 

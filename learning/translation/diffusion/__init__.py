@@ -4,6 +4,6 @@
 user's; diffusers, peft and transformers are needed only when one of them is called.
 """
 
-from learning.translation.diffusion.loading import load
+from learning.translation.diffusion.translator import load
 
 __all__ = ["load"]

@@ -15,19 +15,20 @@ from typing import Any, Literal
 
 import torch
 
+from learning.config import read_settings
 from learning.errors import LearningError
-from learning.settings import read_settings
-from learning.training.run_folder import RunFolder
-from learning.training.weights import load_weights, weights_hash
-from learning.translation.diffusion.adapters import (
+from learning.training.checkpoint import load_weights, weights_hash
+from learning.training.run import RunFolder
+from learning.translation.diffusion.network import (
     UNET_ADAPTER,
     UNET_TARGETS,
     VAE_ADAPTER,
     VAE_TARGETS,
+    MarkerToMarker,
+    build,
     is_adapter,
+    rank_of,
 )
-from learning.translation.diffusion.loading import BASE, KIND, MARKER_VAE
-from learning.translation.diffusion.network import MarkerToMarker, build, rank_of
 from learning.translation.diffusion.settings import (
     MARKER_VAE_PRESETS,
     TRANSLATOR_PRESETS,
@@ -36,6 +37,7 @@ from learning.translation.diffusion.settings import (
     Weights,
 )
 from learning.translation.diffusion.train_vae import MarkerVae
+from learning.translation.diffusion.translator import BASE, KIND, MARKER_VAE
 from learning.translation.diffusion.weights import (
     fingerprint,
     read_plain,

@@ -10,27 +10,160 @@ The frozen weights are the published ones; what `state_dict` returns is only wha
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.weights import load_weights
-from learning.translation.diffusion.adapters import (
-    UNET_ADAPTER,
-    UNET_TARGETS,
-    VAE_ADAPTER,
-    VAE_TARGETS,
-    add_adapter,
-    is_adapter,
-    keep_in_state,
-)
+from learning.training.checkpoint import load_weights
 from learning.translation.diffusion.conditioning import ReferenceTokens
-from learning.translation.diffusion.one_step import LAST_TIME, clean_latent
 from learning.translation.diffusion.settings import Range, TranslatorSettings
+from learning.translation.diffusion.weights import vendor
+
+# Low-rank adapters (LoRA) on the frozen networks: where they sit and which parameters learn.
+#
+# Names of adapters and targets are those of the authors' checkpoints, so that these load by name.
+
+UNET_ADAPTER = "unet_lora"
+"""Name of the UNet's adapter."""
+VAE_ADAPTER = "ref_encoder_lora"
+"""Name of the autoencoder's adapter, the translator's and the reference encoder's alike."""
+UNET_TARGETS = (
+    "to_k",
+    "to_q",
+    "to_v",
+    "to_out.0",
+    "conv",
+    "conv1",
+    "conv2",
+    "conv_shortcut",
+    "conv_out",
+    "proj_in",
+    "proj_out",
+    "ff.net.2",
+    "ff.net.0.proj",
+)
+"""Ends of the names of the UNet's layers that get an adapter (authors' code)."""
+VAE_TARGETS = (
+    "conv1",
+    "conv2",
+    "conv_in",
+    "conv_shortcut",
+    "conv",
+    "conv_out",
+    "to_k",
+    "to_q",
+    "to_v",
+    "to_out.0",
+)
+"""The same for the autoencoder's layers (authors' code)."""
+ALPHA = 8
+"""Over the rank, what an adapter counts: 1 at rank 8, 2 at rank 4 (peft's default)."""
+
+
+def add_adapter(
+    network: Any, name: str, rank: int, targets: tuple[str, ...], *, seed: int = 0
+) -> None:
+    """Add an adapter to a network of diffusers and freeze the rest.
+
+    Its first half is normally distributed and its second half 0, so that nothing changes at first.
+
+    Args:
+        network: UNet or autoencoder.
+        name: Of the adapter.
+        rank: Of its two factors.
+        targets: Ends of the names of the layers that get one.
+        seed: Of the first half.
+    """
+    config = vendor("peft").LoraConfig(
+        r=rank, lora_alpha=ALPHA, init_lora_weights="gaussian", target_modules=list(targets)
+    )
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        network.add_adapter(config, adapter_name=name)
+    for parameter_name, parameter in network.named_parameters():
+        parameter.requires_grad_(is_adapter(parameter_name))
+
+
+def is_adapter(name: str) -> bool:
+    """Return whether a parameter belongs to an adapter, by its name."""
+    return ".lora_A." in name or ".lora_B." in name
+
+
+def adapter_tensors(network: nn.Module) -> dict[str, torch.Tensor]:
+    """Return the tensors of a network's adapters by name."""
+    return {name: value for name, value in network.state_dict().items() if is_adapter(name)}
+
+
+def fuse(network: Any) -> None:
+    """Add the adapters to the weights they adapt, for speed: they cannot learn any more."""
+    network.fuse_lora()
+    network.unload_lora()
+
+
+def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
+    """Let the state of a module be only what is kept; the rest is as it was made.
+
+    `state_dict` leaves the rest out, and `load_state_dict` does not ask for it.
+
+    Args:
+        module: A whole network.
+        kept: Whether a tensor is kept, by its name in the module.
+    """
+
+    def leave_out(_: nn.Module, state: dict[str, Any], prefix: str, __: Any) -> None:
+        for name in list(state):
+            if name.startswith(prefix) and not kept(name.removeprefix(prefix)):
+                del state[name]
+
+    def not_missed(_: nn.Module, found: Any) -> None:
+        found.missing_keys[:] = [name for name in found.missing_keys if kept(name)]
+
+    module.register_state_dict_post_hook(leave_out)
+    module.register_load_state_dict_post_hook(not_missed)
+
+
+# One step of diffusion, from the last time at once to the clean latent, in closed form.
+#
+# With one step, DDPM's update at t = 999 is the prediction of the clean latent itself: the weight
+# of the noisy latent and the added noise are both zero. So no scheduler is needed.
+
+TIMES = 1000
+"""Times of Stable Diffusion's schedule."""
+LAST_TIME = TIMES - 1
+"""The one time that SD-Turbo is asked at."""
+BETA_FIRST, BETA_LAST = 0.00085, 0.012
+"""Noise variance of the first and the last time; square roots are evenly spaced between them
+(Stable Diffusion's `scaled_linear` schedule)."""
+
+
+@cache
+def remaining_signal() -> float:
+    """Return the share of the clean latent's variance that is left at the last time (0.00466)."""
+    low, high = math.sqrt(BETA_FIRST), math.sqrt(BETA_LAST)
+    return math.prod(1 - (low + (high - low) * time / LAST_TIME) ** 2 for time in range(TIMES))
+
+
+def clean_latent(noisy: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    """Return the clean latent of a latent at the last time and the noise predicted in it.
+
+    Computed in float32 whatever comes in: the two terms are 14.6 times as large as their
+    difference.
+
+    Args:
+        noisy: Latent at the last time (n, channels, h, w), scaled.
+        noise: What the network takes for noise, of the same shape.
+    """
+    signal = remaining_signal()
+    # Autocast leaves sums and products with numbers in what they come in.
+    rest = noisy.float() - math.sqrt(1 - signal) * noise.float()
+    return rest / math.sqrt(signal)
+
 
 _LOG_VARIANCE = -30.0, 20.0  # what Stable Diffusion's autoencoder limits the posterior to
 

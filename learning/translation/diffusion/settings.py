@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Literal
 
 from learning.errors import LearningError
-from learning.training.launch import LaunchSettings
-from learning.training.schedules import Constant, Cosine
+from learning.training.optim import Constant, Cosine
+from learning.training.run import LaunchSettings
 from learning.translation.diffusion.conditioning import Conditioning
 
 TRANSLATOR_PRESETS = Path(__file__).parent / "presets" / "translator"

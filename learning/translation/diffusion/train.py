@@ -20,23 +20,30 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.launch import accelerator as launched
-from learning.training.sampling import batch as sampled
-from learning.training.sampling import generator as chance
-from learning.training.schedules import set_rate
-from learning.training.weights import load_weights
-from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
+from learning.training.checkpoint import load_weights
+from learning.training.optim import set_rate
+from learning.training.run import accelerator as launched
+from learning.training.run import batch as sampled
+from learning.training.run import generator as chance
+from learning.translation.diffusion.data import ImagePairs, unit
+from learning.translation.diffusion.losses import (
+    Batch,
+    ClipFeatures,
+    DiscriminatorHeads,
+    Judges,
+    Side,
+    merged,
+    two_pass,
+)
 from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
-from learning.translation.diffusion.pairs import ImagePairs, unit
 from learning.translation.diffusion.perceptual import PerceptualDistance
 from learning.translation.diffusion.settings import Optimiser, TranslatorSettings
-from learning.translation.diffusion.updates import Batch, Judges, Side, merged, two_pass
 from learning.translation.diffusion.weights import read_clip, read_perceptual, read_unet, read_vae
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
-    from learning.training.run_folder import RunFolder
+    from learning.training.run import RunFolder
 
 _AT_ONCE = 16  # images that are encoded or measured together
 

@@ -19,26 +19,26 @@ from torch import nn
 from torch.nn import functional
 
 from learning.errors import LearningError
-from learning.training.launch import accelerator as launched
-from learning.training.sampling import batch as sampled
-from learning.training.sampling import generator as chance
-from learning.training.schedules import set_rate
-from learning.translation.diffusion.adapters import (
+from learning.training.optim import set_rate
+from learning.training.run import accelerator as launched
+from learning.training.run import batch as sampled
+from learning.training.run import generator as chance
+from learning.translation.diffusion.data import unit
+from learning.translation.diffusion.network import (
     VAE_ADAPTER,
     VAE_TARGETS,
     adapter_tensors,
     add_adapter,
     is_adapter,
     keep_in_state,
+    posterior,
 )
-from learning.translation.diffusion.network import posterior
-from learning.translation.diffusion.pairs import unit
 from learning.translation.diffusion.settings import MarkerVaeSettings
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
-    from learning.training.run_folder import RunFolder
+    from learning.training.run import RunFolder
 
 _AT_ONCE = 16  # images that are measured together
 

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.weights import load_weights, read_weights
+from learning.training.checkpoint import load_weights, read_weights
 from learning.translation.diffusion.perceptual import WIDTHS, PerceptualDistance
 
 EXTRA = "pip install 'tactile-rig[diffusion]'"

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from learning.translation.autoencoder.network import Encoder
-from learning.translation.autoencoder.overlap import soft_dice
+from learning.translation.direct.autoencoder import Encoder, soft_dice
 
 
 @dataclass(frozen=True, slots=True)

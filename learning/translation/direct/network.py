@@ -9,16 +9,90 @@ were, or where the tokens say that they went, which nothing but the image that c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.parametrizations import spectral_norm
 
 from learning.errors import LearningError
-from learning.translation.autoencoder.network import Decoder, Encoder
-from learning.translation.direct.attention import TransformerBlock, positions
+from learning.translation.direct.autoencoder import Decoder, Encoder
+
+# Transformer blocks: tokens of a source image look at each other and at those of a reference.
+
+
+def positions(rows: int, columns: int, width: int, device: torch.device) -> Tensor:
+    """Return sinusoidal positions (rows x columns, width): half of the width for each axis.
+
+    Args:
+        rows: Of the raster of tokens.
+        columns: The same.
+        width: Of a token, a multiple of 4.
+        device: Where they are made.
+    """
+    quarter = width // 4
+    rates = torch.exp(-math.log(1e4) * torch.arange(quarter, device=device) / quarter)
+    along = [torch.arange(side, device=device)[:, None] * rates for side in (rows, columns)]
+    row, column = (torch.cat([angle.sin(), angle.cos()], dim=1) for angle in along)
+    grid = torch.cat(
+        [
+            row[:, None].expand(rows, columns, 2 * quarter),
+            column[None].expand(rows, columns, 2 * quarter),
+        ],
+        dim=2,
+    )
+    return grid.reshape(rows * columns, width)
+
+
+class Attention(nn.Module):
+    """Multi-head attention of tokens on other tokens."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        """Build it for tokens of `width` channels, cut into `heads`."""
+        super().__init__()
+        self.heads = heads
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, tokens: Tensor, looked_at: Tensor) -> Tensor:
+        """Return what tokens (n, t, c) take from others (n, u, c): (n, t, c)."""
+        query = self._split(self.query(tokens))
+        key, value = (self._split(part) for part in self.key_value(looked_at).chunk(2, dim=2))
+        taken = functional.scaled_dot_product_attention(query, key, value)
+        merged: Tensor = self.out(taken.transpose(1, 2).flatten(2))
+        return merged
+
+    def _split(self, tokens: Tensor) -> Tensor:
+        count, length, width = tokens.shape
+        return tokens.view(count, length, self.heads, width // self.heads).transpose(1, 2)
+
+
+class TransformerBlock(nn.Module):
+    """Attention on themselves, on the reference, then a perceptron; each beside the identity."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        """Build it for tokens of `width` channels."""
+        super().__init__()
+        self.norm_self, self.norm_cross = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.norm_perceptron = nn.LayerNorm(width)
+        self.attend_self, self.attend_cross = Attention(width, heads), Attention(width, heads)
+        self.perceptron = nn.Sequential(
+            nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width)
+        )
+
+    def forward(self, tokens: Tensor, reference: Tensor) -> Tensor:
+        """Return tokens (n, t, c) after a look at those of the reference (n, u, c)."""
+        normed = self.norm_self(tokens)
+        tokens = tokens + self.attend_self(normed, normed)
+        tokens = tokens + self.attend_cross(self.norm_cross(tokens), reference)
+        perceived: Tensor = self.perceptron(self.norm_perceptron(tokens))
+        return tokens + perceived
+
 
 ABSENT = -1.0
 """First value of the plane that stands for a source reference nobody gave: no image has it."""
@@ -148,3 +222,42 @@ def fetched(features: Tensor, way: Tensor) -> Tensor:
     features = features.float().expand(count, -1, -1, -1)
     with torch.autocast(way.device.type, enabled=False):
         return functional.grid_sample(features, grid, align_corners=False)
+
+
+# A patch discriminator with spectral normalisation, for the adversarial part of the loss.
+#
+# Patches of 70 x 70 pixels as in pix2pix (Isola et al. 2017), hinge loss (Miyato et al. 2018). The
+# paper's discriminator sees through CLIP; this one needs no weights from elsewhere.
+
+
+class PatchDiscriminator(nn.Module):
+    """Says of every patch of an image whether it looks like one of the target's reference."""
+
+    def __init__(self, width: int) -> None:
+        """Build it with `width` channels in its first layer (64 in pix2pix)."""
+        super().__init__()
+        widths = [2, width, 2 * width, 4 * width, 8 * width]
+        strides = (2, 2, 2, 1)
+        self.layers = nn.ModuleList(
+            spectral_norm(nn.Conv2d(before, after, 4, stride=stride, padding=1))
+            for (before, after), stride in zip(pairwise(widths), strides, strict=True)
+        )
+        self.verdict = spectral_norm(nn.Conv2d(widths[-1], 1, 4, padding=1))
+
+    def forward(self, images: Tensor, references: Tensor) -> Tensor:
+        """Return verdicts (n, 1, h', w') on images of targets whose references are given."""
+        features = torch.cat([images, references], dim=1)
+        for layer in self.layers:
+            features = functional.leaky_relu(layer(features), 0.2)
+        verdict: Tensor = self.verdict(features)
+        return verdict
+
+
+def fooling(verdicts: Tensor) -> Tensor:
+    """Return the generator's hinge loss of verdicts on its images."""
+    return -verdicts.float().mean()
+
+
+def telling(real: Tensor, made: Tensor) -> Tensor:
+    """Return the discriminator's hinge loss of verdicts on real and on made images."""
+    return functional.relu(1 - real.float()).mean() + functional.relu(1 + made.float()).mean()

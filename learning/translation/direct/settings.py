@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from learning.errors import LearningError
-from learning.training.launch import LaunchSettings
-from learning.training.schedules import Cosine
-from learning.translation.direct.augmentation import Augmentation
+from learning.training.optim import Cosine
+from learning.training.run import LaunchSettings
+from learning.translation.direct.data import Augmentation
 from learning.translation.direct.losses import LossWeights
 
-PRESETS = Path(__file__).parent / "presets"
+PRESETS = Path(__file__).parent / "presets" / "translator"
 """YAML files, a preset each."""
 
 

@@ -19,23 +19,25 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.ema import Ema
-from learning.training.sampling import generator, seed_torch
-from learning.training.schedules import set_rate
-from learning.translation.autoencoder.overlap import soft_dice
-from learning.translation.direct.aligned import AlignedImages
-from learning.translation.direct.discriminator import PatchDiscriminator, fooling, telling
-from learning.translation.direct.examples import Pair, all_pairs, draw_examples, examples_at
+from learning.training.optim import Ema, set_rate
+from learning.training.run import generator, seed_torch
+from learning.translation.direct.autoencoder import soft_dice
+from learning.translation.direct.data import (
+    AlignedImages,
+    Pair,
+    all_pairs,
+    draw_examples,
+    examples_at,
+)
 from learning.translation.direct.losses import reconstruction
-from learning.translation.direct.network import DirectNetwork
+from learning.translation.direct.network import DirectNetwork, PatchDiscriminator, fooling, telling
 from learning.translation.direct.settings import DirectSettings
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
-    from learning.training.run_folder import RunFolder
-    from learning.training.stopping import Stop
-    from learning.translation.autoencoder.network import Encoder
+    from learning.training.run import RunFolder, Stop
+    from learning.translation.direct.autoencoder import Encoder
 
 LOG_EVERY = 25
 """Steps from one line of the log to the next."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import torch
 from torch import Tensor
 
 from learning.data.images import enlarge_images, shrink_masks
-from learning.translation.autoencoder.images import scaled
+from learning.training.checkpoint import read_model_folder
+from learning.translation.direct.autoencoder import scaled
 from learning.translation.direct.network import DirectNetwork
+from learning.translation.direct.settings import DirectSettings
 from learning.translation.translator import require_masks
 
 AT_ONCE = 32
@@ -66,3 +70,41 @@ class DirectTranslator:
 def _image(mask: Tensor, device: torch.device) -> Tensor:
     """Return a mask (480, 640) as the network's image (1, 1, 256, 256)."""
     return scaled(shrink_masks(mask[None].to(device)))
+
+
+# A trained direct translator from its folder.
+
+KIND = "direct"
+"""What its folder says that it is."""
+
+_HASH_SHOWN = 8
+
+
+def load_network(
+    folder: Path, device: torch.device | str = "cpu"
+) -> tuple[DirectNetwork, DirectSettings]:
+    """Return the network in a folder, and the settings it was trained with.
+
+    Args:
+        folder: A finished run of `train-direct`, or one of its checkpoints.
+        device: Where it computes.
+
+    Raises:
+        LearningError: No such folder, a model of another kind, or weights that do not fit.
+    """
+    found = read_model_folder(folder, KIND)
+    settings = found.settings(DirectSettings)
+    network = DirectNetwork(**settings.structure)
+    found.load(network)
+    return network.to(device).eval(), settings
+
+
+def load(folder: Path, device: torch.device | str = "cpu") -> DirectTranslator:
+    """Return the translator in a folder.
+
+    Raises:
+        LearningError: As `load_network`.
+    """
+    network, _ = load_network(folder, device)
+    mark = read_model_folder(folder, KIND).hash()[:_HASH_SHOWN]
+    return DirectTranslator(network, f"{KIND}[{mark}]")

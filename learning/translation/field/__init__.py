@@ -5,7 +5,6 @@ the target's reference is to be deformed, so edges are as sharp as the reference
 need not have been seen in training.
 """
 
-from learning.translation.field.loading import KIND, load
-from learning.translation.field.translator import FieldTranslator
+from learning.translation.field.translator import KIND, FieldTranslator, load
 
 __all__ = ["KIND", "FieldTranslator", "load"]

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from learning.errors import LearningError
-from learning.translation.field.deformation import coverage
+from learning.translation.field.network import coverage
 
 _RAMP_PX = 0.55  # a pixel of 256 x 256 is 2.2 px wide: the logistic that is as steep at the edge
 _CERTAIN = 8.0  # logits grow by their logarithm beyond: what was missed far away counts, not all

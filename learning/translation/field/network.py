@@ -10,6 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from learning.data.images import sampled
+from learning.data.synthetic import untouched
+from recorder.markers import HEIGHT, WIDTH, Lattice
+
 GROUPS = 8
 """Groups of a group normalisation; every width is a multiple of it."""
 
@@ -130,3 +134,347 @@ class FieldUnet(nn.Module):
             features = block(torch.cat([features, scales.pop()], dim=1), condition)
         found: Tensor = self.end(functional.silu(self.norm(features)))
         return found
+
+
+# Deformations as the networks know them, and how they move a reference.
+#
+# A deformation is (n, 3, h, w) on cells that tile the 640 x 480 image evenly, cell centres like the
+# pixel centres of an image of h rows and w columns:
+#
+# - channels 0 and 1: shift (column, row) [px]. What is seen at p in the frame was, untouched, seen
+# at p - shift(p). The archive's fields are the same thing told from the untouched side. - channel
+# 2: growth of the markers seen there [px of their radius], beyond what the shift stretches. Discs
+# of a uSkin grow where they are pressed, though nothing there moves aside. It is a matter of whole
+# markers and so kept coarse: fine growth could draw markers that are not there.
+
+CHANNELS = 3
+"""Shift along columns, shift along rows, growth."""
+SIDE = 64
+"""Cells along either axis: 10 x 7.5 px each, the step of the archive's lattice."""
+_GROWTH_CELLS = 4  # one value of growth is for so many cells along either axis: 40 x 30 px
+_INVERSIONS = 12  # fixed-point steps; each shrinks the error by the largest slope of the field
+
+
+def image_grid(height: int, width: int, device: torch.device) -> Tensor:
+    """Return where the pixels of an image are, (1, height, width, 2) from -1 to 1 (column, row)."""
+    column = (2 * torch.arange(width, device=device) + 1) / width - 1
+    row = (2 * torch.arange(height, device=device) + 1) / height - 1
+    across, down = torch.meshgrid(column, row, indexing="xy")
+    return torch.stack([across, down], dim=-1).unsqueeze(0)
+
+
+def render(distance: Tensor, deformation: Tensor) -> Tensor:
+    """Return signed distances [px] of a reference that has been deformed, (n, 1, h, w).
+
+    Outside of its image a reference is not known: a marker that its border cuts goes on there as
+    far as it reaches into the image, and there is no other.
+
+    Args:
+        distance: Signed distance of references, (n, 1, h, w) or one for all (1, 1, h, w).
+        deformation: (n, 3, any, any).
+    """
+    height, width = distance.shape[-2:]
+    deformation = deformation.to(distance.dtype)
+    fine: Tensor = functional.interpolate(
+        deformation, size=(height, width), mode="bicubic", align_corners=False
+    )
+    shift = fine[:, :2] * _per_px(distance).view(1, 2, 1, 1)
+    places = image_grid(height, width, distance.device) - shift.permute(0, 2, 3, 1)
+    level: Tensor = functional.grid_sample(
+        distance.expand(len(deformation), -1, -1, -1),
+        places,
+        mode="bilinear",
+        padding_mode="border",
+        align_corners=False,
+    )
+    beyond = torch.linalg.vector_norm((places.abs() - 1).clamp(min=0) / _per_px(distance), dim=-1)
+    deformed: Tensor = level - beyond.unsqueeze(1) + fine[:, 2:]
+    return deformed
+
+
+def coverage(level: Tensor) -> Tensor:
+    """Return an image in 0..1 of signed distances [px]: how much of a pixel a marker covers.
+
+    The edge is taken to be straight over a pixel, whose size is that of the image given.
+    """
+    size = math.sqrt(HEIGHT * WIDTH / (level.shape[-2] * level.shape[-1]))
+    covered: Tensor = (0.5 + level / size).clamp(0.0, 1.0)
+    return covered
+
+
+def coarse_growth(deformation: Tensor) -> Tensor:
+    """Return a deformation (n, 3, h, w) whose growth is that of whole markers."""
+    shift, growth = deformation[:, :2], deformation[:, 2:]
+    coarse = functional.avg_pool2d(growth, _GROWTH_CELLS)
+    spread: Tensor = functional.interpolate(
+        coarse, size=growth.shape[-2:], mode="bilinear", align_corners=False
+    )
+    return torch.cat([shift, spread], dim=1)
+
+
+def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tensor:
+    """Return shifts (n, 2, side, side) [px] of displacement fields, by fixed-point iteration.
+
+    Args:
+        field: Displacement (column, row) [px] at the lattice's points without NaN, (n, 2, h, w).
+        lattice: Where they are.
+        side: Cells along either axis.
+    """
+    columns, rows = untouched(side, field.device)[0]
+    shift = torch.zeros(len(field), 2, side, side, device=field.device, dtype=field.dtype)
+    for _ in range(_INVERSIONS):
+        shift = sampled(field, columns - shift[:, 0], rows - shift[:, 1], lattice)
+    return shift
+
+
+def carried(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
+    """Return what a deformation is in the image of another sensor, (n, 3, h, w), in its pixels.
+
+    The middles of both images lie on each other, and millimetres stay what they are.
+
+    Args:
+        deformation: In the source's image (n, 3, h, w).
+        zoom: Millimetres of a target's pixel over those of a source's, (n, 2) (column, row).
+        placement: Change of where it is looked up, affine (n, 2, 3) from the target's image to the
+            source's, both from -1 to 1; None: nothing is changed.
+    """
+    height, width = deformation.shape[-2:]
+    grid = image_grid(height, width, deformation.device).expand(len(deformation), -1, -1, -1)
+    places = grid * zoom.view(-1, 1, 1, 2)
+    if placement is not None:
+        # Written out: as a matrix product it would be rounded to bfloat16 under autocast.
+        turned = (placement[:, None, None, :, :2] * places.unsqueeze(3)).sum(dim=-1)
+        places = places + turned + placement[:, None, None, :, 2]
+    looked_up: Tensor = functional.grid_sample(
+        deformation, places, mode="bilinear", padding_mode="border", align_corners=False
+    )
+    scale = torch.cat([zoom, zoom.prod(dim=1, keepdim=True).sqrt()], dim=1)
+    return looked_up / scale.view(-1, 3, 1, 1)
+
+
+def _per_px(images: Tensor) -> Tensor:
+    """Return how far a pixel of the 640 x 480 image is, of -1 to 1, (2,) (column, row)."""
+    return images.new_tensor([2 / WIDTH, 2 / HEIGHT])
+
+
+# From a frame and its untouched reference to the deformation between them.
+
+UNIT_PX = 16.0
+"""What the networks count deformations in [px]: they see numbers around one."""
+
+
+class FieldNet(nn.Module):
+    """Finds a deformation look by look, at the frame and at the reference as deformed so far.
+
+    What it says is what is missing. The reference goes in as a signed distance, so that the marker
+    pattern is something to look at, not something to learn: patterns never seen before work.
+    """
+
+    def __init__(self, widths: Sequence[int], refinements: int) -> None:
+        """Build it; the deformation is zero until it has learned.
+
+        Args:
+            widths: Channels at 128, 64, 32, ... cells.
+            refinements: How often it looks.
+        """
+        super().__init__()
+        self.refinements = refinements
+        self.look = nn.Conv2d(2, widths[0], 5, stride=2, padding=2)
+        self.look_closer = nn.Conv2d(widths[0], widths[1], 3, stride=2, padding=1)
+        self.update = FieldUnet(widths[1] + CHANNELS, CHANNELS, widths[1:], SIDE)
+
+    def forward(self, frames: Tensor, distance: Tensor) -> list[Tensor]:
+        """Return deformations (n, 3, 64, 64) [px], one after every look, the last one the best.
+
+        Args:
+            frames: In 0..1, (n, 1, 256, 256).
+            distance: Signed distance of the references (n|1, 1, 256, 256) [px].
+        """
+        deformation = frames.new_zeros(len(frames), CHANNELS, SIDE, SIDE)
+        found: list[Tensor] = []
+        for _ in range(self.refinements):
+            with torch.no_grad():
+                so_far = coverage(render(distance, deformation.float()))
+            # 0..1 would leave an offset in every feature of mostly dark images.
+            seen = torch.cat([frames - so_far, frames + so_far - 0.5], dim=1)
+            features = self.look_closer(functional.silu(self.look(seen)))
+            known = deformation.detach() / UNIT_PX
+            missing = self.update(torch.cat([features, known.to(features.dtype)], dim=1))
+            deformation = deformation.detach() + coarse_growth(UNIT_PX * missing.float())
+            found.append(deformation)
+        return found
+
+
+# From the deformation that one sensor shows to the one that another shows under the same press.
+
+_LAYOUT = 8  # channels of a reference's layout, cell by cell
+_SCALES = 4  # mm per column and per row of both images
+_SCALE_MM = 0.05  # of a pixel, about which logarithms are taken
+
+
+class LayoutEncoder(nn.Module):
+    """What a reference tells of its sensor: where its markers are, and which sensor it is."""
+
+    def __init__(self, width: int, numbers: int) -> None:
+        """Build it: `width` channels inside, `numbers` of the sensor as a whole."""
+        super().__init__()
+        self.look = nn.Conv2d(1, width, 5, stride=2, padding=2)
+        self.look_closer = nn.Conv2d(width, width, 3, stride=2, padding=1)
+        self.layout = nn.Conv2d(width, _LAYOUT, 1)
+        self.farther = nn.Conv2d(width, 2 * width, 3, stride=4, padding=1)
+        self.norm = nn.GroupNorm(GROUPS, 2 * width)
+        self.whole = nn.Linear(2 * width * 16, numbers)
+
+    def forward(self, distance: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the layout (n, 8, 64, 64) and the numbers of the sensor (n, numbers).
+
+        Args:
+            distance: Signed distance of references (n, 1, 256, 256) [px].
+        """
+        features = functional.silu(self.look(distance / UNIT_PX))
+        features = functional.silu(self.look_closer(features))
+        far = functional.silu(self.norm(self.farther(features)))
+        pooled = functional.adaptive_avg_pool2d(far, 4).flatten(1)
+        return self.layout(features), self.whole(pooled)
+
+
+class FieldMap(nn.Module):
+    """What a target shows of a deformation that a source shows.
+
+    It begins as the identity in millimetres. What it learns: where the source's contact lies in
+    the target's image (an affine placement, sample by sample: sensors are pressed on grids of
+    their own), and then what is to be added, growth of discs included. It is told of both sensors
+    by their references and scales alone, so one model serves all pairs of a group.
+    """
+
+    def __init__(self, widths: Sequence[int], numbers: int) -> None:
+        """Build it.
+
+        Args:
+            widths: Channels at 64, 32, 16, ... cells.
+            numbers: That each sensor is described by.
+        """
+        super().__init__()
+        condition = 2 * numbers + _SCALES
+        self.source = LayoutEncoder(2 * GROUPS, numbers)
+        self.target = LayoutEncoder(2 * GROUPS, numbers)
+        shown = CHANNELS + 2
+        narrow = [max(1, width // (2 * GROUPS)) * GROUPS for width in widths]
+        self.placing = Contraction(shown, narrow, SIDE, condition)
+        self.place = nn.Linear(narrow[-1], 6)
+        for weights in self.place.parameters():
+            nn.init.zeros_(weights)
+        self.change = FieldUnet(shown + CHANNELS + 2 * _LAYOUT, CHANNELS, widths, SIDE, condition)
+
+    def forward(
+        self,
+        deformation: Tensor,
+        source_distance: Tensor,
+        target_distance: Tensor,
+        source_scale: Tensor,
+        target_scale: Tensor,
+    ) -> Tensor:
+        """Return the target's deformation (n, 3, 64, 64) [px of its image].
+
+        Args:
+            deformation: The source's (n, 3, 64, 64) [px of its image].
+            source_distance: Signed distance of the source's references (n, 1, 256, 256) [px].
+            target_distance: The same of the target's.
+            source_scale: Millimetres of a pixel (column, row) (n, 2).
+            target_scale: The same of the target.
+        """
+        source_layout, source_numbers = self.source(source_distance)
+        target_layout, target_numbers = self.target(target_distance)
+        scales = (torch.cat([source_scale, target_scale], dim=1) / _SCALE_MM).log()
+        condition = torch.cat([source_numbers, target_numbers, scales.to(source_numbers.dtype)], 1)
+        places = image_grid(SIDE, SIDE, deformation.device).permute(0, 3, 1, 2)
+        places = places.expand(len(deformation), -1, -1, -1)
+        shown = torch.cat([deformation / UNIT_PX, places], dim=1).to(condition.dtype)
+        whole = self.placing(shown, condition)[-1].mean(dim=(2, 3))
+        placement = self.place(whole).float().view(-1, 2, 3)
+        zoom = target_scale / source_scale
+        identity = carried(deformation, zoom)
+        placed = carried(deformation, zoom, placement)
+        shown = torch.cat([placed / UNIT_PX, identity / UNIT_PX, places], dim=1)
+        layouts = torch.cat([source_layout, target_layout], dim=1)
+        change: Tensor = self.change(
+            torch.cat([shown.to(layouts.dtype), layouts], dim=1), condition
+        )
+        return placed + coarse_growth(UNIT_PX * change.float())
+
+
+# Signed distance of a marker image: what is warped instead of the image itself.
+#
+# Its zero is the edge of the markers, so a warped one is thresholded with sub-pixel edges; a
+# constant that is added to it makes every marker grow by as many pixels, as the discs of a uSkin do
+# under pressure; and a loss on it has a gradient however far a marker is from where it should be.
+
+REACH_PX = 64
+"""Distances are cut off here: a uSkin's disc grows from 12 to 54 px in radius."""
+_BLUR_PX = 1.0
+_NEAR_PX = 1.0  # up to here the blur says where an edge is, and from 1 px farther on nothing of it
+_LEAST_PX = 0.01
+
+
+def signed_distance(masks: Tensor, reach: int = REACH_PX) -> Tensor:
+    """Return signed distances (n, 1, h, w) [px], positive on markers, float32.
+
+    Far from an edge it is the distance to the nearest pixel of the other kind, less half a pixel.
+    Pixels tell the place of an edge to a third of a pixel that way, and always too far inside of
+    what is round; so near an edge it is what the mask, blurred by a Gaussian, says of a straight
+    edge, to a twentieth. An image without markers is -reach everywhere.
+
+    Args:
+        masks: True on markers, bool (n, h, w).
+        reach: Distances are cut off here [px].
+    """
+    outside = _distance_to(masks, reach) - 0.5
+    inside = _distance_to(~masks, reach) - 0.5
+    far = torch.where(masks, inside, -outside)
+    away = (far.abs() - _NEAR_PX).clamp(0.0, 1.0)
+    distance = torch.lerp(_distance_by_blur(masks), far, away)
+    # A pixel keeps its kind, as little as a lone one differs from its surroundings.
+    kept = torch.where(masks, distance.clamp(min=_LEAST_PX), distance.clamp(max=-_LEAST_PX))
+    return kept.unsqueeze(1)
+
+
+def resampled(distance: Tensor, side: int) -> Tensor:
+    """Return distances (n, 1, h, w) at the pixel centres of side x side images of the same view."""
+    small: Tensor = functional.interpolate(
+        distance, size=(side, side), mode="bilinear", align_corners=False
+    )
+    return small
+
+
+def _distance_by_blur(masks: Tensor) -> Tensor:
+    """Return signed distances (n, h, w) [px] within 2 px of an edge, and something of like sign."""
+    taps = torch.arange(-4, 5, device=masks.device, dtype=torch.float32)
+    weights = torch.exp(-0.5 * (taps / _BLUR_PX).square())
+    weights = weights / weights.sum()
+    blurred: Tensor = functional.pad(masks.unsqueeze(1).float(), (4, 4, 4, 4), mode="replicate")
+    blurred = functional.conv2d(blurred, weights.view(1, 1, 1, -1))
+    blurred = functional.conv2d(blurred, weights.view(1, 1, -1, 1)).squeeze(1)
+    # A pixel averages the edge over itself, which widens the blur.
+    width = math.sqrt(_BLUR_PX**2 + 1 / 12)
+    away: Tensor = torch.erfinv((2 * blurred - 1).clamp(-0.999, 0.999))
+    return math.sqrt(2) * width * away
+
+
+def _distance_to(masks: Tensor, reach: int) -> Tensor:
+    """Return the distance (n, h, w) to the nearest True, at most `reach` [px].
+
+    Along rows by running maxima; then, since squares add up, the least over all rows in reach.
+    """
+    height, width = masks.shape[-2:]
+    place = torch.arange(width, device=masks.device, dtype=torch.float32)
+    far = float(reach)
+    last = torch.where(masks, place, -2 * far).cummax(dim=-1).values
+    mirrored = torch.where(masks, -place, -2 * far - width).flip(-1)
+    following = -mirrored.cummax(dim=-1).values.flip(-1)
+    along = torch.minimum(place - last, following - place).clamp(max=far).square()
+    best = along.clone()
+    for offset in range(1, min(reach, height - 1) + 1):
+        lower, upper = best[:, offset:], best[:, :-offset]
+        torch.minimum(lower, along[:, :-offset] + offset**2, out=lower)
+        torch.minimum(upper, along[:, offset:] + offset**2, out=upper)
+    return best.sqrt().clamp(max=far)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from learning.errors import LearningError
-from learning.training.launch import LaunchSettings
+from learning.training.run import LaunchSettings
 from learning.translation.field.losses import LossWeights
 
 PRESETS = Path(__file__).parent / "presets"

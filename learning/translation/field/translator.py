@@ -4,19 +4,67 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import shrink_masks
 from learning.errors import LearningError
-from learning.translation.field.deformation import render
-from learning.translation.field.distance import resampled, signed_distance
-from learning.translation.field.model import FieldModel
+from learning.training.checkpoint import read_model_folder
+from learning.translation.field.network import (
+    FieldMap,
+    FieldNet,
+    render,
+    resampled,
+    signed_distance,
+)
+from learning.translation.field.settings import FieldSettings
 from learning.translation.translator import SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
+
+# Both networks of the field translator, as they are saved together.
+
+
+class FieldModel(nn.Module):
+    """The field net and the map. Untrained, the map is the identity in millimetres."""
+
+    def __init__(self, settings: FieldSettings) -> None:
+        """Build both with weights drawn from the seed, the same on every machine."""
+        super().__init__()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            self.net = FieldNet(settings.net.widths, settings.net.refinements)
+            self.map = FieldMap(settings.map.widths, settings.map.numbers)
+        self.usual_scale: Tensor
+        # Millimetres of a pixel (column, row) of most sensors trained on; a GelSight's until then.
+        self.register_buffer("usual_scale", torch.tensor([0.0249, 0.0249]))
+
+    def forward(
+        self,
+        frames: Tensor,
+        source_distance: Tensor,
+        target_distance: Tensor,
+        source_scale: Tensor,
+        target_scale: Tensor,
+    ) -> Tensor:
+        """Return the target's deformation (n, 3, 64, 64) [px of its image] of a source's frames.
+
+        Args:
+            frames: Of the source, in 0..1 (n, 1, 256, 256).
+            source_distance: Signed distance of its references (n, 1, 256, 256) [px].
+            target_distance: The same of the target's.
+            source_scale: Millimetres of a pixel (column, row) (n, 2).
+            target_scale: The same of the target.
+        """
+        deformation = self.net(frames, source_distance)[-1]
+        mapped: Tensor = self.map(
+            deformation, source_distance, target_distance, source_scale, target_scale
+        )
+        return mapped
+
 
 _AT_ONCE = 64
 _REFERENCES = 128  # distances that are kept, 1.2 MB each: a sensor that drifts has 90 references
@@ -111,3 +159,26 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
     """Return the signed distance (1, 1, 480, 640) [px] of a packed mask."""
     mask = torch.from_numpy(unpack(np.frombuffer(packed, np.uint8)).copy())
     return signed_distance(mask.unsqueeze(0).to(device))
+
+
+# Reads a trained field model back, ready to translate.
+
+KIND = "field"
+"""Of model, in `config.yaml`."""
+
+
+def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
+    """Return the translator in the folder of a finished training run.
+
+    Args:
+        folder: Of the run, or of one of its checkpoints.
+        device: Where it computes.
+
+    Raises:
+        LearningError: No model, one of another kind, or weights of another network.
+    """
+    found = read_model_folder(Path(folder), KIND)
+    model = FieldModel(found.settings(FieldSettings))
+    found.load(model)
+    name = f"{KIND}[{found.hash()[:8]}]"
+    return FieldTranslator(name, model.to(device).eval())

@@ -1,0 +1,118 @@
+"""`python -m learning evaluate`: predictions and translations become a report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+
+ROLES = "new_indenter"
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "evaluate",
+        help="write the report of predictions and translations",
+        description="Gathers what `predict` wrote, and scores of translated frames, in one HTML "
+        "page with CSV tables. With --archive and --translated, translated frames are scored first "
+        "(Dice, markers [px, mm], distances) and the scores are kept in FOLDER.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of .npz results")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="of the report")
+    parser.add_argument("--title", default="What was gained", help="title of the page")
+    scoring = parser.add_argument_group("scoring translated frames")
+    scoring.add_argument("--archive", type=Path, metavar="ARCHIVE", help="with the real frames")
+    scoring.add_argument(
+        "--translated",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="ARCHIVE",
+        help="made of it by `translate`; may be given several times",
+    )
+    scoring.add_argument("--split", type=Path, metavar="JSON", help="made by `split`")
+    scoring.add_argument(
+        "--role", default=ROLES, metavar="ROLE,...", help=f"which presses are scored ({ROLES})"
+    )
+    scoring.add_argument(
+        "--features",
+        default="marker-grid",
+        metavar="NAME|PATH",
+        help="what distances are measured in: marker-grid, the folder of a marker autoencoder, or "
+        "pt_inception-2015-12-05-6726825d.pth, for FID and KID (marker-grid)",
+    )
+    scoring.add_argument("--frames", type=int, default=1000, help="pairs of a role at most (1000)")
+    scoring.add_argument("--device", default="cpu", help="where features are computed (cpu)")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn (0)")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.evaluation.report import read_folder, write_report
+
+    if options.translated or options.archive:
+        _score(options)
+    if not options.folder.is_dir():
+        raise LearningError(f"{options.folder}: is no folder; allowed: one of what `predict` wrote")
+    predictions, scores = read_folder(options.folder)
+    progress = Progress("parts", sys.stderr)
+    try:
+        report = write_report(
+            predictions,
+            scores,
+            options.out,
+            title=options.title,
+            seed=options.seed,
+            progress=progress,
+        )
+    finally:
+        progress.close()
+    for line in report.lines:
+        print(line)
+    print(f"{report.files[0]}: written, beside {len(report.files) - 1} tables")
+    return 0
+
+
+def _score(options: argparse.Namespace) -> None:
+    from learning.data.splits import read_split
+    from learning.evaluation.distribution import load_extractor
+    from learning.evaluation.translation import score_translation
+    from recorder import MarkerArchive
+
+    for name in ("archive", "translated", "split"):
+        if not getattr(options, name):
+            raise LearningError(
+                f"--{name}: missing; allowed: --archive, --translated and --split together"
+            )
+    if options.frames < 1:
+        raise LearningError(f"--frames: found {options.frames}; allowed: 1 or more")
+    archive, split = MarkerArchive(options.archive), read_split(options.split)
+    extractor = load_extractor(options.features, options.device)
+    roles = [role for role in options.role.split(",") if role]
+    for path in options.translated:
+        for name, sensor in MarkerArchive(path).items():
+            print(f"scoring {name} of {path.name}", file=sys.stderr)
+            progress = Progress("frames", sys.stderr)
+            try:
+                scores = score_translation(
+                    archive,
+                    sensor,
+                    split,
+                    roles,
+                    extractor,
+                    frames=options.frames,
+                    seed=options.seed,
+                    progress=progress,
+                )
+            finally:
+                progress.close()
+            features = extractor.name.split(":")[-1].split(",")[0]
+            scores.write(options.folder / f"{name}.{scores.translator}.{features}.npz")

@@ -1,0 +1,40 @@
+"""`python -m learning export-genforce`: an archive becomes a folder that their training reads."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "export-genforce",
+        help="write a marker archive as a GenForce training folder",
+        description="Writes img, force and depth as the published training folders have them; the "
+        "folder appears whole or not at all.",
+    )
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="must not exist")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.data.genforce import export_training
+
+    progress = Progress("frames", sys.stderr)
+    try:
+        left_out = export_training(options.archive, options.out, progress=progress)
+    finally:
+        progress.close()
+    for line in left_out:
+        print(f"left out: {line}")
+    print(f"{options.out}: written")
+    return 0

@@ -1,0 +1,34 @@
+"""`python -m learning export-onnx`: one step of a force model becomes a file that runs anywhere."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "export-onnx",
+        help="write one step of a force model as ONNX",
+        description="Writes frame, state and untouched image in, force [N] and next state out, and "
+        "compares it with torch. python -m rig live and python -m benchmarks latency run it.",
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help="the folder of a force model")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="(MODEL/model.onnx)")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.force import load_force_model
+    from learning.force.export import export_onnx
+
+    out = options.out or options.model / "model.onnx"
+    difference = export_onnx(load_force_model(options.model), out)
+    size = out.stat().st_size / 1e6
+    print(f"{out}: {size:.1f} MB, differs from torch by {difference:.1e} of the box of forces")
+    return 0

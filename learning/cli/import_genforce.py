@@ -1,0 +1,74 @@
+"""`python -m learning import-genforce`: published GenForce folders become a marker archive."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.command import add_unseen, by_name, unseen
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "import-genforce",
+        help="make a marker archive of the published GenForce folders",
+        description="Reads a folder of the published recordings: one with img, force and depth, "
+        "one of simulated pictures, or a run as it was collected. Started again it goes on.",
+    )
+    parser.add_argument("folder", type=Path, metavar="DIR")
+    parser.add_argument("--out", type=Path, metavar="PATH", required=True, help="X.markers.zarr")
+    parser.add_argument("--preset", metavar="NAME", help="how markers are found in raw pictures")
+    parser.add_argument(
+        "--mm-per-px", action="append", metavar="SENSOR=MM", help="size of a pixel (0.0249)"
+    )
+    parser.add_argument(
+        "--heights",
+        action="store_true",
+        help="depth files of uskin, tactip and gelsight hold heights (heterogeneous test)",
+    )
+    parser.add_argument(
+        "--surface-mm",
+        action="append",
+        metavar="SENSOR=MM",
+        help="its depth files hold heights, and its surface is at this one",
+    )
+    parser.add_argument(
+        "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"
+    )
+    add_unseen(parser)
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.data.genforce import import_folder, read_compensation
+    from learning.data.genforce.importing import Choices
+    from learning.data.genforce.training import SURFACES_MM
+    from learning.markers.build import told
+
+    surfaces = dict(SURFACES_MM) if options.heights else {}
+    surfaces |= by_name(options.surface_mm, "--surface-mm")
+    choices = Choices(
+        preset_name=options.preset,
+        mm_per_px=by_name(options.mm_per_px, "--mm-per-px"),
+        surfaces_mm=surfaces,
+        unseen=unseen(options.unseen),
+        compensation={}
+        if options.compensation is None
+        else read_compensation(options.compensation),
+    )
+    progress = Progress("frames", sys.stderr)
+    try:
+        made = import_folder(options.folder, options.out, choices=choices, progress=progress)
+    finally:
+        progress.close()
+    for line in told(options.out):
+        print(line)
+    print(f"{options.out}: {made:,} frames read")
+    return 0

@@ -1,0 +1,89 @@
+"""`python -m learning markers`: sessions become a marker archive."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.command import add_unseen, unseen
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+    from learning.markers import EfficientSam
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "markers",
+        help="make a marker archive of recorded sessions",
+        description="Finds the markers in pictures or taxels of sessions, one for each indenter "
+        "on each sensor. Started again with the same sessions it goes on where it was.",
+    )
+    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
+    parser.add_argument("--out", type=Path, metavar="PATH", help="the archive, X.markers.zarr")
+    parser.add_argument(
+        "--preset", metavar="NAME", help="how markers are found: a name, or a YAML file of your own"
+    )
+    parser.add_argument("--sensor", metavar="NAME", help="what the sensor is called in the archive")
+    parser.add_argument("--mm-per-px", type=float, help="size of a pixel [mm] (the preset's)")
+    parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
+    parser.add_argument(
+        "--rate", action="store_true", help="only tell how many frames a second a core does"
+    )
+    parser.add_argument("--sam-encoder", type=Path, metavar="ONNX", help="refine by EfficientSAM")
+    parser.add_argument("--sam-decoder", type=Path, metavar="ONNX", help="its other half")
+    add_unseen(parser)
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.markers import archive_sessions
+    from learning.markers.build import draw_sheet, rates
+    from learning.markers.recording import read_group
+
+    sam = _sam(options)
+    if options.rate:
+        for line in rates(
+            options.sessions, preset_name=options.preset, sensor=options.sensor, sam=sam
+        ):
+            print(line)
+        return 0
+    if options.out is None:
+        raise LearningError("--out: missing; allowed: where the archive goes, or --rate")
+    progress = Progress("frames", sys.stderr)
+    try:
+        built = archive_sessions(
+            options.sessions,
+            options.out,
+            preset_name=options.preset,
+            sensor=options.sensor,
+            mm_per_px=options.mm_per_px,
+            unseen=unseen(options.unseen),
+            sam=sam,
+            progress=progress,
+        )
+    finally:
+        progress.close()
+    for line in built.lines:
+        print(line)
+    if options.sheet is not None:
+        draw_sheet(options.out, read_group(options.sessions, options.sensor), options.sheet)
+        print(f"{options.sheet}: written")
+    print(f"{options.out}: {built.made:,} frames made")
+    return 0
+
+
+def _sam(options: argparse.Namespace) -> EfficientSam | None:
+    from learning.markers import EfficientSam
+
+    halves = options.sam_encoder, options.sam_decoder
+    if halves == (None, None):
+        return None
+    if None in halves:
+        raise LearningError("--sam-encoder, --sam-decoder: found one; allowed: both or neither")
+    return EfficientSam(*halves)

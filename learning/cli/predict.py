@@ -1,0 +1,141 @@
+"""`python -m learning predict`: the forces that a model sees in frames of an archive."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from learning.errors import LearningError
+from learning.evaluation.predictions import METHODS, TRANSLATED
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+
+ROLES = "new_indenter,new_press"
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "predict",
+        help="predict the forces of frames",
+        description="Runs a force model over whole presses of a sensor and writes what it says [N] "
+        "beside the labels [N], for `evaluate`.",
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr with labels")
+    parser.add_argument("--sensor", required=True, metavar="NAME", help="whose frames: the target")
+    parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="made by `split`")
+    parser.add_argument(
+        "--role", default=ROLES, metavar="ROLE,...", help=f"which presses of the split ({ROLES})"
+    )
+    parser.add_argument(
+        "--source", metavar="NAME", help="whose labels it was trained with (what the model says)"
+    )
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        help="how it was trained (target where source and sensor are one, transferred where the "
+        "model says that it saw translated frames, else source-only)",
+    )
+    parser.add_argument(
+        "--translator", default="", metavar="NAME", help="what made its training images (nothing)"
+    )
+    parser.add_argument("--device", default="cpu", help="where it computes (cpu), e.g. cuda:0")
+    parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="where it goes")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.data.presses import Form, load_presses
+    from learning.data.splits import read_split
+    from learning.evaluation.predictions import predictions_of
+    from learning.force import load_force_model
+    from learning.metrics import force_errors
+    from learning.training.checkpoint import read_model_folder
+    from recorder import MarkerArchive
+
+    folder = read_model_folder(options.model, "force")
+    source, method = _trained_on(options, folder.config.facts.get("sensors", []))
+    archive = MarkerArchive(options.archive)
+    if options.sensor not in archive:
+        known = ", ".join(archive)
+        raise LearningError(f"--sensor: found {options.sensor!r}; known: {known}")
+    sensor, split = archive[options.sensor], read_split(options.split)
+    split.check(archive)
+    roles = [role for role in options.role.split(",") if role]
+    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in roles]))
+    if not len(rows):
+        raise LearningError(f"--role: found no frames of {options.role} of {options.sensor}")
+    if (unlabelled := ~np.isfinite(sensor.table["wrench"][rows]).all(axis=1)).any():
+        raise LearningError(
+            f"{options.sensor}: found no label in row {rows[unlabelled][0]}, and "
+            f"{unlabelled.sum()} such rows; allowed: labelled frames, to compare with"
+        )
+    predictor = load_force_model(options.model, options.device)
+    form: Form = "field" if predictor.model.inputs.form == "field" else "images"
+    reading, saying = Progress("frames", sys.stderr), Progress("forces", sys.stderr)
+    try:
+        presses = load_presses(sensor, rows, device=options.device, form=form, progress=reading)
+        predicted = predictor.predict(presses, progress=saying)
+    finally:
+        reading.close()
+        saying.close()
+    rows = presses.rows.numpy()
+    made = predictions_of(
+        sensor,
+        archive.indenters,
+        rows,
+        split.role(sensor.table["location"][rows]),
+        predicted,
+        source=source,
+        method=method,
+        translator=options.translator,
+        model=folder.hash(),
+    )
+    made.write(options.out)
+    errors = force_errors(made.true, made.predicted, made.label_std)
+    mae = "  ".join(f"{name} {value:.3f}" for name, value in zip("xyzt", errors.mae, strict=True))
+    print(f"{options.out}: {len(made):,} frames, MAE [N] {mae}, R2 {errors.r2_mean:.3f}")
+    return 0
+
+
+def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[str, str]:
+    """Return whose labels a model was trained with, and how, from options and what it says."""
+    said, between, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
+    source = options.source or said
+    if not source:
+        listed = ", ".join(sensors) or "none"
+        raise LearningError(
+            f"--source: missing; allowed: a name, as the model was trained on {listed}"
+        )
+    if between and target != options.sensor:
+        raise LearningError(
+            f"--sensor: found {options.sensor!r}; allowed: {target!r}, as the model was trained on "
+            "frames translated to it"
+        )
+    usual = "target" if source == options.sensor else "source-only"
+    method = str(options.method or ("transferred" if between else usual))
+    _require_fitting(method, source, options.sensor, options.translator)
+    return source, method
+
+
+def _require_fitting(method: str, source: str, sensor: str, translator: str) -> None:
+    translated = method in TRANSLATED
+    if translated and not translator:
+        raise LearningError(f"--translator: missing; allowed: a name, as --method is {method}")
+    if translator and not translated:
+        raise LearningError(
+            f"--translator: found {translator!r}; allowed: none, as --method is {method}"
+        )
+    if (method == "target") != (source == sensor):
+        raise LearningError(
+            f"--method: found {method} from {source} to {sensor}; allowed: target where they are "
+            "one sensor, and another method where they are not"
+        )

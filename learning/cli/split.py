@@ -1,0 +1,96 @@
+"""`python -m learning split`: which presses models are trained on, written to a file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+    from learning.data.splits import Split
+    from recorder import MarkerArchive
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "split",
+        help="say which presses models are trained on and which they are tested on",
+        description="Gives every press of an archive a role, the same under all sensors. A press "
+        "is a location; all presses of unseen indenters are for the test.",
+    )
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="the split's file")
+    parser.add_argument(
+        "--validation",
+        type=float,
+        default=0.1,
+        metavar="SHARE",
+        help="of the presses of seen indenters, for choosing settings (0.1)",
+    )
+    parser.add_argument(
+        "--new-press",
+        type=float,
+        default=0.1,
+        metavar="SHARE",
+        help="of the presses of seen indenters, for the test (0.1)",
+    )
+    parser.add_argument(
+        "--hold-out-sensors",
+        default="",
+        metavar="NAME,...",
+        help="sensors that no model may be trained on",
+    )
+    parser.add_argument(
+        "--unseen",
+        metavar="NAME,...",
+        help="indenters that models may not be trained on (those that the archive says; none: '')",
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice (0)")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.data.splits import make_split
+    from recorder import MarkerArchive
+
+    archive = MarkerArchive(options.archive)
+    split = make_split(
+        archive,
+        validation=options.validation,
+        new_press=options.new_press,
+        held_out_sensors=_names(options.hold_out_sensors),
+        seed=options.seed,
+        unseen=None if options.unseen is None else _names(options.unseen),
+    )
+    split.write(options.out)
+    for line in told(split, archive):
+        print(line)
+    print(f"{options.out}: written, sha256 {split.fingerprint[:12]}")
+    return 0
+
+
+def told(split: Split, archive: MarkerArchive) -> list[str]:
+    """Return lines that say how many presses and frames have each role, sensor by sensor."""
+    import numpy as np
+
+    from learning.data.splits import ROLES
+
+    lines = [f"{'':16s}" + "".join(f" {role:>22s}" for role in ROLES)]
+    presses = [len(split.locations(role)) for role in ROLES]
+    lines.append(f"{'locations':16s}" + "".join(f" {count:>22,}" for count in presses))
+    for name, sensor in archive.items():
+        cells = []
+        for role in ROLES:
+            rows = split.rows(sensor.table, role)
+            pressed = len(np.unique(sensor.table["location"][rows]))
+            cells.append(f" {f'{len(rows):,} of {pressed:,}':>22s}")
+        held = "  held out" if name in split.held_out_sensors else ""
+        lines.append(f"{name:16s}" + "".join(cells) + held)
+    lines.append("a sensor's cells: frames of presses")
+    return lines
+
+
+def _names(listed: str) -> tuple[str, ...]:
+    return tuple(name for name in listed.split(",") if name)

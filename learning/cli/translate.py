@@ -1,0 +1,96 @@
+"""`python -m learning translate`: frames of sensors as other sensors would have shown them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from itertools import permutations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+    from learning.translation.archive import Pair
+    from recorder import MarkerArchive
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "translate",
+        help="make of a sensor's frames what another would have shown",
+        description="Writes a marker archive with a sensor A-to-B for each pair: translated frames "
+        "and labels of A, references and scale of B. Started again with the same options it goes "
+        "on where it was.",
+    )
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--source", metavar="A,...", help="sensors whose frames are translated")
+    parser.add_argument("--target", metavar="B,...", help="sensors that they are translated to")
+    parser.add_argument("--all", action="store_true", help="every sensor to every other")
+    parser.add_argument(
+        "--model",
+        default="flow",
+        metavar="flow|FOLDER",
+        help="flow, which needs no training, or the folder of a training run (%(default)s)",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="PATH", help="Y.markers.zarr")
+    parser.add_argument("--split", type=Path, metavar="JSON", help="a split, for --role")
+    parser.add_argument(
+        "--role", metavar="NAME,...", help="only these parts of the split, e.g. new_press"
+    )
+    parser.add_argument("--device", default="cpu", help="where models run (%(default)s)")
+    parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if (options.split is None) != (options.role is None):
+        raise LearningError("--split, --role: found one; allowed: both or neither")
+
+    from learning.data.splits import read_split
+    from learning.translation.archive import Model, draw_sheet, hash_of, translate_archive
+    from learning.translation.translator import load_translator
+    from recorder import MarkerArchive
+
+    archive = MarkerArchive(options.archive)
+    pairs = _pairs(archive, options)
+    translator = load_translator(options.model, options.device)
+    model = Model(translator, Path(options.model).name, hash_of(options.model), options.device)
+    progress = Progress("frames", sys.stderr)
+    try:
+        made = translate_archive(
+            archive,
+            options.out,
+            pairs,
+            model,
+            split=None if options.split is None else read_split(options.split),
+            roles=[] if options.role is None else options.role.split(","),
+            progress=progress,
+        )
+    finally:
+        progress.close()
+    if options.sheet is not None:
+        draw_sheet(archive, MarkerArchive(options.out), options.sheet)
+        print(f"{options.sheet}: written")
+    print(f"{options.out}: {len(pairs)} pairs, {made:,} frames made")
+    return 0
+
+
+def _pairs(archive: MarkerArchive, options: argparse.Namespace) -> list[Pair]:
+    from learning.translation.archive import Pair
+
+    given = options.source, options.target
+    if options.all:
+        if given != (None, None):
+            raise LearningError("--all: found --source or --target beside it; allowed: one of them")
+        return [Pair(*names) for names in permutations(archive, 2)]
+    if None in given:
+        raise LearningError("--source, --target: missing; allowed: both, or --all")
+    sources, targets = (text.split(",") for text in given)
+    pairs = [Pair(one, other) for one in sources for other in targets if one != other]
+    if not pairs:
+        raise LearningError(f"--target: found {options.target}, the source itself; allowed: others")
+    return pairs

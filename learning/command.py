@@ -1,0 +1,65 @@
+"""What verbs share: how they run and end, the type of their parsers, and lists of names."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.indenters import UNSEEN
+from recorder import SessionError
+
+if TYPE_CHECKING:
+    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+
+
+EXIT_WRONG_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
+    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    options = parser.parse_args(argv)
+    try:
+        return int(options.run(options))
+    except (LearningError, SessionError) as error:
+        print(f"wrong input: {error}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    except OSError as error:
+        print(f"cannot read or write: {error}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on with an archive", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def add_unseen(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says which indenters are held out."""
+    parser.add_argument(
+        "--unseen",
+        metavar="NAME,...",
+        help=f"indenters that models may not be trained on ({','.join(UNSEEN)}; none: '')",
+    )
+
+
+def unseen(listed: str | None) -> tuple[str, ...]:
+    """Return the indenters that are held out."""
+    return UNSEEN if listed is None else tuple(name for name in listed.split(",") if name)
+
+
+def by_name(given: list[str] | None, option: str) -> dict[str, float]:
+    """Return numbers given as NAME=NUMBER.
+
+    Raises:
+        LearningError: Not of that form.
+    """
+    found = {}
+    for text in given or []:
+        name, _, number = text.partition("=")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            raise LearningError(f"{option}: found {text!r}; allowed: NAME=NUMBER") from None
+    return found

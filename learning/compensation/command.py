@@ -1,0 +1,151 @@
+"""`python -m learning compensate`: material priors, and how to bring labels to another skin."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.command import by_name
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+    from learning.compensation.fit import Search
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "compensate",
+        help="fit material priors, choose how labels are brought from skin to skin",
+        description="Fits force over depth of each sensor (degree 2, loading and unloading) and "
+        "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a label-free "
+        "default, a label-free choice by the priors' fits, and an oracle that knows the target's "
+        "labels. Training a force model takes the file.",
+    )
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
+    parser.add_argument(
+        "--pairs", metavar="A:B,...", help="labels of A for B (default: all pairs with priors)"
+    )
+    parser.add_argument(
+        "--split",
+        type=Path,
+        metavar="JSON",
+        help="labels of its training presses (default: all seen indenters)",
+    )
+    parser.add_argument(
+        "--session",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="SESSION",
+        help="a session of `python -m rig force-depth`, in place of the archive's rows",
+    )
+    parser.add_argument(
+        "--coefficients", type=Path, metavar="DIR", help="published <sensor>_down.csv and _up.csv"
+    )
+    parser.add_argument(
+        "--coefficients-of",
+        choices=("mm", "share"),
+        default="mm",
+        help="what published coefficients multiply: depth in mm, or its share of the depth range "
+        "(heterogeneous test) (%(default)s)",
+    )
+    parser.add_argument(
+        "--range-mm",
+        action="append",
+        metavar="SENSOR=MM",
+        help="depth that counts as 1 (default: the sensor's deepest located press)",
+    )
+    parser.add_argument(
+        "--d0",
+        metavar="SHARE,...",
+        help="starting depths to try, shares of the source's depth range, 0 to 1 (default: the "
+        "supplement's, 0, 0.4, 0.8 mm for skins of one depth range, else 0, 0.25, 0.5, 0.75)",
+    )
+    parser.add_argument(
+        "--lambda",
+        dest="weights",
+        metavar="WEIGHT,...",
+        help="weights to try, 0 to 1 (default: 0, 0.25, 0.5, 0.75, 1)",
+    )
+    parser.add_argument(
+        "--default", metavar="D0,LAMBDA", help="the fixed, label-free choice (0,0.75)"
+    )
+    parser.add_argument(
+        "--picture", type=Path, metavar="PNG", help="curves (default: beside the file)"
+    )
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.compensation.fit import Curves, draw_curves, find_compensation, tables
+    from recorder import MarkerArchive
+
+    archive = MarkerArchive(options.archive)
+    if archive.warning:
+        raise LearningError(archive.warning)
+    curves = Curves(
+        sessions=tuple(options.session),
+        coefficients=options.coefficients,
+        per_mm=options.coefficients_of == "mm",
+        ranges_mm=by_name(options.range_mm, "--range-mm"),
+    )
+    progress = Progress("pairs", sys.stderr)
+    try:
+        found, gathered = find_compensation(
+            archive,
+            pairs=_pairs(options.pairs),
+            curves=curves,
+            search=_search(options),
+            progress=progress,
+        )
+    finally:
+        progress.close()
+    found.write(options.out)
+    for line in tables(found, gathered):
+        print(line)
+    picture = options.picture or options.out.with_suffix(".png")
+    draw_curves(found, gathered, picture)
+    print(f"{options.out}, {picture}: written")
+    return 0
+
+
+def _search(options: argparse.Namespace) -> Search:
+    from learning.compensation.fit import Search
+
+    search = Search(split=options.split)
+    if options.d0 is not None:
+        search = replace(search, d0=_numbers(options.d0, "--d0"))
+    if options.weights is not None:
+        search = replace(search, weights=_numbers(options.weights, "--lambda"))
+    if options.default is not None:
+        default = _numbers(options.default, "--default")
+        if len(default) != 2:
+            raise LearningError(f"--default: found {options.default!r}; allowed: D0,LAMBDA")
+        search = replace(search, default=(default[0], default[1]))
+    return search
+
+
+def _pairs(text: str | None) -> list[tuple[str, str]] | None:
+    if text is None:
+        return None
+    pairs = []
+    for one in text.split(","):
+        source, _, target = one.partition(":")
+        if not source or not target or source == target:
+            raise LearningError(f"--pairs: found {one!r}; allowed: SOURCE:TARGET, two sensors")
+        pairs.append((source, target))
+    return pairs
+
+
+def _numbers(text: str, option: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(one) for one in text.split(","))
+    except ValueError:
+        raise LearningError(f"{option}: found {text!r}; allowed: numbers with commas") from None

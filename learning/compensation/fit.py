@@ -1,0 +1,533 @@
+"""The compensation file: priors of sensors, and what was chosen for each pair, as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.compensation.prior import (
+    DEFAULT_D0,
+    DEFAULT_WEIGHT,
+    Branch,
+    ForceDepth,
+    Prior,
+    compensate,
+    curve_of_session,
+    curve_of_table,
+    fit_prior,
+    prior_of_coefficients,
+    require_choice,
+)
+from learning.compensation.search import (
+    D0_MM,
+    D0_SHARES,
+    WEIGHTS,
+    Choice,
+    Grid,
+    Paired,
+    best_for_labels,
+    best_for_priors,
+    depth_range,
+    paired_labels,
+    tried,
+)
+from learning.data.genforce.format import Compensation, read_compensation
+from learning.errors import LearningError
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+from recorder.store.durable import replace_file
+
+FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
+CHOICES = ("default", "priors", "oracle")
+"""Names of choices: fixed; by how well the priors fit; by the target's labels."""
+CRITERIA = {
+    "default": "d0 0, lambda 0.75, whatever the sensors (or as told on the command line)",
+    "priors": "least expected error of the compensated force-depth curve, from the fits' residuals",
+    "oracle": "least mean distance between compensated labels and the target's own at paired "
+    "locations of training presses [N]",
+}
+UNITS = "d0: share of the source's depth range; depths m; forces, errors and residuals N"
+
+
+@dataclass(frozen=True, slots=True)
+class PairCompensation:
+    """What is done to the labels of one sensor for another: `learning.force.data` calls it."""
+
+    source: Prior
+    target: Prior
+    d0: float
+    """Share of the source's depth range up to which nothing is changed."""
+    weight: float
+    """Lambda."""
+
+    def applied(
+        self,
+        wrench: NDArray[np.floating],
+        depth: NDArray[np.float64],
+        phase: NDArray[np.integer],
+    ) -> tuple[NDArray[np.float64], int]:
+        """Return labels (n, 3) or (n, 6) as the target would give them, and how many were clamped.
+
+        Raises:
+            LearningError: See `compensate`.
+        """
+        return compensate(wrench, depth, phase, self.source, self.target, self.d0, self.weight)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPair:
+    """Choices for one directed pair of sensors."""
+
+    source: str
+    target: str
+    before: Choice
+    """Without compensation."""
+    choices: Mapping[str, Choice]
+    """By the names of `CHOICES`; those that could not be made are left out."""
+    pairs: int = 0
+    """Location pairs that errors are of."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredCompensation:
+    """What `python -m learning compensate` found."""
+
+    priors: Mapping[str, Prior]
+    """By sensor."""
+    pairs: tuple[StoredPair, ...]
+    made_from: str = ""
+    where: str = field(default="", compare=False)
+    """Its file, for errors."""
+
+    def pair(self, source: str, target: str, choice: str = "default") -> PairCompensation:
+        """Return what is done to labels of a source for a target.
+
+        Args:
+            source: Name of the sensor that labels are of.
+            target: Name of the sensor that they are for.
+            choice: One of `CHOICES`.
+
+        Raises:
+            LearningError: No such pair, or no such choice for it.
+        """
+        for found in self.pairs:
+            if (found.source, found.target) == (source, target):
+                if choice not in found.choices:
+                    raise LearningError(
+                        f"{self.where}: {source} to {target} has no choice {choice!r}; known: "
+                        f"{', '.join(found.choices)}"
+                    )
+                chosen = found.choices[choice]
+                return PairCompensation(
+                    self.priors[source], self.priors[target], chosen.d0, chosen.weight
+                )
+        known = ", ".join(f"{found.source} to {found.target}" for found in self.pairs)
+        raise LearningError(f"{self.where}: no pair {source} to {target}; known: {known}")
+
+    def write(self, path: Path) -> None:
+        """Write the file, whole or not at all.
+
+        Raises:
+            LearningError: Another one is there.
+            OSError: It cannot be written.
+        """
+        text = self._text()
+        if path.exists():
+            if path.read_text(encoding="utf-8") == text:
+                return
+            raise LearningError(f"{path}: exists and says something else; allowed: another name")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, text.encode())
+
+    def _text(self) -> str:
+        content = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "units": UNITS,
+            "made_from": self.made_from,
+            "criteria": CRITERIA,
+            "priors": {name: asdict(prior) for name, prior in self.priors.items()},
+            "pairs": [asdict(pair) for pair in self.pairs],
+        }
+        return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_stored(path: Path) -> StoredCompensation:
+    """Return what a compensation file says.
+
+    Raises:
+        LearningError: Not there, no such file, of a newer format, or a key missing or wrong.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LearningError(f"{path}: not JSON: {error}") from None
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != FORMAT:
+        raise LearningError(f"{path}.format: found {found!r}; allowed: {FORMAT!r}")
+    version = content.get("format_version")
+    if version != FORMAT_VERSION:
+        raise LearningError(f"{path}.format_version: found {version!r}; allowed: {FORMAT_VERSION}")
+    try:
+        priors = {name: _prior(prior) for name, prior in content["priors"].items()}
+        pairs = tuple(_pair(pair) for pair in content["pairs"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise LearningError(f"{path}: damaged: {error!r}") from None
+    for pair in pairs:
+        for name in (pair.source, pair.target):
+            if name not in priors:
+                raise LearningError(
+                    f"{path}.pairs: {name} has no prior; known: {', '.join(priors)}"
+                )
+    return StoredCompensation(priors, pairs, str(content.get("made_from", "")), str(path))
+
+
+def _prior(content: Mapping[str, Any]) -> Prior:
+    return Prior(
+        str(content["sensor"]),
+        _branch(content["loading"]),
+        _branch(content["unloading"]),
+        float(content["depth_range"]),
+        float(content["depth_max"]),
+        str(content["indenter"]),
+        str(content["source"]),
+    )
+
+
+def _branch(content: Mapping[str, Any]) -> Branch:
+    residual = content["residual"]
+    return Branch(
+        tuple(float(value) for value in content["coefficients"]),
+        None if residual is None else float(residual),
+        int(content["samples"]),
+    )
+
+
+def _pair(content: Mapping[str, Any]) -> StoredPair:
+    return StoredPair(
+        str(content["source"]),
+        str(content["target"]),
+        _choice(content["before"]),
+        {str(name): _choice(choice) for name, choice in content["choices"].items()},
+        int(content["pairs"]),
+    )
+
+
+def _choice(content: Mapping[str, Any]) -> Choice:
+    d0, weight, error = float(content["d0"]), float(content["weight"]), content["error"]
+    require_choice(d0, weight)
+    return Choice(
+        d0,
+        weight,
+        None if error is None else float(error),
+        tuple(float(value) for value in content["axes"]),
+        int(content["clamped"]),
+        # Files of old do not say.
+        None if (r2 := content.get("r2")) is None else float(r2),
+    )
+
+
+# Priors of an archive's sensors, from wherever there are force-depth curves.
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """Where force-depth curves come from, beside the archive's own rows."""
+
+    sessions: Sequence[Path] = ()
+    """Sessions of `python -m rig force-depth`; they say which sensor they are of."""
+    coefficients: Path | None = None
+    """Folder of <sensor>_down.csv and <sensor>_up.csv, as published."""
+    per_mm: bool = True
+    """Whether published coefficients are of depth in mm; else of its share of the range."""
+    ranges_mm: Mapping[str, float] = field(default_factory=dict)
+    """Depth that counts as 1, by sensor [mm], in place of the deepest located press."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """Priors, and what they were fitted to."""
+
+    priors: Mapping[str, Prior]
+    """By sensor."""
+    measured: Mapping[str, ForceDepth]
+    """By sensor; not of those whose coefficients were given."""
+    without: tuple[str, ...]
+    """Sensors of which nothing is known."""
+
+
+def gather_priors(archive: MarkerArchive, curves: Curves) -> Gathered:
+    """Return the priors of an archive's sensors.
+
+    Of each sensor the first is taken of: a session, published coefficients, force-depth rows of
+    the archive, coefficients that were imported with it.
+
+    Raises:
+        LearningError: A sensor that the archive does not have, or a curve that cannot be fitted.
+        SessionError: A damaged session or archive.
+    """
+    sessions = {curve.sensor: curve for curve in map(curve_of_session, curves.sessions)}
+    published = {} if curves.coefficients is None else read_compensation(curves.coefficients)
+    for name in (*sessions, *curves.ranges_mm):
+        if name not in archive:
+            raise LearningError(f"{archive.name}: no sensor {name}; known: {', '.join(archive)}")
+    priors: dict[str, Prior] = {}
+    measured: dict[str, ForceDepth] = {}
+    for name, sensor in archive.items():
+        span = depth_range(sensor)
+        if name in curves.ranges_mm:
+            span = 1e-3 * curves.ranges_mm[name]
+        curve = sessions.get(name)
+        known = published.get(name)
+        if curve is None and known is None:
+            curve = curve_of_table(name, sensor.table, archive.indenters)
+        if curve is not None:
+            measured[name] = curve
+            priors[name] = fit_prior(curve, span)
+            continue
+        source = "published coefficients"
+        if known is None:
+            known, source = _imported(sensor), "coefficients imported with the archive"
+        if known is None:
+            continue
+        if span is None:
+            raise LearningError(
+                f"{name}: has coefficients and no located press that would say how deep it was "
+                "pressed; allowed: --range-mm"
+            )
+        priors[name] = prior_of_coefficients(
+            name, known, depth_range=span, per_mm=curves.per_mm, source=source
+        )
+    return Gathered(priors, measured, tuple(name for name in archive if name not in priors))
+
+
+def _imported(sensor: ArchivedSensor) -> Compensation | None:
+    """Return the coefficients that were imported with a sensor; None without."""
+    known = sensor.attrs.get("force_depth")
+    if known is None:
+        return None
+    try:
+        return Compensation(
+            tuple(float(value) for value in known["down"]),
+            tuple(float(value) for value in known["up"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise LearningError(
+            f"{sensor.name}.force_depth: found {known!r}; allowed: down and up, numbers"
+        ) from error
+
+
+# The one call behind `python -m learning compensate`: priors, and choices for pairs of sensors.
+
+_ALIKE = 0.05
+"""Depth ranges that differ by less than this share are one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What is tried for each pair."""
+
+    default: tuple[float, float] = (DEFAULT_D0, DEFAULT_WEIGHT)
+    """d0 and lambda of the choice that is made without looking at anything."""
+    d0: tuple[float, ...] | None = None
+    """Shares of the source's depth range; None: the paper's for these sensors."""
+    weights: tuple[float, ...] = WEIGHTS
+    split: Path | None = None
+    """File of a split; None: labels of all seen indenters."""
+
+
+def find_compensation(
+    archive: MarkerArchive,
+    *,
+    pairs: Sequence[tuple[str, str]] | None = None,
+    curves: Curves | None = None,
+    search: Search | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[StoredCompensation, Gathered]:
+    """Return what compensates labels between an archive's sensors, and the curves behind it.
+
+    Args:
+        archive: The archive.
+        pairs: Sources and targets; all pairs of sensors with a prior when None.
+        curves: Where force-depth curves come from, beside the archive's own rows.
+        search: What is tried for each pair.
+        progress: Called with the pairs that are done and all of them.
+
+    Raises:
+        LearningError: A sensor of a pair without a prior, or fewer than two sensors with one.
+        SessionError: A damaged archive or session.
+    """
+    search = search or Search()
+    gathered = gather_priors(archive, curves or Curves())
+    wanted = _wanted(archive, gathered, pairs)
+    grid_d0 = search.d0
+    found = []
+    for done, (source, target) in enumerate(wanted):
+        progress(done, len(wanted))
+        one, other = gathered.priors[source], gathered.priors[target]
+        paired = paired_labels(archive, source, target, search.split)
+        grid = Grid(grid_d0 or _d0_of_paper(one, other), search.weights)
+        found.append(_chosen(one, other, paired, grid, search.default))
+    progress(len(wanted), len(wanted))
+    made = StoredCompensation(dict(gathered.priors), tuple(found), made_from=archive.name)
+    return made, gathered
+
+
+def _chosen(
+    source: Prior, target: Prior, paired: Paired | None, grid: Grid, default: tuple[float, float]
+) -> StoredPair:
+    choices: dict[str, Choice] = {"default": tried(paired, source, target, *default)}
+    fitted = best_for_priors(source, target, grid)
+    if fitted is not None:
+        choices["priors"] = tried(paired, source, target, *fitted)
+    if paired is not None:
+        choices["oracle"] = best_for_labels(paired, source, target, grid)
+    before = tried(paired, source, target, 0.0, 0.0)
+    return StoredPair(
+        source.sensor, target.sensor, before, choices, 0 if paired is None else len(paired)
+    )
+
+
+def _d0_of_paper(source: Prior, target: Prior) -> tuple[float, ...]:
+    """Return starting depths as shares: in mm for skins of one kind, as shares for others.
+
+    The supplement's Tables S1 and S2.
+    """
+    spans = source.depth_range, target.depth_range
+    if abs(spans[0] - spans[1]) > _ALIKE * max(spans):
+        return D0_SHARES
+    return tuple(mm * 1e-3 / spans[0] for mm in D0_MM if mm * 1e-3 < spans[0])
+
+
+def _wanted(
+    archive: MarkerArchive, gathered: Gathered, pairs: Sequence[tuple[str, str]] | None
+) -> list[tuple[str, str]]:
+    how = (
+        "; allowed: force-depth rows in the archive (location -1, phases normal_inc and "
+        "normal_dec), --session or --coefficients"
+    )
+    if pairs is None:
+        if len(gathered.priors) < 2:
+            raise LearningError(
+                f"{archive.name}: found force-depth curves of "
+                f"{', '.join(gathered.priors) or 'no sensor'}, expected two sensors or more{how}"
+            )
+        return list(permutations(gathered.priors, 2))
+    for name in np.unique([name for pair in pairs for name in pair]):
+        if name not in archive:
+            raise LearningError(f"{archive.name}: no sensor {name}; known: {', '.join(archive)}")
+        if name in gathered.without:
+            raise LearningError(f"{archive.name}: {name} has no force-depth curve{how}")
+    return list(pairs)
+
+
+# What was found, as tables for people and as a picture of the curves.
+
+_POINTS = 300
+"""Measured points that are drawn of a curve, at most."""
+
+
+def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
+    """Yield lines: a table of priors, then one of pairs, then what they come to."""
+    yield f"{'sensor':<14}{'range':>9}  {'loading at 1/2, 1':>20}{'rms':>8}  " + (
+        f"{'unloading':>20}{'rms':>8}  [N]"
+    )
+    for prior in found.priors.values():
+        yield (
+            f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_said(prior, prior.loading)}"
+            f"  {_said(prior, prior.unloading)}  {prior.source}"
+        )
+    if gathered.without:
+        yield f"without a force-depth curve: {', '.join(gathered.without)}"
+    yield ""
+    yield f"{'labels of > for':<28}{'before':>8}" + "".join(f"{name:>24}" for name in CHOICES)
+    for pair in found.pairs:
+        name = f"{pair.source} > {pair.target}"
+        cells = "".join(f"{_cell(pair.choices.get(choice)):>24}" for choice in CHOICES)
+        yield f"{name:<28}{_newtons(pair.before):>8}{cells}"
+    yield "mean distance of labels from the target's [N], (d0 of the depth range, lambda)"
+    yield from _summary(found.pairs)
+
+
+def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> None:
+    """Draw measured forces and the polynomials through them, loading and unloading, as a PNG.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    spans = [prior.depth_range for prior in found.priors.values()]
+    alike = max(spans) - min(spans) < 0.05 * max(spans)
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(spans)))
+    for loading, panel in zip((True, False), axes, strict=True):
+        for colour, (name, prior) in zip(colours, found.priors.items(), strict=True):
+            unit = 1e3 * prior.depth_range if alike else 1.0
+            if name in gathered.measured:
+                curve = gathered.measured[name]
+                points = curve.loading if loading else curve.unloading
+                points = points[:: max(1, len(points) // _POINTS)]
+                share = points[:, 0] / prior.depth_range
+                panel.plot(share * unit, points[:, 1], ".", color=colour, markersize=3, alpha=0.5)
+            share = np.linspace(0.0, prior.share_max, 100)
+            force = prior.branch(loading).compression(share)
+            panel.plot(share * unit, force, color=colour, label=name)
+        panel.set_title("loading" if loading else "unloading")
+        panel.set_xlabel("depth [mm]" if alike else "depth, of the sensor's range")
+        panel.grid(alpha=0.3)
+    axes[0].set_ylabel("compression [N]")
+    axes[0].legend(fontsize="small")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def _said(prior: Prior, branch: Branch) -> str:
+    half, whole = branch.compression(np.array([0.5, 1.0]))
+    rms = "-" if branch.residual is None else f"{branch.residual:.3f}"
+    return f"{half:>11.2f} {whole:>8.2f}{rms:>8}"
+
+
+def _newtons(choice: Choice) -> str:
+    return "-" if choice.error is None else f"{choice.error:.3f}"
+
+
+def _cell(choice: Choice | None) -> str:
+    if choice is None:
+        return "-"
+    clamped = f" {choice.clamped}!" if choice.clamped else ""
+    return f"{_newtons(choice)} ({choice.d0:.2f}, {choice.weight:g}){clamped}"
+
+
+def _summary(pairs: tuple[StoredPair, ...]) -> Iterator[str]:
+    known = [(pair, pair.before.error) for pair in pairs if pair.before.error is not None]
+    if not known:
+        yield "no target has labels of its own: no error, no oracle"
+        return
+    for name in CHOICES:
+        after = [
+            (before, choice.error)
+            for pair, before in known
+            if (choice := pair.choices.get(name)) is not None and choice.error is not None
+        ]
+        if not after:
+            continue
+        better = sum(error < before for before, error in after)
+        mean = np.mean(after, axis=0)
+        yield (
+            f"{name:<8} {mean[0]:.3f} N before, {mean[1]:.3f} N after; better in {better} of "
+            f"{len(after)} pairs"
+        )
+    if any(choice.clamped for pair in pairs for choice in pair.choices.values()):
+        yield "n!: n labels whose ratio of priors was clamped to 0.1 .. 10"

@@ -1,0 +1,221 @@
+"""Which d0 and lambda: by the target's labels (an oracle), or by the priors alone.
+
+The paper searches a grid and does not say what for. Here, of the choices on a grid, one is best
+
+- **for labels**: the mean distance between compensated labels and the target's own at paired
+  locations is the smallest. Whoever can compute it needs no transfer: it is an upper bound.
+- **for priors**: the expected squared error of the compensated force-depth curve is the smallest.
+  The difference of the two curves is known up to the variance v of what the fits left over, so
+  lambda times it is wrong by ((1 - lambda)^2 (difference^2 - v) + lambda^2 v) on average (Stein's
+  unbiased estimate). It needs no label of the target, and weakens corrections that are noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.compensation.prior import Prior, compensate, ratios
+from learning.errors import LearningError
+from learning.metrics import r_squared
+from recorder import PHASES, MarkerArchive
+from recorder.archive import ArchivedSensor, location_pairs
+
+Floats = NDArray[np.float64]
+
+D0_MM = (0.0, 0.4, 0.8)
+"""Starting depths of the material test (supplement, Table S1)."""
+D0_SHARES = (0.0, 0.25, 0.5, 0.75)
+"""Starting depths of the heterogeneous test, of the depth range (supplement, Table S2)."""
+WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Weights (supplement, Tables S1 and S2)."""
+_SHARES = np.linspace(0.0, 1.0, 101)[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Choices that are tried."""
+
+    d0: tuple[float, ...] = D0_SHARES
+    """Starting depths, shares of the source's range."""
+    weights: tuple[float, ...] = WEIGHTS
+
+    def __post_init__(self) -> None:
+        """Refuse an empty grid, or one beyond the paper's ranges."""
+        for name, values in (("d0", self.d0), ("lambda", self.weights)):
+            if not values or not all(0.0 <= value <= 1.0 for value in values):
+                raise LearningError(f"{name}: found {values}; allowed: one or more, 0 to 1")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A starting depth and a weight, and how good they are."""
+
+    d0: float
+    """Share of the source's depth range."""
+    weight: float
+    """Lambda."""
+    error: float | None
+    """Mean distance of compensated labels from the target's [N]; None where it has none."""
+    axes: tuple[float, ...] = ()
+    """Mean absolute error of Fx, Fy, Fz [N]."""
+    clamped: int = 0
+    """Labels whose ratio was clamped."""
+    r2: float | None = None
+    """R2 of compensated labels, were they predictions of the target's: mean over the axes. No model
+    that learns from them does better but by chance. None where the target's never change."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paired:
+    """Labels of two sensors where both were pressed alike."""
+
+    source: Floats
+    """Forces (n, 3) [N]."""
+    target: Floats
+    """Forces (n, 3) [N]."""
+    depth: Floats
+    """Indentation of the source (n,) [m]."""
+    phase: NDArray[np.int64]
+    """Codes of phases (n,)."""
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self.source)
+
+
+def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight: float) -> Choice:
+    """Return a choice, with its error where the target's labels are known.
+
+    Raises:
+        LearningError: Labels that are no numbers, or a choice outside of the paper's ranges.
+    """
+    if paired is None or not len(paired):
+        return Choice(d0, weight, None)
+    labels, clamped = compensate(
+        paired.source, paired.depth, paired.phase, source, target, d0, weight
+    )
+    apart = labels - paired.target
+    if not np.isfinite(apart).all():
+        raise LearningError(
+            f"{target.sensor}.wrench: found NaN in labels of paired locations; allowed: numbers"
+        )
+    axes = tuple(float(value) for value in np.abs(apart).mean(axis=0))
+    error = float(np.linalg.norm(apart, axis=1).mean())
+    fit = float(r_squared(paired.target, labels).mean())
+    return Choice(d0, weight, error, axes, clamped, fit if np.isfinite(fit) else None)
+
+
+def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) -> Choice:
+    """Return the choice whose labels are nearest to the target's; the weakest of equals.
+
+    Raises:
+        LearningError: No pairs, or labels that are no numbers.
+    """
+    if not len(paired):
+        raise LearningError(
+            f"{source.sensor}, {target.sensor}: found no paired labels; allowed: one or more"
+        )
+    choices = [
+        tried(paired, source, target, d0, weight) for weight in grid.weights for d0 in grid.d0
+    ]
+    return min(choices, key=lambda choice: np.inf if choice.error is None else choice.error)
+
+
+def best_for_priors(source: Prior, target: Prior, grid: Grid) -> tuple[float, float] | None:
+    """Return d0 and lambda with the smallest expected error of the curves.
+
+    None where a prior does not say how well it fits.
+    """
+    risks = {}
+    for weight in grid.weights:
+        for d0 in grid.d0:
+            risk = expected_error(source, target, d0, weight)
+            if risk is None:
+                return None
+            risks[d0, weight] = risk
+    return min(risks, key=lambda choice: risks[choice])
+
+
+def expected_error(source: Prior, target: Prior, d0: float, weight: float) -> float | None:
+    """Return the expected mean square error of the source's compensated curve [N^2].
+
+    None where a prior does not say how well it fits.
+    """
+    parts = []
+    for loading in (True, False):
+        own, other = source.branch(loading), target.branch(loading)
+        if own.residual is None or other.residual is None:
+            return None
+        code = PHASES.index("normal_inc" if loading else "normal_dec")
+        depth = _SHARES * source.depth_range
+        ratio, _ = ratios(depth, np.full(len(depth), code), source, target)
+        force = own.compression(_SHARES)
+        correction = force * (ratio - 1.0)
+        variance = other.residual**2 + (ratio * own.residual) ** 2
+        lam = np.where(d0 < _SHARES, weight, 0.0)
+        parts.append((1 - lam) ** 2 * (correction**2 - variance) + lam**2 * variance)
+    return float(np.mean(parts))
+
+
+# Labels of two sensors of an archive at the same locations, from presses models may learn from.
+
+
+def paired_labels(
+    archive: MarkerArchive, source: str, target: str, split: Path | None = None
+) -> Paired | None:
+    """Return labels of location pairs; None where one of the sensors has none.
+
+    Taken are the last frames of the phases, of presses that the split trains on, or of all seen
+    indenters without a split.
+
+    Args:
+        archive: The archive.
+        source: Name of the sensor that labels are of.
+        target: Name of the sensor that they are for.
+        split: File of a split.
+
+    Raises:
+        LearningError: A split of another archive.
+        SessionError: A damaged archive.
+    """
+    one, other = archive[source], archive[target]
+    pairs = location_pairs(one.table, other.table)
+    kept = _learned_from(archive, one, pairs.source, split)
+    forces = one.table["wrench"][pairs.source, :3], other.table["wrench"][pairs.target, :3]
+    for values in forces:
+        kept &= np.isfinite(values).all(axis=1)
+    if not kept.any():
+        return None
+    return Paired(
+        forces[0][kept],
+        forces[1][kept],
+        one.table["depth"][pairs.source][kept],
+        one.table["phase"][pairs.source][kept].astype(np.int64),
+    )
+
+
+def depth_range(sensor: ArchivedSensor) -> float | None:
+    """Return the deepest of a sensor's located presses [m]; None without any."""
+    rows = (sensor.table["location"] >= 0) & sensor.table["valid"]
+    deepest = float(sensor.table["depth"][rows].max(initial=0.0))
+    return deepest if deepest > 0 else None
+
+
+def _learned_from(
+    archive: MarkerArchive, sensor: ArchivedSensor, rows: NDArray[np.int64], split: Path | None
+) -> NDArray[np.bool_]:
+    if split is None:
+        return np.asarray(sensor.table["seen"][rows], np.bool_)
+    from learning.data.splits import read_split
+
+    found = read_split(split)
+    found.check(archive)
+    roles = np.asarray(found.role(sensor.table["location"][rows]))
+    kept = np.asarray(roles == "train", np.bool_)
+    if not kept.any():
+        raise LearningError(f"{split}: trains on no press of {sensor.name}; allowed: one or more")
+    return kept

@@ -1,0 +1,135 @@
+"""The one call behind `python -m learning export-genforce`: an archive out into their folders."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.data.genforce.format import (
+    write_coefficients,
+    write_depths,
+    write_forces,
+    write_last,
+    write_mask,
+)
+from learning.data.genforce.training import DEPTH_UNKNOWN
+from learning.errors import LearningError
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+from recorder.convert.export import building, file_name
+from recorder.spec import PHASES
+
+Rows = NDArray[np.int64]
+NAMED = 5
+LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
+"""Phases whose depths are in inc_z.csv; those of the others are in dec_z.csv."""
+
+
+def export_training(
+    archive_path: Path,
+    out: Path,
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[str, ...]:
+    """Write an archive as the folder that the authors' training reads; return what was left out.
+
+    The folder appears whole or not at all. Contact points are numbered from 1, target by target;
+    frames through all phases. Times, positions and validity have no place in it.
+
+    Raises:
+        LearningError: No press with four phases, or an archive that is not complete.
+        SessionError: A damaged archive.
+        OSError: The disk is full, or not writable.
+    """
+    archive = MarkerArchive(archive_path)
+    if archive.warning:
+        raise LearningError(archive.warning)
+    left_out: list[str] = []
+    found = {name: list(_presses(sensor, left_out)) for name, sensor in archive.items()}
+    total = sum(len(rows) for presses in found.values() for rows in presses)
+    if not total:
+        raise LearningError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
+    done = 0
+    with building(out) as root:
+        for name, presses in found.items():
+            if not presses:
+                continue
+            sensor, plain = archive[name], file_name(name)
+            _sensor(root, plain, sensor, left_out)
+            for rows in presses:
+                _press(root, plain, archive, sensor, rows)
+                done += len(rows)
+                progress(done, total)
+    if len(left_out) > NAMED:
+        left_out[NAMED:] = [f"and {len(left_out) - NAMED} more"]
+    return tuple(left_out)
+
+
+def _presses(sensor: ArchivedSensor, left_out: list[str]) -> Iterator[Rows]:
+    """Yield the rows of presses that have four phases in their order, frame by frame."""
+    table = sensor.table
+    order = np.lexsort((table["frame"], table["target"], table["indenter"])).astype(np.int64)
+    press = np.stack([table["indenter"][order], table["target"][order]], axis=1)
+    change = np.flatnonzero((np.diff(press, axis=0) != 0).any(axis=1)) + 1
+    for rows in np.split(order, change):
+        phase = table["phase"][rows]
+        target = f"{sensor.name}, target {table['target'][rows[0]]} of {_indenter(sensor, rows)}"
+        if (np.unique(phase).tolist() != list(range(len(PHASES)))) or (np.diff(phase) < 0).any():
+            left_out.append(f"{target}: has not all of {', '.join(PHASES)}")
+        elif (table["location"][rows] < 0).any():
+            left_out.append(f"{target}: is at no location")
+        elif not table["valid"][rows].all():
+            left_out.append(f"{target}: has frames that are not there")
+        else:
+            yield rows
+
+
+def _sensor(root: Path, name: str, sensor: ArchivedSensor, left_out: list[str]) -> None:
+    images = root / "img" / "npy"
+    images.mkdir(parents=True, exist_ok=True)
+    write_mask(images / f"{name}_ref.npy", sensor.references[0])
+    if len(sensor.references) > 1:
+        left_out.append(f"{name}: {len(sensor.references) - 1} references beside the first")
+    known: Mapping[str, Any] | None = sensor.attrs.get("force_depth")
+    if known is not None:
+        folder = root / "material_compensation"
+        folder.mkdir(exist_ok=True)
+        for half in ("down", "up"):
+            write_coefficients(folder / f"{name}_{half}.csv", tuple(known[half]))
+
+
+def _press(
+    root: Path, name: str, archive: MarkerArchive, sensor: ArchivedSensor, rows: Rows
+) -> None:
+    table = sensor.table
+    shape = file_name(archive.indenters[int(table["indenter"][rows[0]])])
+    place = Path(name) / shape / str(int(table["target"][rows[0]]) + 1)
+    images = root / "img" / "npy" / place
+    images.mkdir(parents=True)
+    names = [f"{number:04d}.npy" for number in range(len(rows))]
+    for file, packed in zip(names, sensor.packed(rows), strict=True):
+        write_mask(images / file, packed)
+    phase = table["phase"][rows]
+    last = [int(np.flatnonzero(phase == code)[-1]) for code in range(len(PHASES))]
+    write_last(images / "last.csv", [f"{place.as_posix()}/{names[number]}" for number in last])
+    wrench = table["wrench"][rows]
+    if np.isfinite(wrench).all():
+        folder = root / "force" / place
+        folder.mkdir(parents=True)
+        write_forces(folder / "ft.csv", wrench)
+    if sensor.attrs.get("depth") != DEPTH_UNKNOWN:
+        folder = root / "depth" / place
+        folder.mkdir(parents=True)
+        depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
+        write_depths(folder / "inc_z.csv", depth_mm[loading])
+        write_depths(folder / "dec_z.csv", depth_mm[~loading])
+
+
+def _indenter(sensor: ArchivedSensor, rows: Rows) -> str:
+    said = json.loads(sensor.sources[int(sensor.table["source"][rows[0]])])
+    return str(said.get("folder") or said.get("session") or f"row {rows[0]}")

@@ -1,0 +1,194 @@
+"""The one call behind `python -m learning import-genforce`: folders in, an archive out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.archive_writer import SensorFrames, fill_archive
+from learning.data.genforce import raw, states, training
+from learning.data.genforce.format import (
+    Compensation,
+    Packed,
+    Press,
+    PublishedSensor,
+    ReadMask,
+    read_mask,
+)
+from learning.errors import LearningError
+from learning.indenters import UNSEEN, coded
+from learning.markers.frames import taxel_masks
+from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, preset, preset_of_sensor
+from recorder.archive import MarkerCount
+from recorder.markers import pack
+
+LAYOUTS: Mapping[str, str] = {
+    "training": "packed masks a contact point, with forces and depths",
+    "states": "simulated pictures by place and depth",
+    "raw": "a run as it was collected: pictures or taxels, forces, poses",
+}
+"""What can be read, and what it is."""
+MM_PER_PX = 0.0249
+"""Size of a pixel of the authors' GelSights [mm]; where nothing else is said."""
+TAXELS_MM_PER_PX = 0.03671875
+_NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What the folders do not say."""
+
+    preset_name: str | None = None
+    """How markers are found in raw pictures; what is meant for each sensor when None."""
+    mm_per_px: Mapping[str, float] = field(default_factory=dict)
+    """Size of a pixel by sensor [mm]."""
+    surfaces_mm: Mapping[str, float] = field(default_factory=dict)
+    """Sensors whose depth files hold heights, and the height of their surface [mm]."""
+    unseen: tuple[str, ...] = UNSEEN
+    """Indenters that models may not be trained on."""
+    compensation: Mapping[str, Compensation] = field(default_factory=dict)
+    """Force over depth by sensor, stored with it."""
+
+
+def layout_of(root: Path) -> str:
+    """Return which of `LAYOUTS` a folder has.
+
+    Raises:
+        LearningError: None of them, or no folder.
+    """
+    if not root.is_dir():
+        raise LearningError(f"{root}: no such folder")
+    known = {"training": training.is_training, "states": states.is_states, "raw": raw.is_raw}
+    for name, fits in known.items():
+        if fits(root):
+            return name
+    raise LearningError(
+        f"{root}: found no img, no <Pattern>_ref.jpg and no image/<indenter>-<date>_<time>; "
+        f"expected one of the layouts {', '.join(LAYOUTS)}"
+    )
+
+
+def import_folder(
+    root: Path,
+    out: Path,
+    *,
+    choices: Choices | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> int:
+    """Make the marker archive of a published folder, or go on with it; return the frames made.
+
+    All labels and lists are read first: a folder that does not fit is refused before anything is
+    written. Masks are read as they are written.
+
+    Raises:
+        LearningError: Something is missing or does not fit: the message names the file.
+        SessionError: Another archive lies at `out`.
+        OSError: The disk is full, or not writable.
+    """
+    chosen = choices or Choices()
+    layout = layout_of(root)
+    read = {"training": _training, "states": _states, "raw": _raw}[layout]
+    of = {"training": training, "states": states, "raw": raw}[layout]
+    indenters = coded(of.indenters_of(root))
+    sensors: list[SensorFrames] = list(read(root, indenters, chosen))
+    attrs = {"made_from": f"GenForce folder, layout {layout}"}
+    return fill_archive(out, sensors, indenters, attrs, progress)
+
+
+def _training(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
+    for one in training.read_training(root, _codes(indenters), chosen.surfaces_mm):
+        about = {"depth": one.depths, "position": "unknown: 0"}
+        if not one.torques:
+            about["torque"] = "unknown: 0"
+        yield _published(root, one.name, one.presses, one.reference[None], indenters, chosen, about)
+
+
+def _states(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
+    for name, reference, presses in states.read_states(root, _codes(indenters)):
+        if not presses:
+            raise LearningError(f"{root}: found {name}_ref, and no pictures of it")
+        about = {"depth": "names of files, mm", "position": "names of files, mm"}
+        yield _published(root, name, presses, reference[None], indenters, chosen, about)
+
+
+def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
+    for one in raw.read_raw(root, _codes(indenters)):
+        name = chosen.preset_name or preset_of_sensor(one.name)
+        if name is None:
+            raise LearningError(f"{one.name}: no preset is meant for it; say which")
+        found = preset(name)
+        if isinstance(found, TaxelPreset) != one.taxels:
+            kind = "taxels" if one.taxels else "pictures"
+            raise LearningError(f"preset {name}: is for {found.KIND}; {one.name} has {kind}")
+        count = None
+        if isinstance(found, TaxelPreset):
+            read = _taxels(found)
+            still = pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), found))
+        else:
+            read = _segmented(found)
+            still = np.stack([read(path) for path in one.references])
+            count = MarkerCount(found.area_px[0], found.tolerance)
+        about = {
+            "depth": "pose.csv: below the first pose of the press",
+            "position": "pose.csv: from the first pose of the run",
+            "preset": name,
+        }
+        yield _published(
+            root, one.name, one.presses, still, indenters, chosen, about, read=read, count=count
+        )
+
+
+def _published(
+    root: Path,
+    name: str,
+    presses: tuple[Press, ...],
+    references: Packed,
+    indenters: tuple[str, ...],
+    chosen: Choices,
+    about: Mapping[str, Any],
+    *,
+    read: ReadMask = read_mask,
+    count: MarkerCount | None = None,
+) -> PublishedSensor:
+    taxels = "uskin" in name.lower()
+    attrs: dict[str, Any] = {"made_from": root.name, "times": _NO_TIMES, **about}
+    if name in chosen.compensation:
+        attrs["force_depth"] = asdict(chosen.compensation[name])
+    # A mask's markers are counted, but for the discs of taxels, which may grow together.
+    return PublishedSensor(
+        name=name,
+        presses=presses,
+        references=references,
+        indenters=indenters,
+        mm_per_px=chosen.mm_per_px.get(name, TAXELS_MM_PER_PX if taxels else MM_PER_PX),
+        read_mask=read,
+        root=root,
+        unseen=chosen.unseen,
+        marker_count=count if count is not None or taxels else MarkerCount(),
+        attrs=attrs,
+    )
+
+
+def _segmented(found: CameraPreset) -> ReadMask:
+    segmenter = Segmenter(found)
+
+    def read(path: Path) -> Packed:
+        return pack(segmenter.mask(raw.read_picture(path)))
+
+    return read
+
+
+def _taxels(found: TaxelPreset) -> ReadMask:
+    def read(path: Path) -> Packed:
+        (packed,) = pack(taxel_masks(raw.read_counts(path)[None], np.zeros((16, 3)), found))
+        return np.asarray(packed, np.uint8)
+
+    return read
+
+
+def _codes(indenters: tuple[str, ...]) -> dict[str, int]:
+    return {name: code for code, name in enumerate(indenters)}

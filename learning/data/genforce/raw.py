@@ -1,0 +1,231 @@
+"""The layout of a run as it was collected: pictures or taxels, forces and poses, phase by phase.
+
+    <sensor>/image/<indenter>-<YYYYmmdd_HHMMSS>/<point>/<phase>/%04d.jpg, ref.jpg above the points
+    <sensor>/uskin_raw/<run>/<point>/<phase>/%04d.npy                     counts less ref.npy
+    <sensor>/force/<run>/<point>/<phase>/ft.csv
+    <sensor>/pose/<run>/<point>/<phase>/pose.csv
+
+Phases are normal_inc, shear_inc, shear_dec, normal_dec; down and up in runs of force and depth.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.data.genforce.format import (
+    NO_LOCATION,
+    Array,
+    Press,
+    read_array,
+    read_forces,
+    read_poses,
+)
+from learning.data.genforce.training import frame_files
+from learning.errors import LearningError
+from recorder import SessionError
+from recorder.markers import HEIGHT, WIDTH
+from recorder.spec import PHASES
+from recorder.store.images import decode_jpeg
+
+_RUN = re.compile(r"(.+)-\d{8}_\d{6}")
+FORCE_DEPTH: Mapping[str, int] = {
+    "down": PHASES.index("normal_inc"),
+    "up": PHASES.index("normal_dec"),
+}
+"""Phases of force-depth runs, and the codes that they are given."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawSensor:
+    """What folders hold of one sensor."""
+
+    name: str
+    taxels: bool
+    """Whether frames are counts; else they are pictures."""
+    presses: tuple[Press, ...]
+    references: tuple[Path, ...]
+    """The untouched picture of each run."""
+
+
+def is_raw(root: Path) -> bool:
+    """Whether a folder has this layout, of one sensor or of several."""
+    return bool(_sensors(root))
+
+
+def indenters_of(root: Path) -> set[str]:
+    """Return the names of the indenters in a folder."""
+    return {_indenter(run) for sensor in _sensors(root) for run in _runs(sensor)}
+
+
+def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
+    """Yield the sensors of a folder, without opening frames.
+
+    Depth is how far the tool is below its first pose of the press; position is from its first pose
+    of the run.
+
+    Args:
+        root: The folder of a sensor, or one above.
+        codes: Codes of the indenters, by name: locations are numbered by them.
+
+    Raises:
+        LearningError: Something is missing or does not fit: the message names the file.
+    """
+    sensors = _sensors(root)
+    targets = max(
+        (_point(point) for sensor in sensors for run in _runs(sensor) for point in _points(run)),
+        default=0,
+    )
+    for sensor in sensors:
+        taxels = not (sensor / "image").is_dir()
+        presses: list[Press] = []
+        references = []
+        known: dict[tuple[str, bool], Path] = {}
+        for number, run in enumerate(_runs(sensor)):
+            if not taxels:
+                references.append(_reference(run))
+            points = _points(run)
+            if not points:
+                raise LearningError(f"{run}: found no contact points; expected folders 1, 2, ...")
+            located = not (points[0] / "down").is_dir()
+            other = known.setdefault((_indenter(run), located), run)
+            if other is not run:
+                raise LearningError(
+                    f"{run}: found {_indenter(run)}, as in {other.name}; expected one run for an "
+                    "indenter"
+                )
+            presses += _presses(sensor, run, located, codes, targets, 0 if taxels else number)
+        yield RawSensor(sensor.name, taxels, tuple(presses), tuple(references))
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Return the pixels (480, 640, 3) of a camera's JPEG, RGB, as sessions decode it.
+
+    Raises:
+        LearningError: Not there, damaged, or of another size.
+    """
+    try:
+        return decode_jpeg(path.read_bytes(), (HEIGHT, WIDTH, 3))
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
+    except SessionError as error:
+        raise LearningError(f"{path}: {error}") from error
+
+
+def read_counts(path: Path) -> Array:
+    """Return the counts (16, 3) in a file of taxels.
+
+    Raises:
+        LearningError: Not there, damaged, or of another shape.
+    """
+    array = read_array(path)
+    if array.shape != (16, 3) or array.dtype.kind not in "iuf":
+        raise LearningError(f"{path}: found {array.dtype} {array.shape}; expected numbers (16, 3)")
+    counts = array.astype(np.float64)
+    if not np.isfinite(counts).all():
+        raise LearningError(f"{path}: found NaN or infinity; expected counts")
+    return counts
+
+
+def _presses(
+    sensor: Path,
+    run: Path,
+    located: bool,
+    codes: Mapping[str, int],
+    targets: int,
+    reference: int,
+) -> Iterator[Press]:
+    phases = {name: code for code, name in enumerate(PHASES)} if located else FORCE_DEPTH
+    origin: Array | None = None
+    for point in _points(run):
+        target = _point(point) - 1
+        files: list[Path] = []
+        codes_of: list[int] = []
+        wrenches: list[Array] = []
+        poses: list[Array] = []
+        for phase, code in phases.items():
+            folder = point / phase
+            if not folder.is_dir():
+                raise LearningError(f"{folder}: no such folder; expected {', '.join(phases)}")
+            some = frame_files(folder)
+            files += some
+            codes_of += [code] * len(some)
+            place = Path(run.name) / point.name / phase
+            wrenches.append(_wrench(sensor / "force" / place / "ft.csv", some))
+            poses.append(_pose(sensor / "pose" / place / "pose.csv", some))
+        pose = np.concatenate(poses)
+        origin = pose[0] if origin is None else origin
+        code = codes[_indenter(run)]
+        location = code * targets + target if located else NO_LOCATION
+        yield Press(
+            indenter=_indenter(run),
+            target=target if located else targets + target,
+            files=tuple(files),
+            phase=np.array(codes_of),
+            wrench=np.concatenate(wrenches),
+            depth=np.maximum(pose[0, 2] - pose[:, 2], 0.0),
+            position=pose[:, :2] - origin[:2],
+            location=np.full(len(files), location),
+            reference=reference,
+        )
+
+
+def _wrench(path: Path, files: tuple[Path, ...]) -> Array:
+    if not path.parents[3].is_dir():
+        return np.full((len(files), 6), np.nan)
+    wrench, _ = read_forces(path)
+    _require_as_many(path, len(wrench), files)
+    return wrench
+
+
+def _pose(path: Path, files: tuple[Path, ...]) -> Array:
+    poses = read_poses(path)
+    _require_as_many(path, len(poses), files)
+    return poses
+
+
+def _require_as_many(path: Path, rows: int, files: tuple[Path, ...]) -> None:
+    if rows != len(files):
+        raise LearningError(f"{path}: found {rows} rows; {files[0].parent} has {len(files)} frames")
+
+
+def _sensors(root: Path) -> list[Path]:
+    some = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
+    return [path for path in some if _runs(path)]
+
+
+def _runs(sensor: Path) -> list[Path]:
+    for modality in ("image", "uskin_raw"):
+        folder = sensor / modality
+        if folder.is_dir():
+            runs = [path for path in folder.iterdir() if _RUN.fullmatch(path.name)]
+            return sorted(runs)
+    return []
+
+
+def _indenter(run: Path) -> str:
+    return run.name.rpartition("-")[0]
+
+
+def _points(run: Path) -> list[Path]:
+    points = [path for path in run.iterdir() if path.is_dir()]
+    for point in points:
+        if not point.name.isdecimal() or int(point.name) < 1:
+            raise LearningError(f"{point}: found no number; expected contact points 1, 2, ...")
+    return sorted(points, key=_point)
+
+
+def _point(folder: Path) -> int:
+    return int(folder.name)
+
+
+def _reference(run: Path) -> Path:
+    path = run / "ref.jpg"
+    if not path.is_file():
+        raise LearningError(f"{path}: no such file; expected the untouched")
+    return path

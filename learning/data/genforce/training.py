@@ -1,0 +1,221 @@
+"""The layout that training reads: a folder of packed masks a contact point.
+
+    img/npy/<Sensor>/<indenter>/<point>/%04d.npy, last.csv     (or img/<Sensor>/..., .jpg)
+    img/npy/<Sensor>_ref.npy                                   (or .jpg)
+    img/npy_csv/<Sensor>/<indenter>/<point>/last.csv           (where it is not beside the masks)
+    force/<Sensor>/<indenter>/<point>/ft.csv
+    depth/<Sensor>/<indenter>/<point>/inc_z.csv, dec_z.csv     (not in the homogeneous test)
+
+Frames are numbered through all four phases; last.csv names the last one of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from learning.data.genforce.format import (
+    SUFFIXES,
+    Array,
+    Packed,
+    Press,
+    phases_of,
+    read_depths,
+    read_forces,
+    read_last,
+    read_mask,
+)
+from learning.errors import LearningError
+
+DEPTH_UNKNOWN = "unknown: 0"
+SURFACES_MM: Mapping[str, float] = {
+    "uskin": 1.08649,
+    "tactip": 4.648126681,
+    "gelsight": 1.12310475,
+}
+"""Heights at which the authors' heterogeneous depths are 0 [mm]: their files hold heights, with
+these in the denominator of the normalised depth. Elsewhere the files hold depths."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingSensor:
+    """What folders hold of one sensor."""
+
+    name: str
+    reference: Packed
+    presses: tuple[Press, ...]
+    depths: str
+    """Where depths come from, in words."""
+    torques: bool
+    """Whether forces come with torques."""
+
+
+def is_training(root: Path) -> bool:
+    """Whether a folder has this layout."""
+    return (root / "img").is_dir()
+
+
+def read_training(
+    root: Path, codes: Mapping[str, int], surfaces_mm: Mapping[str, float]
+) -> Iterator[TrainingSensor]:
+    """Yield the sensors of a folder, without opening masks but the references.
+
+    Args:
+        root: The folder that has `img`.
+        codes: Codes of the indenters, by name: locations are numbered by them.
+        surfaces_mm: Sensors whose depth files hold heights, and the height of their surface [mm].
+
+    Raises:
+        LearningError: Something is missing or does not fit: the message names the file.
+    """
+    images = _images(root)
+    sensors = _folders(images)
+    if not sensors:
+        raise LearningError(f"{images}: found no folder of a sensor")
+    for sensor in sensors:
+        if not _folders(sensor):
+            raise LearningError(f"{sensor}: found no folder of an indenter")
+    targets = max(
+        int(point.name) for sensor in sensors for one in _folders(sensor) for point in _points(one)
+    )
+    for sensor in sensors:
+        yield _sensor(root, images, sensor, codes, targets, surfaces_mm)
+
+
+def indenters_of(root: Path) -> set[str]:
+    """Return the names of the indenters in a folder."""
+    return {one.name for sensor in _folders(_images(root)) for one in _folders(sensor)}
+
+
+def frame_files(folder: Path) -> tuple[Path, ...]:
+    """Return the files of the frames in a folder, in their order.
+
+    Raises:
+        LearningError: None, of two kinds, or a number that is missing.
+    """
+    files = [path for path in folder.iterdir() if path.suffix in SUFFIXES]
+    files = sorted(path for path in files if path.stem.isdecimal())
+    if not files:
+        raise LearningError(f"{folder}: found no frames; expected 0000.npy or 0000.jpg and so on")
+    if len({path.suffix for path in files}) > 1:
+        raise LearningError(f"{folder}: found .npy and .jpg; expected one kind")
+    for number, path in enumerate(files):
+        if int(path.stem) != number:
+            raise LearningError(f"{folder}: found {path.name}; expected frame {number:04d}")
+    return tuple(files)
+
+
+def _sensor(
+    root: Path,
+    images: Path,
+    folder: Path,
+    codes: Mapping[str, int],
+    targets: int,
+    surfaces_mm: Mapping[str, float],
+) -> TrainingSensor:
+    name = folder.name
+    reference = _reference(images, name)
+    presses, torques = [], True
+    known: set[bool] = set()
+    for indenter in _folders(folder):
+        for point in _points(indenter):
+            files = frame_files(point)
+            place = Path(name) / indenter.name / point.name
+            wrench, whole = _forces(root / "force" / place / "ft.csv", files)
+            depth = _depth(root / "depth" / place, files, surfaces_mm.get(name))
+            known.add(depth is not None)
+            torques &= whole
+            target = int(point.name) - 1
+            count = len(files)
+            presses.append(
+                Press(
+                    indenter=indenter.name,
+                    target=target,
+                    files=files,
+                    phase=phases_of(read_last(_last(images, place), count)),
+                    wrench=wrench,
+                    depth=np.zeros(count) if depth is None else depth,
+                    position=np.zeros((count, 2)),
+                    location=np.full(count, codes[indenter.name] * targets + target),
+                )
+            )
+    if len(known) > 1:
+        raise LearningError(f"{root / 'depth' / name}: has depths of some points; expected of all")
+    depths = DEPTH_UNKNOWN
+    if known == {True}:
+        depths = "inc_z.csv and dec_z.csv, mm"
+        if name in surfaces_mm:
+            depths += f" below {surfaces_mm[name]:g} mm"
+    return TrainingSensor(name, reference, tuple(presses), depths, torques)
+
+
+def _images(root: Path) -> Path:
+    for name in ("img/npy", "img/jpg", "img"):
+        if (root / name).is_dir():
+            return root / name
+    raise LearningError(f"{root}: found no img, img/npy or img/jpg")
+
+
+def _reference(images: Path, sensor: str) -> Packed:
+    for suffix in SUFFIXES:
+        path = images / f"{sensor}_ref{suffix}"
+        if path.exists():
+            return read_mask(path)
+    raise LearningError(
+        f"{images / sensor}_ref.npy: no such file, nor .jpg; expected the untouched"
+    )
+
+
+def _last(images: Path, place: Path) -> Path:
+    beside = images / place / "last.csv"
+    apart = images.with_name(f"{images.name}_csv") / place / "last.csv"
+    return apart if apart.exists() and not beside.exists() else beside
+
+
+def _forces(path: Path, files: tuple[Path, ...]) -> tuple[Array, bool]:
+    """Return wrenches (n, 6), NaN where there are no forces of the sensor; whether with torques."""
+    if not path.parents[2].is_dir():
+        return np.full((len(files), 6), np.nan), True
+    wrench, torques = read_forces(path)
+    if len(wrench) != len(files):
+        raise LearningError(
+            f"{path}: found {len(wrench)} rows; {files[0].parent} has {len(files)} frames"
+        )
+    return wrench, torques
+
+
+def _depth(folder: Path, files: tuple[Path, ...], surface_mm: float | None) -> Array | None:
+    """Return depths (n,) [m]; None where there are none."""
+    if not folder.is_dir():
+        return None
+    down, up = read_depths(folder / "inc_z.csv"), read_depths(folder / "dec_z.csv")
+    values = np.concatenate([down, up])
+    if len(values) != len(files):
+        raise LearningError(
+            f"{folder}: inc_z.csv and dec_z.csv have {len(down)} and {len(up)} values; "
+            f"{files[0].parent} has {len(files)} frames"
+        )
+    depth = values if surface_mm is None else surface_mm - values
+    return np.asarray(np.maximum(depth, 0.0) * 1e-3, np.float64)
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != ".")
+
+
+def _points(folder: Path) -> list[Path]:
+    """Return the folders of contact points by number.
+
+    Raises:
+        LearningError: None, or one that is no number from 1.
+    """
+    points = _folders(folder)
+    for point in points:
+        if not point.name.isdecimal() or int(point.name) < 1:
+            raise LearningError(f"{point}: found no number; expected contact points 1, 2, ...")
+    if not points:
+        raise LearningError(f"{folder}: found no contact points; expected folders 1, 2, ...")
+    return sorted(points, key=lambda point: int(point.name))

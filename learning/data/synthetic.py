@@ -1,0 +1,217 @@
+"""Random marker patterns, drawn on the device: endless layouts that no sensor has.
+
+A pattern is a lattice of markers (straight or staggered, turned, stretched) whose markers differ a
+little in place and size, or are missing. It is drawn where material was before anything touched it,
+so a deformed pattern is exact: no image is resampled, and markers come in over the border.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from learning.data.images import SIDE, inverse
+from recorder.markers import HEIGHT, WIDTH, Lattice
+
+PITCH_PX = 24.0, 135.0
+"""Smallest and largest pitch [px of 640 x 480]: from the densest texture of the paper's simulation
+(320 markers) to a uSkin's 4 x 4 discs."""
+FILL = 0.09, 0.42
+"""Radius of a marker as a share of the smaller pitch."""
+SMALLEST_RADIUS_PX = 4.0
+"""No marker is smaller [px of 640 x 480]: segmentation drops those."""
+SHAPES = 1.0, 1.5, 2.0, 3.0, 8.0
+"""Exponents of superellipses: diamond, rounded diamond, disc, rounded square, square."""
+CELLS = 32
+"""Cells along each side of the table of markers, which repeats beyond: as many as a turned lattice
+of the smallest pitch has on the image's diagonal."""
+EDGE_PX = 2.2
+"""Width of the ramp at a marker's edge [px of 640 x 480]: a pixel of the nets (2.5 x 1.875)."""
+MOST_OUTWARD = 0.35
+"""Largest strain at the middle of a made-up contact."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patterns:
+    """Layouts of markers; the first axis of everything is the pattern (n)."""
+
+    pitch: Tensor
+    """From a marker to the next along columns and rows of the lattice [px of 640 x 480], (n, 2)."""
+    angle: Tensor
+    """By which the lattice is turned [rad], (n,)."""
+    offset: Tensor
+    """Of the lattice [cells], (n, 2)."""
+    stagger: Tensor
+    """By which odd rows are shifted [cells], (n,)."""
+    exponent: Tensor
+    """Of the superellipse that a marker is, (n,)."""
+    radius: Tensor
+    """Of each marker [px of 640 x 480], (n, CELLS * CELLS); negative: no marker."""
+    shift: Tensor
+    """Of each marker within its cell [cells], (n, CELLS * CELLS, 2)."""
+
+    def __len__(self) -> int:
+        """Return the number of patterns."""
+        return len(self.pitch)
+
+    def __getitem__(self, rows: Tensor) -> Patterns:
+        """Return some of the patterns, by index or mask (m,)."""
+        return Patterns(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def draw(self, places: Tensor) -> Tensor:
+        """Return images (n, 1, h, w) in 0..1: what shows the material of given places.
+
+        Args:
+            places: Where the material that each pixel shows was before anything touched it, as
+                column and row [px of 640 x 480], (n or 1, 2, h, w).
+        """
+        count = len(self)
+        centre = places.new_tensor([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
+        east, south = (places - centre[:, None, None]).unbind(dim=1)
+        cosine = self.angle.cos()[:, None, None]
+        sine = self.angle.sin()[:, None, None]
+        pitch = self.pitch[:, :, None, None]
+        column = (cosine * east + sine * south) / pitch[:, 0] + self.offset[:, 0, None, None]
+        row = (cosine * south - sine * east) / pitch[:, 1] + self.offset[:, 1, None, None]
+        covered = torch.zeros((count, *places.shape[2:]), device=places.device)
+        for below in (-1, 0, 1):
+            cell_row = row.floor() + below
+            shifted = column - self.stagger[:, None, None] * cell_row.remainder(2)
+            for beside in (-1, 0, 1):
+                cell_column = shifted.floor() + beside
+                index = cell_row.remainder(CELLS) * CELLS + cell_column.remainder(CELLS)
+                index = index.long().flatten(1)
+                shift = self.shift.gather(1, index[:, :, None].expand(-1, -1, 2))
+                shift_column, shift_row = shift.view(*cell_row.shape, 2).unbind(dim=3)
+                radius = self.radius.gather(1, index).view_as(cell_row)
+                middle_column = cell_column + 0.5 + shift_column
+                middle_row = cell_row + 0.5 + shift_row
+                distance = self._distance(
+                    (shifted - middle_column) * pitch[:, 0], (row - middle_row) * pitch[:, 1]
+                )
+                ink = (0.5 + (radius - distance) / EDGE_PX).clamp(0, 1)
+                covered = torch.maximum(covered, ink)
+        return covered.unsqueeze(1)
+
+    def _distance(self, east: Tensor, south: Tensor) -> Tensor:
+        """Return the superellipse's norm of offsets [px]."""
+        power = self.exponent[:, None, None]
+        sum_ = (east.abs() + 1e-6) ** power + (south.abs() + 1e-6) ** power
+        root: Tensor = sum_ ** (1 / power)
+        return root
+
+
+def sample_patterns(count: int, generator: np.random.Generator, device: torch.device) -> Patterns:
+    """Return random patterns, the same on every device for the same generator."""
+    least, most = PITCH_PX
+    pitch = np.exp(generator.uniform(math.log(least), math.log(most), count))
+    pitches = np.stack([pitch, pitch * np.exp(generator.uniform(-0.3, 0.3, count))], axis=1)
+    turned = generator.random(count)
+    angle = np.where(turned < 0.5, generator.normal(0, 0.05, count), 0.0)
+    angle = np.where(turned < 0.25, generator.uniform(-math.pi / 4, math.pi / 4, count), angle)
+    radius = pitches.min(axis=1) * generator.uniform(*FILL, count)
+    spread = generator.uniform(0, 0.1, (count, 1)) * generator.integers(0, 2, (count, 1))
+    each = radius[:, None] * (1 + spread * _table(generator, count))
+    each = np.maximum(each, SMALLEST_RADIUS_PX)
+    missing = generator.uniform(0, 0.05, (count, 1)) * (generator.random((count, 1)) < 0.3)
+    each[generator.random(each.shape) < missing] = -EDGE_PX
+    loose = generator.uniform(0, 0.06, (count, 1)) * generator.integers(0, 2, (count, 1))
+    shift = np.stack([loose * _table(generator, count) for _ in range(2)], axis=2).clip(-0.2, 0.2)
+    bounded = generator.random(count) < 0.3
+    half = generator.uniform(0.38, 0.6, (count, 2)) * (WIDTH, HEIGHT)
+    each[bounded[:, None] & ~_within(pitches, half)] = -EDGE_PX
+    values = (
+        pitches,
+        angle,
+        generator.random((count, 2)),
+        np.where(generator.random(count) < 0.4, 0.5, 0.0),
+        generator.choice(SHAPES, count),
+        each,
+        shift,
+    )
+    return Patterns(*(torch.from_numpy(np.asarray(v, np.float32)).to(device) for v in values))
+
+
+def random_patterns(
+    count: int, generator: np.random.Generator, device: torch.device, side: int = SIDE
+) -> Tensor:
+    """Return images of random patterns that nothing touches (count, 1, side, side) in 0..1."""
+    return sample_patterns(count, generator, device).draw(untouched(side, device))
+
+
+def random_fields(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
+    """Return made-up displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
+
+    Up to three contacts push the surface outwards and drag it along, each as a Gaussian; that is
+    not how a gel deforms, and does to learn what deformed markers look like.
+    """
+    row, column = np.meshgrid((np.arange(24) + 0.5) * 20, (np.arange(32) + 0.5) * 20, indexing="ij")
+    places = torch.from_numpy(np.stack([column, row]).astype(np.float32)).to(device)
+    field = torch.zeros((count, 2, 24, 32), device=device)
+    for contact in range(3):
+        there = (generator.random((count, 1)) < (1.0, 0.3, 0.1)[contact]).astype(float)
+        centre = generator.uniform(0.1, 0.9, (count, 2)) * (WIDTH, HEIGHT)
+        width = generator.uniform(40, 140, (count, 1))
+        outward = there * generator.uniform(0, MOST_OUTWARD, (count, 1)) * width
+        shear = there * generator.normal(0, 12, (count, 2))
+        values = np.concatenate([centre, width, outward, shear], axis=1).astype(np.float32)
+        value = torch.from_numpy(values).to(device)[:, :, None, None]
+        away = (places - value[:, :2]) / value[:, 2:3]
+        near = torch.exp(-0.5 * away.square().sum(dim=1, keepdim=True))
+        far = torch.exp(-0.125 * away.square().sum(dim=1, keepdim=True))
+        field = field + value[:, 3:4] * away * near + value[:, 4:] * far
+    return field
+
+
+def before(field: Tensor, lattice: Lattice | None, side: int = SIDE) -> Tensor:
+    """Return where the material that pixels show was before fields moved it (n, 2, side, side).
+
+    Args:
+        field: Displacements (n, 2, h, w) [px of 640 x 480].
+        lattice: Where they are kept; None: at the centres of h x w cells that cover the image.
+        side: Of the small image [its pixels].
+    """
+    return untouched(side, field.device) + inverse(field.float(), (side, side), lattice)
+
+
+def untouched(side: int, device: torch.device) -> Tensor:
+    """Return where the pixels of a small image lie, column and row [px of 640 x 480].
+
+    Pixel centres of both images are at whole numbers, and both cover the same scene.
+
+    Args:
+        side: Of the small image [its pixels].
+        device: Where it is made.
+
+    Returns:
+        Places (1, 2, side, side).
+    """
+    steps = torch.arange(side, device=device, dtype=torch.float32) + 0.5
+    columns, rows = steps * (WIDTH / side) - 0.5, steps * (HEIGHT / side) - 0.5
+    grid = torch.meshgrid(rows, columns, indexing="ij")
+    return torch.stack([grid[1], grid[0]])[None]
+
+
+def _within(pitches: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which cells (n, CELLS * CELLS) lie within ellipses around the lattice's origin.
+
+    Args:
+        pitches: Of the lattices [px], (n, 2).
+        half: Axes of the ellipses [px], (n, 2).
+    """
+    steps = (np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2 + 0.5
+    rows, columns = np.meshgrid(steps, steps, indexing="ij")
+    cells = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    away = cells[None] * (pitches / half)[:, None]
+    inside: NDArray[np.bool_] = (away**2).sum(axis=2) <= 1
+    return inside
+
+
+def _table(generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Return a standard normal number for each cell of each pattern."""
+    return generator.standard_normal((count, CELLS * CELLS))

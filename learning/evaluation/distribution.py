@@ -1,0 +1,648 @@
+"""Inception v3 as FID and KID take it: 2048 features, with weights that the user has.
+
+The weights are those that TensorFlow published in 2015 for Inception, as ported to PyTorch in the
+file `pt_inception-2015-12-05-6726825d.pth`; FID is defined by them. Against Inception v3 elsewhere,
+averages leave out the border and the last block takes a maximum (Heusel et al., 2017; the port's
+documentation). Layers are named as in that file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from learning.errors import LearningError
+
+FEATURES = 2048
+SIDE = 299
+RESIZED = "bilinear to 299"
+"""How images come to the size that it takes, without antialiasing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One convolution of a branch."""
+
+    name: str
+    """Name of the layer."""
+    width: int
+    """Channels it makes."""
+    kernel: tuple[int, int] = (1, 1)
+    """Rows and columns it sees."""
+    stride: int = 1
+    """2 halves the sides, and keeps to what lies inside."""
+
+
+Branch = tuple[Step, ...]
+_ACROSS, _DOWN = (1, 7), (7, 1)
+_THREE, _FIVE = (3, 3), (5, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """One block: branches side by side, and what is pooled."""
+
+    branches: tuple[Branch, ...]
+    """Each from the block's input."""
+    pooled: int
+    """Channels made of the pooled input; 0: it is taken as it is."""
+    forks: tuple[tuple[Step, Step], ...] = ()
+    """Two convolutions behind each of the last branches, side by side."""
+    pooling: str = "mean"
+    """`mean` or `max` of 3 x 3; `halve`: the maximum at every second place."""
+
+
+def _fives(pooled: int) -> Design:
+    return Design(
+        (
+            (Step("branch1x1", 64),),
+            (Step("branch5x5_1", 48), Step("branch5x5_2", 64, _FIVE)),
+            (
+                Step("branch3x3dbl_1", 64),
+                Step("branch3x3dbl_2", 96, _THREE),
+                Step("branch3x3dbl_3", 96, _THREE),
+            ),
+        ),
+        pooled,
+    )
+
+
+def _sevens(width: int) -> Design:
+    return Design(
+        (
+            (Step("branch1x1", 192),),
+            (
+                Step("branch7x7_1", width),
+                Step("branch7x7_2", width, _ACROSS),
+                Step("branch7x7_3", 192, _DOWN),
+            ),
+            (
+                Step("branch7x7dbl_1", width),
+                Step("branch7x7dbl_2", width, _DOWN),
+                Step("branch7x7dbl_3", width, _ACROSS),
+                Step("branch7x7dbl_4", width, _DOWN),
+                Step("branch7x7dbl_5", 192, _ACROSS),
+            ),
+        ),
+        192,
+    )
+
+
+def _forked(pooling: str) -> Design:
+    def fork(name: str) -> tuple[Step, Step]:
+        return Step(f"{name}a", 384, (1, 3)), Step(f"{name}b", 384, (3, 1))
+
+    return Design(
+        (
+            (Step("branch1x1", 320),),
+            (Step("branch3x3_1", 384),),
+            (Step("branch3x3dbl_1", 448), Step("branch3x3dbl_2", 384, _THREE)),
+        ),
+        192,
+        (fork("branch3x3_2"), fork("branch3x3dbl_3")),
+        pooling,
+    )
+
+
+_HALVE_FIRST = Design(
+    (
+        (Step("branch3x3", 384, _THREE, 2),),
+        (
+            Step("branch3x3dbl_1", 64),
+            Step("branch3x3dbl_2", 96, _THREE),
+            Step("branch3x3dbl_3", 96, _THREE, 2),
+        ),
+    ),
+    0,
+    pooling="halve",
+)
+_HALVE_SECOND = Design(
+    (
+        (Step("branch3x3_1", 192), Step("branch3x3_2", 320, _THREE, 2)),
+        (
+            Step("branch7x7x3_1", 192),
+            Step("branch7x7x3_2", 192, _ACROSS),
+            Step("branch7x7x3_3", 192, _DOWN),
+            Step("branch7x7x3_4", 192, _THREE, 2),
+        ),
+    ),
+    0,
+    pooling="halve",
+)
+_BLOCKS = (
+    ("Mixed_5b", _fives(32), 256),
+    ("Mixed_5c", _fives(64), 288),
+    ("Mixed_5d", _fives(64), 288),
+    ("Mixed_6a", _HALVE_FIRST, 768),
+    ("Mixed_6b", _sevens(128), 768),
+    ("Mixed_6c", _sevens(160), 768),
+    ("Mixed_6d", _sevens(160), 768),
+    ("Mixed_6e", _sevens(192), 768),
+    ("Mixed_7a", _HALVE_SECOND, 1280),
+    ("Mixed_7b", _forked("mean"), FEATURES),
+    ("Mixed_7c", _forked("max"), FEATURES),
+)
+"""Name, design and channels of the blocks, in their order."""
+
+
+class Convolution(nn.Module):
+    """Convolution, batch normalisation, ReLU."""
+
+    def __init__(self, before: int, step: Step, *, inside: bool = False) -> None:
+        """Build it; `inside`: it sees nothing beyond the border, as halving ones never do."""
+        super().__init__()
+        rows, columns = step.kernel
+        beyond = (0, 0) if inside or step.stride > 1 else (rows // 2, columns // 2)
+        self.conv = nn.Conv2d(before, step.width, step.kernel, step.stride, beyond, bias=False)
+        self.bn = nn.BatchNorm2d(step.width, eps=0.001)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Return features."""
+        return functional.relu(self.bn(self.conv(images)))
+
+
+class Block(nn.Module):
+    """One block."""
+
+    def __init__(self, before: int, design: Design) -> None:
+        """Build a block of `before` channels."""
+        super().__init__()
+        self.design = design
+        ends = []
+        for branch in design.branches:
+            width = before
+            for step in branch:
+                self.add_module(step.name, Convolution(width, step))
+                width = step.width
+            ends.append(width)
+        forked = ends[len(ends) - len(design.forks) :]
+        for fork, width in zip(design.forks, forked, strict=True):
+            for step in fork:
+                self.add_module(step.name, Convolution(width, step))
+        if design.pooled:
+            self.branch_pool = Convolution(before, Step("branch_pool", design.pooled))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return features of all branches behind each other."""
+        found: list[Tensor] = []
+        plain = len(self.design.branches) - len(self.design.forks)
+        for number, branch in enumerate(self.design.branches):
+            inner = features
+            for step in branch:
+                inner = self.get_submodule(step.name)(inner)
+            if number < plain:
+                found.append(inner)
+            else:
+                fork = self.design.forks[number - plain]
+                found += [self.get_submodule(step.name)(inner) for step in fork]
+        pooled = self._pooled(features)
+        return torch.cat([*found, self.branch_pool(pooled) if self.design.pooled else pooled], 1)
+
+    def _pooled(self, features: Tensor) -> Tensor:
+        if self.design.pooling == "mean":
+            return functional.avg_pool2d(features, 3, 1, 1, count_include_pad=False)
+        if self.design.pooling == "max":
+            return functional.max_pool2d(features, 3, 1, 1)
+        return functional.max_pool2d(features, 3, 2)
+
+
+class Inception(nn.Module):
+    """Images to 2048 features."""
+
+    def __init__(self) -> None:
+        """Build it with untrained weights."""
+        super().__init__()
+        self.Conv2d_1a_3x3 = Convolution(3, Step("", 32, _THREE, 2))
+        self.Conv2d_2a_3x3 = Convolution(32, Step("", 32, _THREE), inside=True)
+        self.Conv2d_2b_3x3 = Convolution(32, Step("", 64, _THREE))
+        self.Conv2d_3b_1x1 = Convolution(64, Step("", 80))
+        self.Conv2d_4a_3x3 = Convolution(80, Step("", 192, _THREE), inside=True)
+        width = 192
+        for name, design, made in _BLOCKS:
+            self.add_module(name, Block(width, design))
+            width = made
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Return features (n, 2048) of images (n, 1, h, w) in 0..1."""
+        grey = functional.interpolate(images, (SIDE, SIDE), mode="bilinear", align_corners=False)
+        features = 2 * grey.expand(-1, 3, -1, -1) - 1
+        features = self.Conv2d_2b_3x3(self.Conv2d_2a_3x3(self.Conv2d_1a_3x3(features)))
+        features = self.Conv2d_3b_1x1(functional.max_pool2d(features, 3, 2))
+        features = functional.max_pool2d(self.Conv2d_4a_3x3(features), 3, 2)
+        for name, _, _ in _BLOCKS:
+            features = self.get_submodule(name)(features)
+        return features.mean(dim=(2, 3))
+
+
+def load_inception(
+    path: Path, device: str = "cpu"
+) -> Callable[[NDArray[np.uint8]], NDArray[np.float64]]:
+    """Return what makes features (n, 2048) of images (n, 256, 256) uint8.
+
+    Args:
+        path: The file of the weights.
+        device: Where it computes.
+
+    Raises:
+        LearningError: Weights of something else.
+    """
+    try:
+        weights = torch.load(path, map_location="cpu", weights_only=True)
+        kept = {name: value for name, value in weights.items() if not name.startswith("fc.")}
+    except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError) as error:
+        raise LearningError(f"{path}: found no weights: {error}") from None
+    with torch.device("meta"):  # shapes alone
+        here = Inception().state_dict()
+    wrong = sorted(
+        name
+        for name in here.keys() | kept.keys()
+        if not name.endswith("num_batches_tracked")
+        and (name not in here or name not in kept or here[name].shape != kept[name].shape)
+    )
+    if wrong:
+        raise LearningError(
+            f"{path}: found {len(wrong)} layers that are missing, unknown or of another shape, "
+            f"such as {wrong[0]}; allowed: the weights of Inception for FID"
+        )
+    network = Inception()
+    network.load_state_dict(kept, strict=False)
+    network.eval().requires_grad_(False).to(device)
+
+    def compute(images: NDArray[np.uint8]) -> NDArray[np.float64]:
+        with torch.inference_mode():
+            scaled = torch.from_numpy(images).to(device).unsqueeze(1).float() / 255
+            return np.asarray(network(scaled).double().cpu().numpy(), np.float64)
+
+    return compute
+
+
+# What turns images into features that distances are measured in, each named for what it is.
+
+Images = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+CELLS = 8
+"""Cells of the marker grid along each side."""
+GRID = f"marker-grid-{CELLS}x{CELLS}"
+"""Name of the features that need no weights."""
+AUTOENCODER = "marker-ae"
+_AT_ONCE = 64
+_HASHED = 12  # digits of a hash that are shown
+
+
+class Extractor(Protocol):
+    """Turns images into features."""
+
+    @property
+    def name(self) -> str:
+        """What made the features: a model and the hash of its weights."""
+        ...
+
+    @property
+    def is_inception(self) -> bool:
+        """Whether distances of these features are FID and KID."""
+        ...
+
+    def features(self, images: Images) -> Floats:
+        """Return features (n, d) of images (n, 256, 256)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerGrid:
+    """How much of each cell of a grid is marker, where in it, and how much of that is edge.
+
+    Of 8 x 8 cells: the share that is set; the mean of what is set times its column, and its row,
+    from -1 to 1 across the cell; the mean step to the next pixel, right and down. 256 numbers.
+    """
+
+    @property
+    def name(self) -> str:
+        """What made the features."""
+        return GRID
+
+    @property
+    def is_inception(self) -> bool:
+        """Whether distances of these features are FID and KID."""
+        return False
+
+    def features(self, images: Images) -> Floats:
+        """Return features (n, 256) of images (n, 256, 256).
+
+        Raises:
+            LearningError: Not such images.
+        """
+        require_images(images)
+        parts = range(0, len(images), _AT_ONCE)
+        found = [self._of(images[first : first + _AT_ONCE]) for first in parts]
+        return np.concatenate([np.empty((0, 4 * CELLS**2)), *found])
+
+    def _of(self, images: Images) -> Floats:
+        count, side = images.shape[:2]
+        set_ = images.astype(np.float64) / 255
+        right = np.abs(np.diff(set_, axis=2, append=set_[:, :, -1:]))
+        down = np.abs(np.diff(set_, axis=1, append=set_[:, -1:]))
+        width = side // CELLS
+        across = np.linspace(-1, 1, width)
+        cells = set_.reshape(count, CELLS, width, CELLS, width)
+        edges = (right + down).reshape(count, CELLS, width, CELLS, width)
+        area = width**2
+        kinds = (
+            cells.mean(axis=(2, 4)),
+            np.einsum("nrycx,x->nrc", cells, across) / area,
+            np.einsum("nrycx,y->nrc", cells, across) / area,
+            edges.mean(axis=(2, 4)),
+        )
+        return np.stack(kinds, axis=1).reshape(count, -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """Features of a network whose weights are in a file."""
+
+    name: str
+    """What made the features."""
+    is_inception: bool
+    """Whether distances of these features are FID and KID."""
+    compute: Callable[[Images], Floats]
+    """Returns features (n, d) of at most 64 images (n, 256, 256)."""
+
+    def features(self, images: Images) -> Floats:
+        """Return features (n, d) of images (n, 256, 256).
+
+        Raises:
+            LearningError: Not such images.
+        """
+        require_images(images)
+        parts = range(0, max(len(images), 1), _AT_ONCE)
+        return np.concatenate([self.compute(images[first : first + _AT_ONCE]) for first in parts])
+
+
+def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
+    """Return what makes features.
+
+    Args:
+        name_or_path: `marker-grid`; the folder of a trained marker autoencoder; or the file
+            pt_inception-2015-12-05-6726825d.pth, for FID and KID.
+        device: Where networks compute.
+
+    Raises:
+        LearningError: None of them, or weights of something else.
+    """
+    if name_or_path in ("marker-grid", GRID):
+        return MarkerGrid()
+    path = Path(name_or_path)
+    if path.is_dir():
+        return _autoencoder(path, device)
+    if path.is_file():
+        network = load_inception(path, device)
+        return Network(f"inception@{_sha256(path)}, {RESIZED}", True, network)
+    raise LearningError(
+        f"--features: found {name_or_path!r}; allowed: marker-grid, the folder of a trained marker "
+        "autoencoder, or a file with the weights of Inception"
+    )
+
+
+def require_images(images: Images) -> None:
+    """Refuse what is no image that networks see.
+
+    Raises:
+        LearningError: Not uint8, or not 256 x 256.
+    """
+    if images.dtype != np.uint8 or images.ndim != 3 or images.shape[1:] != (256, 256):
+        raise LearningError(
+            f"images: found {images.dtype} {images.shape}; allowed: uint8 (n, 256, 256)"
+        )
+
+
+def _autoencoder(folder: Path, device: str) -> Network:
+    import torch
+
+    from learning.translation.direct.autoencoder import load_autoencoder
+
+    model: Any = load_autoencoder(folder, device)
+
+    def compute(images: Images) -> Floats:
+        with torch.inference_mode():
+            found = model.features(torch.from_numpy(images).to(device))
+        return np.asarray(found.double().cpu().numpy(), np.float64)
+
+    return Network(f"{AUTOENCODER}@{_sha256(folder / 'model.safetensors')}", False, compute)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()[:_HASHED]}"
+
+
+# Distances between two sets of features: Frechet's, and that of a kernel.
+#
+# They carry the names FID and KID only with the features of Inception; otherwise they are named by
+# whatever made the features.
+
+DEGREE = 3
+"""Degree of the kernel (x y / d + 1)^degree of the kernel distance (Binkowski et al., 2018)."""
+
+
+def frechet_distance(one: Floats, other: Floats) -> float:
+    """Return the Frechet distance of two sets of features (n, d), (m, d), taken for Gaussian.
+
+    |mean1 - mean2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)), covariances with n - 1 (Heusel et al., 2017).
+    It comes out too large by what few samples miss of many dimensions: compare it with that of two
+    sets of the same kind and number.
+
+    Raises:
+        LearningError: Fewer than two samples, other widths, or features that are not numbers.
+    """
+    _require_samples(one, other, least=2)
+    apart = one.mean(axis=0) - other.mean(axis=0)
+    first, second = (np.atleast_2d(np.cov(samples, rowvar=False)) for samples in (one, other))
+    # tr (C1 C2)^(1/2) = tr (S C2 S)^(1/2) with S = C1^(1/2), which is symmetric.
+    root = _root(first)
+    values = np.linalg.eigvalsh(root @ second @ root)
+    cross = np.sqrt(np.clip(values, 0, None)).sum()
+    # Zero but for rounding may come out below it.
+    return max(float(apart @ apart + np.trace(first) + np.trace(second) - 2 * cross), 0.0)
+
+
+def kernel_distance(
+    one: Floats, other: Floats, *, size: int, subsets: int, seed: int
+) -> tuple[float, float]:
+    """Return mean and standard deviation of the squared kernel distance over random subsets.
+
+    Each is the unbiased estimate with kernel (x y / d + 1)^3 (Binkowski et al., 2018): near zero,
+    and as often below it, for sets of one kind.
+
+    Args:
+        one: Features (n, d).
+        other: Features (m, d).
+        size: Samples of either in a subset; at most half of those that there are.
+        subsets: How many subsets.
+        seed: Of what is drawn.
+
+    Raises:
+        LearningError: Fewer than two samples, other widths, or features that are not numbers.
+    """
+    _require_samples(one, other, least=2)
+    size = max(min(size, len(one) // 2, len(other) // 2), 2)
+    chance = np.random.default_rng(seed)
+    found = [
+        squared_kernel_distance(
+            one[chance.choice(len(one), size, replace=False)],
+            other[chance.choice(len(other), size, replace=False)],
+        )
+        for _ in range(subsets)
+    ]
+    return float(np.mean(found)), float(np.std(found))
+
+
+def squared_kernel_distance(one: Floats, other: Floats) -> float:
+    """Return the unbiased squared maximum mean discrepancy of features (n, d), (m, d).
+
+    Raises:
+        LearningError: Fewer than two samples, other widths, or features that are not numbers.
+    """
+    _require_samples(one, other, least=2)
+
+    def within(samples: Floats) -> float:
+        kernel = _kernel(samples, samples)
+        count = len(samples)
+        return float((kernel.sum() - np.trace(kernel)) / (count * (count - 1)))
+
+    return within(one) + within(other) - 2 * float(_kernel(one, other).mean())
+
+
+def _kernel(one: Floats, other: Floats) -> Floats:
+    return np.asarray((one @ other.T / one.shape[1] + 1) ** DEGREE, np.float64)
+
+
+def _root(matrix: Floats) -> Floats:
+    """Return the symmetric square root of a symmetric matrix (d, d) that has no negative values."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T, np.float64)
+
+
+def _require_samples(one: Floats, other: Floats, least: int) -> None:
+    for samples in (one, other):
+        if samples.ndim != 2 or len(samples) < least or samples.shape[1] != one.shape[1]:
+            raise LearningError(
+                f"features: found {one.shape} and {other.shape}; allowed: (n, d) and (m, d), "
+                f"{least} samples or more"
+            )
+        if not np.isfinite(samples).all():
+            raise LearningError("features: found some that are not numbers; allowed: numbers")
+
+
+# Can two sets of features be told apart? By a classifier, by neighbours, and by eye.
+
+FOLDS = 5
+NEIGHBOURS = 10
+"""How many neighbours of each sample the mixing score looks at."""
+PERPLEXITY = 30.0
+"""Of t-SNE; a third of the samples where they are fewer than a hundred."""
+
+
+def classifier_accuracy(
+    one: Floats, other: Floats, groups: NDArray[np.integer[Any]], *, seed: int
+) -> float:
+    """Return how often a linear classifier tells features (n, d) from others (m, d) rightly.
+
+    The mean over both sets of the share of samples that a logistic regression on standardised
+    features, fitted to the other folds, puts into their own set: 0.5 is chance (two-sample test
+    with a classifier, Lopez-Paz and Oquab, 2017). A fold has whole groups, so that the classifier
+    cannot know a sample by its likes.
+
+    Args:
+        one: Features (n, d).
+        other: Features (m, d).
+        groups: Number of the group of each sample (n + m,), such as its location.
+        seed: Of the folds.
+
+    Raises:
+        LearningError: Fewer groups in a set than folds, or other shapes.
+    """
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.model_selection import StratifiedGroupKFold, cross_val_predict
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    _require(one, other, 2)
+    features, which = _together(one, other)
+    if groups.shape != which.shape:
+        raise LearningError(f"groups: found shape {groups.shape}; allowed: {which.shape}")
+    fewest = min(len(np.unique(groups[which == kind])) for kind in (0, 1))
+    if fewest < FOLDS:
+        raise LearningError(f"groups: found {fewest} in a set; allowed: {FOLDS} or more")
+    classifier = make_pipeline(StandardScaler(), LogisticRegression(C=1.0, max_iter=2000))
+    folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=seed)
+    said = cross_val_predict(classifier, features, which, groups=groups, cv=folds)
+    return float(np.mean([(said[which == kind] == kind).mean() for kind in (0, 1)]))
+
+
+def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> float:
+    """Return how well two sets of features (n, d), (m, d) are mixed: 1 fully, 0 not at all.
+
+    Of each sample's k nearest neighbours by Euclid's distance, the share that is of the other set,
+    over the share that is so by chance (m / (n + m - 1) for samples of the first); the mean of the
+    means of both sets. Chance lets it stray from 1 to either side.
+
+    Raises:
+        LearningError: Not more samples than neighbours, or other widths.
+    """
+    _require(one, other, 2)
+    features, which = _together(one, other)
+    if len(features) <= neighbours:
+        raise LearningError(
+            f"features: found {len(features)} samples; allowed: more than {neighbours} neighbours"
+        )
+    square = np.square(features).sum(axis=1)
+    apart = square[:, None] + square[None] - 2 * features @ features.T
+    np.fill_diagonal(apart, np.inf)
+    nearest = np.argpartition(apart, neighbours - 1, axis=1)[:, :neighbours]
+    foreign = (which[nearest] != which[:, None]).mean(axis=1)
+    counts = np.array([len(one), len(other)])
+    expected = counts[::-1] / (counts.sum() - 1)
+    return float(np.mean([foreign[which == kind].mean() / expected[kind] for kind in (0, 1)]))
+
+
+def embedded(features: Floats, *, seed: int) -> Floats:
+    """Return places (n, 2) of features (n, d) on a plane, by t-SNE.
+
+    Standardised; begun from principal components, so that a seed gives one picture. A picture
+    proves nothing: `mixing_score` says it in a number.
+
+    Raises:
+        LearningError: Fewer than four samples.
+    """
+    from sklearn.manifold import TSNE
+
+    if len(features) < 4:
+        raise LearningError(f"features: found {len(features)} samples; allowed: 4 or more")
+    spread = features.std(axis=0)
+    level = (features - features.mean(axis=0)) / np.where(spread > 0, spread, 1)
+    perplexity = min(PERPLEXITY, len(features) / 3)
+    projection = TSNE(perplexity=perplexity, init="pca", random_state=seed)
+    return np.asarray(projection.fit_transform(level), np.float64)
+
+
+def _together(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    features = np.concatenate([one, other]).astype(np.float64)
+    return features, np.repeat(np.array([0, 1]), [len(one), len(other)])
+
+
+def _require(one: Floats, other: Floats, least: int) -> None:
+    if one.ndim != 2 or one.shape[1:] != other.shape[1:] or min(len(one), len(other)) < least:
+        raise LearningError(
+            f"features: found {one.shape} and {other.shape}; allowed: (n, d) and (m, d), {least} "
+            "samples or more"
+        )

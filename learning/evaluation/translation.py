@@ -1,0 +1,740 @@
+"""Scores a translated archive against the real frames of the target, beside its baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.evaluation.distribution import (
+    NEIGHBOURS,
+    Extractor,
+    classifier_accuracy,
+    frechet_distance,
+    kernel_distance,
+    mixing_score,
+)
+from learning.evaluation.results_file import Results, read_results, write_results
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor, location_pairs
+from recorder.markers import SMALLEST_PX, Blobs, Lattice, find_blobs, unpack
+from recorder.markers.displacement import moved
+
+if TYPE_CHECKING:
+    import torch
+
+    Masks = NDArray[np.bool_] | torch.Tensor
+    from learning.data.splits import Role, Split
+
+
+# How far two masks cover each other: Dice, intersection over union, area. Of numpy or of torch.
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlap:
+    """Pixels of pairs of masks."""
+
+    common: NDArray[np.int64]
+    """Set in both (n,)."""
+    found: NDArray[np.int64]
+    """Set in what is judged (n,)."""
+    true: NDArray[np.int64]
+    """Set in what it should be (n,)."""
+
+    @property
+    def dice(self) -> Floats:
+        """Twice the common pixels over the sum of both (n,); 1 where both are empty."""
+        return _share(2 * self.common, self.found + self.true)
+
+    @property
+    def iou(self) -> Floats:
+        """Common pixels over those that are set in either (n,); 1 where both are empty."""
+        return _share(self.common, self.found + self.true - self.common)
+
+    @property
+    def area_ratio_error(self) -> Floats:
+        """|found / true - 1| (n,); NaN where nothing should be set."""
+        empty = self.true == 0
+        ratio = self.found / np.where(empty, 1, self.true)
+        return np.where(empty, np.nan, np.abs(ratio - 1))
+
+
+def overlap(found: Masks, true: Masks) -> Overlap:
+    """Return how many pixels masks (n, h, w) have in common, both of numpy or both of torch.
+
+    Raises:
+        LearningError: Other shapes, or not bool.
+    """
+    if tuple(found.shape) != tuple(true.shape) or found.ndim != 3:
+        raise LearningError(
+            f"masks: found {tuple(found.shape)} and {tuple(true.shape)}; allowed: both (n, h, w)"
+        )
+    for masks in (found, true):
+        if str(masks.dtype) not in ("bool", "torch.bool"):
+            raise LearningError(f"masks: found {masks.dtype}; allowed: bool")
+    one: Any = found
+    return Overlap(_pixels(one & true), _pixels(found), _pixels(true))
+
+
+def _pixels(masks: Any) -> NDArray[np.int64]:
+    """Return the number of set pixels (n,); counted where the masks are."""
+    counted = masks.reshape(len(masks), masks.shape[1] * masks.shape[2]).sum(1)
+    return np.asarray(counted if isinstance(masks, np.ndarray) else counted.cpu(), np.int64)
+
+
+def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Floats:
+    return np.where(whole == 0, 1.0, part / np.where(whole == 0, 1, whole))
+
+
+# How far markers lie from where they should be, and whether as many are there.
+#
+# Markers of two images belong together when each is the other's nearest. Where markers lie further
+# off than half their distance from each other, a wrong one may be nearer: errors of that size are
+# told too small, and show as well in the overlap of the masks.
+
+MaskArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerErrors:
+    """Markers of frames beside those of the frames they should be."""
+
+    apart: Floats
+    """From each true marker to the one found, columns and rows (m, 2) [px], of all frames."""
+    found: NDArray[np.int64]
+    """Markers of each frame (n,)."""
+    true: NDArray[np.int64]
+    """Markers there should be (n,)."""
+
+    @property
+    def mismatched(self) -> NDArray[np.bool_]:
+        """Frames (n,) with more or fewer markers than there should be."""
+        return np.asarray(self.found != self.true, np.bool_)
+
+
+def marker_errors(
+    found: MaskArray, true: MaskArray, smallest_px: int = SMALLEST_PX
+) -> MarkerErrors:
+    """Return how far the centres of markers lie from those of the true frames.
+
+    Args:
+        found: What is judged (n, h, w).
+        true: What it should be (n, h, w).
+        smallest_px: Patches of fewer pixels are no markers.
+
+    Raises:
+        LearningError: Not as many frames, or of another size.
+    """
+    if found.shape != true.shape:
+        raise LearningError(f"masks: found {found.shape} and {true.shape}; allowed: the same")
+    ours, here = _centres(find_blobs(found, smallest_px), len(found))
+    theirs, there = _centres(find_blobs(true, smallest_px), len(true))
+    apart = [_apart(one, other) for one, other in zip(here, there, strict=True)]
+    return MarkerErrors(np.concatenate([np.empty((0, 2)), *apart]), ours, theirs)
+
+
+def endpoint_errors(
+    found: MaskArray,
+    reference: NDArray[np.bool_],
+    displacement: NDArray[np.floating],
+    lattice: Lattice,
+    smallest_px: int = SMALLEST_PX,
+) -> Floats:
+    """Return how far markers lie from where the true displacement takes them (m, 2) [px].
+
+    The end-point error of optical flow, at the markers: a marker of the untouched image at p should
+    be at p + d(p). The centre of a marker that is also bent is not quite there: what true frames
+    have for an error says how far that goes.
+
+    Args:
+        found: Frames that are judged (n, 480, 640).
+        reference: The untouched image of the sensor that they are of (480, 640).
+        displacement: Its true displacement in each frame (n, rows, columns, 2) [px].
+        lattice: Where that is kept.
+        smallest_px: Patches of fewer pixels are no markers.
+
+    Raises:
+        LearningError: Not as many fields as frames.
+    """
+    if len(found) != len(displacement):
+        raise LearningError(
+            f"displacement: found {len(displacement)} fields of {len(found)} frames; allowed: one "
+            "each"
+        )
+    rest, blobs = find_blobs(reference[None], smallest_px), find_blobs(found, smallest_px)
+    _, centres = _centres(blobs.only(blobs.whole), len(found))
+    apart = [np.empty((0, 2))]
+    for here, field in zip(centres, displacement, strict=True):
+        there = moved(rest.centre[rest.whole], field, lattice)
+        apart.append(_apart(here, there[np.isfinite(there).all(axis=1)]))
+    return np.concatenate(apart)
+
+
+def _centres(blobs: Blobs, frames: int) -> tuple[NDArray[np.int64], list[Floats]]:
+    """Return how many markers each frame has (n,), and their centres frame by frame."""
+    counts = np.bincount(blobs.frame, minlength=frames)
+    return counts, np.split(blobs.centre, np.cumsum(counts)[:-1])
+
+
+def _apart(found: Floats, true: Floats) -> Floats:
+    """Return found - true (m, 2) [px] of the places that are each other's nearest."""
+    if not len(found) or not len(true):
+        return np.empty((0, 2))
+    apart = np.linalg.norm(found[:, None] - true[None], axis=-1)
+    nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
+    both = back[nearest] == np.arange(len(found))
+    return np.asarray(found[both] - true[nearest[both]], np.float64)
+
+
+# What a translator must beat: frames that can be shown without translating anything.
+
+Rows = NDArray[np.int64]
+Table = Mapping[str, NDArray[Any]]
+
+_BASELINES_AT_ONCE = 2**22  # distances that are computed together
+
+
+def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
+    """Return, for each wanted row, the known row whose motion is nearest to it (n,).
+
+    Nearest in commanded depth and position, by Euclid's distance, among frames of the same phase;
+    of all phases where that phase is not known. The indenter is not looked at: the one that is
+    wanted may never have been seen.
+
+    Args:
+        table: Table of the target sensor: columns `depth`, `position`, `phase`.
+        wanted: Rows to find a frame for (n,).
+        known: Rows that may be shown, such as those of training (m,).
+
+    Raises:
+        LearningError: No known rows.
+    """
+    if not len(known):
+        raise LearningError("nearest frame: found no frames to choose from; allowed: one or more")
+    nearest = np.empty(len(wanted), np.int64)
+    phase = table["phase"][wanted]
+    for code in np.unique(phase).tolist():
+        here = np.flatnonzero(phase == code)
+        among = known[table["phase"][known] == code]
+        among = among if len(among) else known
+        step = max(_BASELINES_AT_ONCE // len(among), 1)
+        for first in range(0, len(here), step):
+            some = here[first : first + step]
+            apart = _frames_apart(_motion(table, wanted[some]), _motion(table, among))
+            nearest[some] = among[apart.argmin(axis=1)]
+    return nearest
+
+
+def _motion(table: Table, rows: Rows) -> NDArray[np.float64]:
+    """Return position and depth (n, 3) [m]."""
+    return np.column_stack([table["position"][rows], table["depth"][rows]])
+
+
+def _frames_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return squared distances (n, m); from differences, as the square of a metre is large here."""
+    apart = np.zeros((len(one), len(other)))
+    for axis in range(one.shape[1]):
+        apart += np.square(one[:, axis, None] - other[None, :, axis])
+    return apart
+
+
+# The scores of translated frames: rows of tables, baselines too, and the file of them.
+
+KIND = "translation"
+TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR = (
+    "translated",
+    "source as is",
+    "reference as is",
+    "nearest frame",
+    "real",
+)
+METHODS = (TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR)
+"""What is scored: the translator; the frames it was given; the untouched target; the training frame
+of the target whose motion is nearest; and the target's own frames: half of them against the other
+half, or against the truth of the simulator."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairedScore:
+    """Frames beside the true frames of the same press and phase."""
+
+    role: str
+    """Role of the presses in the split."""
+    method: str
+    """One of `METHODS`."""
+    frames: int
+    """How many pairs."""
+    dice: float
+    """Mean Dice of the masks."""
+    iou: float
+    """Mean intersection over union of the masks."""
+    centroid_px: float
+    """Median distance of markers that belong together [px]."""
+    centroid_p95_px: float
+    """Its 95th percentile [px]."""
+    centroid_mm: float
+    """Its median on the surface [mm]."""
+    count_mismatch: float
+    """Share of frames with more or fewer markers than the true one."""
+    area_ratio_error: float
+    """Mean of |marker area / true marker area - 1|."""
+    epe_px: float
+    """Mean distance of markers from where the true displacement takes them [px]; NaN: not known."""
+    epe_mm: float
+    """The same on the surface [mm]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceScore:
+    """Features of frames beside those of real frames of other presses."""
+
+    role: str
+    """Role of the presses in the split."""
+    method: str
+    """One of `METHODS`."""
+    extractor: str
+    """What made the features, by the hash of its weights."""
+    frechet: float
+    """Frechet distance."""
+    kernel: float
+    """Squared kernel distance, mean of random subsets."""
+    kernel_std: float
+    """Its standard deviation over the subsets."""
+    classifier: float
+    """Accuracy of telling the two apart: 0.5 is chance."""
+    mixing: float
+    """How well nearest neighbours are mixed: 1 fully, 0 not at all."""
+    samples: int
+    """Images on either side."""
+    dimensions: int
+    """Width of the features."""
+    seed: int
+    """Of the halves, subsets and folds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TranslationScores:
+    """What is known of one translator between two sensors."""
+
+    source: str
+    """Whose frames were translated."""
+    target: str
+    """What they were translated to."""
+    translator: str
+    """Name of the translator."""
+    model: str
+    """What names its weights, their hash."""
+    paired: tuple[PairedScore, ...]
+    """Rows on paired frames."""
+    distances: tuple[DistanceScore, ...]
+    """Rows on features."""
+    features: Mapping[str, NDArray[np.float32]]
+    """Some features (n, d) of `SOURCE`, `TRANSLATED` and `FLOOR`, to look at."""
+
+    def write(self, path: Path) -> None:
+        """Write them as an .npz.
+
+        Raises:
+            OSError: Not writable.
+        """
+        said = {
+            "source": self.source,
+            "target": self.target,
+            "translator": self.translator,
+            "model": self.model,
+            "paired": [_said(row) for row in self.paired],
+            "distances": [_said(row) for row in self.distances],
+        }
+        write_results(path, Results(KIND, said, dict(self.features)))
+
+
+def read_scores(path: Path) -> TranslationScores:
+    """Return scores that were written.
+
+    Raises:
+        LearningError: Not such a file, or one that does not hold them.
+    """
+    return scores_in(read_results(path), path)
+
+
+def scores_in(results: Results, path: Path) -> TranslationScores:
+    """Return the scores that a file holds; `path` begins the message of an error.
+
+    Raises:
+        LearningError: Results of another kind, or not all of them.
+    """
+    if results.kind != KIND:
+        raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
+    said = results.said
+    try:
+        return TranslationScores(
+            str(said["source"]),
+            str(said["target"]),
+            str(said["translator"]),
+            str(said["model"]),
+            tuple(PairedScore(**_numbers(row, PairedScore)) for row in said["paired"]),
+            tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in said["distances"]),
+            results.arrays,
+        )
+    except (KeyError, TypeError) as error:
+        raise LearningError(f"{path}: found no translation scores: {error!r}") from None
+
+
+def paired_rows(
+    scores: Iterable[TranslationScores],
+) -> tuple[tuple[TranslationScores, PairedScore], ...]:
+    """Return the rows on paired frames, once each: features of other extractors change none."""
+    found: dict[tuple[str, ...], tuple[TranslationScores, PairedScore]] = {}
+    for one in scores:
+        for row in one.paired:
+            key = one.source, one.target, one.translator, row.role, row.method
+            found.setdefault(key, (one, row))
+    return tuple(found.values())
+
+
+def score_line(one: TranslationScores, row: PairedScore | DistanceScore) -> dict[str, Any]:
+    """Return a row of scores as a line of a CSV."""
+    named = {"source": one.source, "target": one.target, "translator": one.translator}
+    return {**named, **asdict(row)}
+
+
+def require_alone(scores: Sequence[TranslationScores]) -> None:
+    """Refuse two scores of the same thing.
+
+    Raises:
+        LearningError: The same pair, translator, role, method and extractor twice.
+    """
+    seen = set()
+    for one in scores:
+        pair = (one.source, one.target, one.translator)
+        keys = [(*pair, row.role, row.method, row.extractor) for row in one.distances]
+        for key in keys:
+            if key in seen:
+                raise LearningError(
+                    f"translation scores: found {', '.join(key)} twice; allowed: once"
+                )
+            seen.add(key)
+
+
+def _said(row: PairedScore | DistanceScore) -> dict[str, Any]:
+    """Return a row as JSON has it, which knows no NaN."""
+    return {key: None if value != value else value for key, value in asdict(row).items()}
+
+
+def _numbers(row: Mapping[str, Any], kind: type[PairedScore | DistanceScore]) -> dict[str, Any]:
+    floats = {field.name for field in fields(kind) if field.type == "float"}
+    return {
+        key: float("nan") if value is None and key in floats else value
+        for key, value in row.items()
+    }
+
+
+# Scores frames beside the real ones of the same presses and phases.
+
+Packed = NDArray[np.uint8]
+
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Real:
+    """Real frames of the target, which others are judged by."""
+
+    sensor: ArchivedSensor
+    """The target."""
+    rows: Rows
+    """Which of its frames (n,)."""
+    packed: Packed
+    """Their packed masks (n, 38400)."""
+    mm: Floats
+    """Size of a pixel along columns and along rows (2,) [mm]."""
+
+    @property
+    def smallest_px(self) -> int:
+        """Patches of fewer pixels are no markers of it."""
+        return int((self.sensor.attrs.get("marker_check") or {}).get("smallest_px", SMALLEST_PX))
+
+
+def real_frames(sensor: ArchivedSensor, rows: Rows) -> Real:
+    """Return real frames of a target.
+
+    Raises:
+        SessionError: A chunk is missing or damaged.
+    """
+    from learning.translation.translator import SensorView
+
+    view = SensorView.of(sensor)
+    mm = np.array([view.mm_per_column, view.mm_per_row])
+    return Real(sensor, rows, sensor.packed(rows), mm)
+
+
+def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedScore:
+    """Return the score of frames (n, 38400) beside the real ones of the same presses and phases.
+
+    Raises:
+        LearningError: Not as many.
+        SessionError: A chunk of the displacement is missing or damaged.
+    """
+    if packed.shape != real.packed.shape:
+        raise LearningError(
+            f"{real.sensor.name}: found {packed.shape} frames of {real.packed.shape}; allowed: "
+            "as many, packed"
+        )
+    dice, iou, area, apart, wrong, missed = [], [], [], [], [], []
+    sensor = real.sensor
+    for first in range(0, len(packed), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        found, true = unpack(packed[part]), unpack(real.packed[part])
+        covered = overlap(found, true)
+        dice.append(covered.dice)
+        iou.append(covered.iou)
+        area.append(covered.area_ratio_error)
+        markers = marker_errors(found, true, real.smallest_px)
+        apart.append(markers.apart)
+        wrong.append(markers.mismatched)
+        if sensor.fields is not None:
+            missed.append(_endpoint_errors(found, real, part))
+    distance = np.linalg.norm(np.concatenate(apart), axis=1)
+    epe = np.concatenate([np.empty((0, 2)), *missed])
+    areas = np.concatenate(area)
+    return PairedScore(
+        role=role,
+        method=method,
+        frames=len(packed),
+        dice=float(np.concatenate(dice).mean()),
+        iou=float(np.concatenate(iou).mean()),
+        centroid_px=_quantile(distance, 0.5),
+        centroid_p95_px=_quantile(distance, 0.95),
+        centroid_mm=_quantile(np.linalg.norm(np.concatenate(apart) * real.mm, axis=1), 0.5),
+        count_mismatch=float(np.concatenate(wrong).mean()),
+        area_ratio_error=_mean(areas[np.isfinite(areas)]),
+        epe_px=_mean(np.linalg.norm(epe, axis=1)),
+        epe_mm=_mean(np.linalg.norm(epe * real.mm, axis=1)),
+    )
+
+
+def _endpoint_errors(found: NDArray[np.bool_], real: Real, part: slice) -> Floats:
+    sensor, rows = real.sensor, real.rows[part]
+    field = sensor.displacement(rows)
+    reference = sensor.table["reference"][rows]
+    missed = [np.empty((0, 2))]
+    for number in np.unique(reference).tolist():
+        here = reference == number
+        untouched = unpack(sensor.references[number])
+        missed.append(
+            endpoint_errors(found[here], untouched, field[here], sensor.lattice, real.smallest_px)
+        )
+    return np.concatenate(missed)
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _quantile(values: Floats, share: float) -> float:
+    return float(np.quantile(values, share)) if len(values) else float("nan")
+
+
+FRAMES = 1000
+"""Pairs of a role that are scored at most, drawn at random."""
+SUBSET, SUBSETS = 500, 50
+"""Samples in a subset of the kernel distance, and how many subsets."""
+SHOWN = 150
+"""Features that are kept of each side, to draw them."""
+LEAST = 12
+"""Locations without which there are no distances: six on each side."""
+
+
+def score_translation(
+    archive: MarkerArchive,
+    translated: ArchivedSensor,
+    split: Split,
+    roles: Sequence[Role],
+    extractor: Extractor,
+    *,
+    frames: int = FRAMES,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> TranslationScores:
+    """Return how good translated frames are, beside the baselines and the floor.
+
+    Args:
+        archive: That the frames were made from: it has source and target.
+        translated: The translated sensor, `A-to-B`.
+        split: Says which presses are which.
+        roles: Which of them are scored.
+        extractor: Makes the features that distances are measured in.
+        frames: Location pairs of a role at most.
+        seed: Of what is drawn.
+        progress: Called with the frames that are scored and those there will be.
+
+    Raises:
+        LearningError: Not a translated sensor, one of other sensors, or no pairs of a role.
+        SessionError: A damaged archive.
+    """
+    source, target = (_sensor_of(archive, translated, end) for end in ("source", "target"))
+    split.check(archive)
+    known = split.rows(target.table, "train")
+    drawn = [_pairs(source, target, translated, split, role, frames, seed) for role in roles]
+    paired: list[PairedScore] = []
+    distances: list[DistanceScore] = []
+    kept: dict[str, NDArray[np.float32]] = {}
+    total = sum(5 * len(ours.real) for ours in drawn)
+    done = 0
+    for role, ours in zip(roles, drawn, strict=True):
+        real = real_frames(target, ours.real)
+        shown = {
+            TRANSLATED: translated.packed(ours.translated),
+            SOURCE: source.packed(ours.source),
+            REFERENCE: target.references[target.table["reference"][real.rows]],
+        }
+        if len(known):
+            shown[NEAREST] = target.packed(nearest_frames(target.table, real.rows, known))
+        shown[FLOOR] = real.packed
+        features = {}
+        for method, packed in shown.items():
+            paired.append(paired_score(packed, real, role, method))
+            features[method] = _features(extractor, packed)
+            done += len(real.rows)
+            progress(done, total)
+        location = target.table["location"][real.rows]
+        halves = half_of_locations(location, seed)
+        if len(np.unique(location)) >= LEAST:
+            distances += _distances(features, location, halves, role, extractor.name, seed)
+        for method in (SOURCE, TRANSLATED, FLOOR):
+            there = halves if method == FLOOR else ~halves
+            kept.setdefault(method, features[method][there][:SHOWN].astype(np.float32))
+    progress(total, total)
+    return TranslationScores(
+        source.name,
+        target.name,
+        str(translated.attrs["model"]),
+        str(translated.attrs.get("model_sha256", "")),
+        tuple(paired),
+        tuple(distances),
+        kept,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Features of some frames."""
+
+    features: Floats
+    """What an extractor makes of them (n, d)."""
+    location: NDArray[np.integer[Any]]
+    """Where each was pressed (n,)."""
+
+
+def distance_score(
+    real: Sample, found: Sample, role: str, method: str, extractor: str, seed: int
+) -> DistanceScore:
+    """Return the distances of frames from real ones of other presses.
+
+    Raises:
+        LearningError: Too few, or features of other widths.
+    """
+    one, other = real.features, found.features
+    kernel, spread = kernel_distance(one, other, size=SUBSET, subsets=SUBSETS, seed=seed)
+    groups = np.concatenate([real.location, found.location])
+    return DistanceScore(
+        role=role,
+        method=method,
+        extractor=extractor,
+        frechet=frechet_distance(one, other),
+        kernel=kernel,
+        kernel_std=spread,
+        classifier=classifier_accuracy(one, other, groups, seed=seed),
+        mixing=mixing_score(one, other, min(NEIGHBOURS, len(one) + len(other) - 1)),
+        samples=min(len(one), len(other)),
+        dimensions=one.shape[1],
+        seed=seed,
+    )
+
+
+def half_of_locations(location: NDArray[np.integer], seed: int) -> NDArray[np.bool_]:
+    """Return which frames (n,) are of the half of the locations that real frames are taken from.
+
+    What is judged is taken from the other half, so that it is never the frame's own twin.
+    """
+    different = np.unique(location)
+    chosen = np.random.default_rng(seed).permutation(different)[: len(different) // 2]
+    return np.isin(location, chosen)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Rows that belong together: of the target, of the source, of the translated frames."""
+
+    real: Rows
+    source: Rows
+    translated: Rows
+
+
+def _pairs(
+    source: ArchivedSensor,
+    target: ArchivedSensor,
+    translated: ArchivedSensor,
+    split: Split,
+    role: Role,
+    frames: int,
+    seed: int,
+) -> _Pairs:
+    before = location_pairs(source.table, target.table)
+    after = location_pairs(translated.table, target.table)
+    real, one, other = np.intersect1d(
+        before.target, after.target, assume_unique=True, return_indices=True
+    )
+    of_role = np.flatnonzero(np.isin(real, split.rows(target.table, role)))
+    if not len(of_role):
+        raise LearningError(
+            f"{translated.name}: found no location pairs of role {role} with {target.name}; "
+            "allowed: a role that was translated, of presses that both sensors have"
+        )
+    count = min(frames, len(of_role))
+    of_role = np.sort(np.random.default_rng(seed).permutation(of_role)[:count])
+    return _Pairs(
+        real[of_role],
+        before.source[one[of_role]],
+        after.source[other[of_role]],
+    )
+
+
+def _sensor_of(archive: MarkerArchive, translated: ArchivedSensor, end: str) -> ArchivedSensor:
+    name = translated.attrs.get(end)
+    if "model" not in translated.attrs or name not in archive:
+        raise LearningError(
+            f"{translated.name}: found {end} {name!r}; allowed: frames translated from and to "
+            f"sensors of {archive.name}: {', '.join(archive)}"
+        )
+    return archive[str(name)]
+
+
+def _features(extractor: Extractor, packed: Packed) -> Floats:
+    from learning.data.images import shrink
+
+    return extractor.features(shrink(packed))
+
+
+def _distances(
+    features: dict[str, Floats],
+    location: NDArray[np.integer[Any]],
+    halves: NDArray[np.bool_],
+    role: str,
+    extractor: str,
+    seed: int,
+) -> list[DistanceScore]:
+    real = Sample(features[FLOOR][halves], location[halves])
+    return [
+        distance_score(
+            real, Sample(found[~halves], location[~halves]), role, method, extractor, seed
+        )
+        for method, found in features.items()
+    ]

@@ -1,0 +1,182 @@
+"""`python -m learning train-force`: presses with force labels become a model of force."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    import torch
+
+    from learning.command import Verbs
+    from learning.data.presses import Presses
+    from learning.data.splits import Role, Split
+    from learning.force.data import Compensation
+    from learning.force.model import ForceSettings
+    from recorder import MarkerArchive
+    from recorder.archive import ArchivedSensor
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "train-force",
+        help="train a force model on labelled presses",
+        description="Learns Fx, Fy, Fz [N] from sequences of marker images of a sensor, or of a "
+        "translated one (A-to-B). Ctrl-C saves; --resume goes on as if nothing had been.",
+    )
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--sensor", metavar="NAME,...", required=True, help="what is learned from")
+    parser.add_argument("--split", type=Path, metavar="FILE", required=True, help="split.json")
+    parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
+    parser.add_argument(
+        "--preset",
+        default="half",
+        metavar="NAME",
+        help="a preset, or a YAML file of your own (half)",
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="e.g. sequences.batch=32"
+    )
+    parser.add_argument(
+        "--start-from", type=Path, metavar="MODEL", help="begin with the weights of this model"
+    )
+    parser.add_argument(
+        "--compensation", type=Path, metavar="FILE", help="change labels for another material"
+    )
+    parser.add_argument(
+        "--pair", metavar="A-to-B", help="the compensated pair (what --sensor says, if it does)"
+    )
+    parser.add_argument(
+        "--choice", default="default", metavar="NAME", help="which d0 and lambda of it (default)"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from learning.archive_writer import archive_fingerprint
+    from learning.config import read_settings
+    from learning.data.splits import read_split
+    from learning.force import load_force_model
+    from learning.force.data import labels_of
+    from learning.force.model import PRESETS, ForceSettings
+    from learning.force.predict import KIND
+    from learning.force.train import train_force
+    from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
+    from recorder import MarkerArchive
+
+    settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
+    archive, split = MarkerArchive(options.archive), read_split(options.split)
+    split.check(archive)
+    sensors = _sensors(options, archive, split)
+    compensation = _compensation(options, sensors)
+    start_from = None if options.start_from is None else load_force_model(options.start_from)
+    runs_on = accelerator(settings.launch)
+    data = [archive_fingerprint(archive), split.fingerprint, *sensors, *_begun_with(options)]
+    with RunFolder.open(
+        options.out,
+        KIND,
+        settings,
+        " ".join(data),
+        options.resume,
+        facts={"sensors": sensors},
+        writes=runs_on.is_main_process,
+    ) as run:
+        if run.finished:
+            print(f"{options.out}: is finished")
+            return 0
+        print(described(runs_on), file=sys.stderr)
+        training, validation = (
+            [
+                presses
+                for name in sensors
+                if len(presses := _presses(archive[name], split, role, settings, runs_on.device))
+            ]
+            for role in ("train", "validation")
+        )
+        steps = Progress("steps", sys.stderr)
+        try:
+            with Stop(lambda line: print(line, file=sys.stderr)) as stop:
+                predictor = train_force(
+                    training,
+                    settings,
+                    run,
+                    validation=validation,
+                    start_from=start_from,
+                    compensation=compensation,
+                    accelerator=runs_on,
+                    stopped=lambda: stop.asked,
+                    progress=steps,
+                )
+        finally:
+            steps.close()
+        if stop.asked and not run.finished:
+            print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
+            return EXIT_INTERRUPTED
+    if runs_on.is_main_process:
+        print(f"{options.out}: trained on {sum(map(len, training)):,} presses")
+        for presses in validation:
+            wanted = labels_of(presses, compensation).cpu().numpy()
+            x, y, z = abs(predictor.predict(presses) - wanted).mean(axis=0)
+            print(f"{presses.sensor}: off in validation by Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N")
+    return 0
+
+
+def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
+    sensors: list[str] = options.sensor.split(",")
+    if unknown := [name for name in sensors if name not in archive]:
+        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
+    if held_out := [name for name in sensors if name in split.held_out_sensors]:
+        raise LearningError(
+            f"--sensor: found {', '.join(held_out)}, which {options.split} holds out; allowed: "
+            f"{', '.join(split.trained_sensors(archive))}"
+        )
+    return sensors
+
+
+def _begun_with(options: argparse.Namespace) -> list[str]:
+    """Return what else a run depends on: hashes of files, and what is taken from them."""
+    from learning.training.checkpoint import weights_hash
+
+    found = []
+    if options.start_from is not None:
+        found.append(weights_hash(options.start_from / "model.safetensors"))
+    if options.compensation is not None:
+        found += [weights_hash(options.compensation), options.pair or "", options.choice]
+    return found
+
+
+def _presses(
+    sensor: ArchivedSensor, split: Split, role: Role, settings: ForceSettings, device: torch.device
+) -> Presses:
+    from learning.data.presses import load_presses
+
+    frames = Progress("frames", sys.stderr)
+    rows = split.rows(sensor.table, role)
+    try:
+        return load_presses(
+            sensor, rows, device=device, form=settings.input.stored_form, progress=frames
+        )
+    finally:
+        frames.close()
+
+
+def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensation | None:
+    from learning.compensation import read_stored
+
+    if options.compensation is None:
+        if options.pair is not None:
+            raise LearningError("--pair: found without --compensation; allowed: both")
+        return None
+    source, between, target = (options.pair or sensors[0]).partition("-to-")
+    if not between or (options.pair is None and len(sensors) > 1):
+        raise LearningError(
+            f"--pair: found {options.pair or options.sensor}; allowed: A-to-B, of one pair"
+        )
+    return read_stored(options.compensation).pair(source, target, options.choice).applied

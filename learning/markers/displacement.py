@@ -1,0 +1,674 @@
+"""Which marker of the untouched sensor is which of a frame, alone or along a press.
+
+Each marker is looked for where the spline says: at first where it was in the frame before, moved
+on at half its last speed, or where it lies untouched. Those that are each other's nearest, within
+half a pitch, are taken to be the same; one that the others would not have expected within half a
+pitch is let go; the spline through the rest says anew where each should be, and it is done again.
+Discs that grew together are cut where they meet.
+"""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from learning.errors import LearningError
+from learning.markers.segment import Centres, find_centres
+from recorder.markers import HEIGHT, PACKED, SMALLEST_PX, WIDTH, Lattice, pack, unpack
+
+if TYPE_CHECKING:
+    from learning.translation.translator import SensorView
+
+# The edges of a mask's markers, to a part of a pixel: what a warp moves in place of the mask.
+#
+# A mask says of every pixel yes or no, so that its edges are off by up to half a pixel, back and
+# forth along them. Markers are smooth: each is blurred on its own, and then taken where its level
+# keeps the area that it had. The mask is where the level is above one half.
+
+BLUR_PX = 1.0
+"""Deviation of the blur. Wider, edges are smoother, and corners of squares and diamonds rounder."""
+_REACH = 5  # pixels around a marker that its blur reaches
+_LEAST_SLOPE = 1e-3  # of a level, a pixel: without an edge a pixel is above or below
+_HALVINGS = 14
+_REFERENCES = 64  # levels that are kept: a sensor that drifts has one reference a contact point
+
+
+def edge_level(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the level (480, 640), about 0 to 1, which is above 0.5 on markers; computed once."""
+    return _level(pack(mask).tobytes())
+
+
+@functools.lru_cache(maxsize=_REFERENCES)
+def _level(packed: bytes) -> NDArray[np.float32]:
+    mask = unpack(np.frombuffer(packed, np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+    # Between markers a pixel belongs to the nearest.
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~mask).view(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    owner = np.zeros(int(nearest.max()) + 1, np.int32)
+    owner[nearest[mask]] = labels[mask]
+    owners = owner[nearest]
+    level = np.zeros(mask.shape, np.float32)
+    for label in range(1, count):
+        left, top, width, height, area = stats[label]
+        part = (
+            slice(max(top - _REACH, 0), top + height + _REACH),
+            slice(max(left - _REACH, 0), left + width + _REACH),
+        )
+        # At the border a marker goes on: what is cut off there is not an edge.
+        soft = cv2.GaussianBlur(
+            (labels[part] == label).astype(np.float32),
+            (0, 0),
+            BLUR_PX,
+            borderType=cv2.BORDER_REPLICATE,
+        )
+        middle = _middle(soft, float(area))
+        mine = owners[part] == label
+        level[part][mine] = soft[mine] + np.float32(0.5 - middle)
+    level.flags.writeable = False
+    return level
+
+
+def _middle(soft: NDArray[np.float32], area: float) -> float:
+    """Return the level of a blurred marker (h, w) above which so many pixels lie, parts counted.
+
+    The share of a pixel that lies above follows from its level and the slope there: whole pixels
+    would come and go by the dozen, since markers are symmetric.
+    """
+    down, across = np.gradient(soft)
+    slope = np.maximum(np.hypot(down, across), _LEAST_SLOPE)
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        covered = float(np.clip(0.5 + (soft - middle) / slope, 0.0, 1.0).sum())
+        low, high = (middle, high) if covered > area else (low, middle)
+    return 0.5 * (low + high)
+
+
+# A smooth field through the displacements of markers: the thin-plate spline (Duchon, 1977).
+#
+# Of all fields that take given values at the markers it is the one that bends least. Since markers
+# are named by where they lie untouched, the knots are the same in all frames: value anywhere,
+# energy of bending, and what a marker should have done by the others, are each one matrix per
+# reference.
+
+Floats = NDArray[np.float64]
+Chosen = NDArray[np.bool_]
+
+_RIDGE = 1e-6
+"""Share of the stiffness that holds on to nothing: without it a field that no marker pins down in
+some direction (fewer than three, or all on one line) would be any."""
+_AFFINE_FROM = 6
+"""So many markers are needed before the field may grow linearly beyond them."""
+
+
+class Spline:
+    """Splines with knots at one set of markers."""
+
+    def __init__(self, knots: Floats, *, smoothing: float = 0.0) -> None:
+        """Prepare the matrices.
+
+        Args:
+            knots: Column and row of the untouched markers (m, 2) [px], m 1 or more.
+            smoothing: How much a field may miss the markers' displacements to bend less, of the
+                kernel at the distance of neighbours; 0 goes through them.
+        """
+        self.knots = np.asarray(knots, np.float64)
+        count = len(self.knots)
+        self._middle = self.knots.mean(axis=0)
+        self._unit = max(pitch(self.knots), 1.0)
+        rank = 3 if count >= _AFFINE_FROM and _spread(self.knots) else 1
+        plain, line = self._basis(self.knots, rank)
+        system = np.zeros((count + rank, count + rank))
+        system[:count, :count] = plain + smoothing * np.eye(count)
+        system[:count, count:], system[count:, :count] = line, line.T
+        self._solved = np.linalg.inv(system)[:, :count]
+        self._rank = rank
+        self.energy: Floats = np.array(self._solved[:count])
+        """Of bending: d^T energy d for displacements d (m,) of the markers (m, m)."""
+
+    def at(self, places: Floats) -> Floats:
+        """Return the matrix (q, m) that takes displacements of the markers to those of places.
+
+        Args:
+            places: Column and row in the untouched image (q, 2) [px].
+        """
+        plain, line = self._basis(places, self._rank)
+        return np.asarray(np.concatenate([plain, line], axis=1) @ self._solved, np.float64)
+
+    def filled(self, values: Floats, known: Chosen) -> Floats:
+        """Return values (m, k) of which the unknown ones bend the field least.
+
+        Args:
+            values: One row a marker; those of unknown ones are not looked at.
+            known: Which of them are known (m,).
+        """
+        if known.all():
+            return values
+        lost = ~known
+        held = self.energy[np.ix_(lost, lost)]
+        ridge = max(_RIDGE * float(np.trace(self.energy)) / len(self.knots), _RIDGE)
+        pull = -self.energy[np.ix_(lost, known)] @ values[known]
+        whole = np.array(values)
+        whole[lost] = np.linalg.solve(held + ridge * np.eye(len(held)), pull)
+        return whole
+
+    def surprise(self, values: Floats) -> Floats:
+        """Return how far each value is from what the others say of it (m,) [that of values].
+
+        The error of leaving one out, in closed form: what the spline through all others would give
+        at a knot differs from the value there by (E d)_i / E_ii.
+
+        Args:
+            values: Of all markers (m, k).
+        """
+        own = np.maximum(np.diagonal(self.energy), np.finfo(np.float64).tiny)
+        return np.asarray(np.linalg.norm((self.energy @ values) / own[:, None], axis=1))
+
+    def _basis(self, places: Floats, rank: int) -> tuple[Floats, Floats]:
+        """Return kernel (q, m) and polynomials (q, rank) at places (q, 2)."""
+        square = ((places[:, None] - self.knots[None]) ** 2).sum(axis=-1) / self._unit**2
+        line = np.ones((len(places), rank))
+        if rank == 1:
+            # The kernel of a membrane in space: no growth beyond the markers.
+            return -np.sqrt(square), line
+        line[:, 1:] = (places - self._middle) / self._unit
+        return 0.5 * square * np.log(np.maximum(square, 1e-12)), line
+
+
+def pitch(places: Floats) -> float:
+    """Return the median distance of a marker to its nearest neighbour [px]; 0 of a single one."""
+    if len(places) < 2:
+        return 0.0
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    return float(np.median(apart.min(axis=1)))
+
+
+def _spread(places: Floats) -> bool:
+    """Whether markers spread in two directions, so that a plane through them is one."""
+    along = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(along[-1] > 0.05 * along[0])
+
+
+Masks = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+
+ROUNDS = 5
+"""Times that markers are looked for in a frame, at most."""
+GATE = 0.5
+"""How far from where it is expected a marker may be found [pitch]: beyond half of it, it could as
+well be its neighbour."""
+SPEED = 0.5
+"""Share of the last frame's motion that is expected to go on."""
+MERGED = 1.5
+"""Patches so many times as large as a marker may be, and larger, are two that grew together."""
+_CUTS = 6  # rounds of cutting a patch in parts
+_LONE_PITCH = 80.0  # px, of a single marker
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """The markers of the untouched sensor in one frame."""
+
+    moved: Floats
+    """How far each moved (m, 2) [px]; of lost ones what the spline says."""
+    growth: Floats
+    """Logarithm of each one's area over its area untouched (m,); of lost ones likewise."""
+    known: Chosen
+    """Which were found (m,)."""
+
+
+class Matcher:
+    """Finds the markers of one untouched sensor in frames; remembers the frame before."""
+
+    def __init__(
+        self, reference: Masks, *, smoothing: float, smallest_px: int = SMALLEST_PX
+    ) -> None:
+        """Name the markers by their order in the reference.
+
+        Args:
+            reference: The untouched mask (480, 640).
+            smoothing: Of the spline.
+            smallest_px: Patches of fewer pixels are specks.
+
+        Raises:
+            LearningError: No mask, or one without markers.
+        """
+        found = find_centres(reference, smallest_px=smallest_px)
+        # The centre of a marker that the border cuts moves as it is cut: it would mislead.
+        chosen = found.whole if found.whole.any() else np.ones(len(found), np.bool_)
+        if not chosen.any():
+            raise LearningError(f"reference: found no marker of {smallest_px} px or more")
+        self.markers: Floats = found.place[chosen]
+        self.area = found.area[chosen].astype(np.float64)
+        self.spline = Spline(self.markers, smoothing=smoothing)
+        self.pitch_px = pitch(self.markers) or _LONE_PITCH
+        self._smallest_px = smallest_px
+        self._all_cut = not found.whole.any()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the frame before: the next is expected to look like the reference."""
+        self._before = np.zeros_like(self.markers)
+        self._step = np.zeros_like(self.markers)
+
+    def step(self, mask: Masks) -> Match:
+        """Return the markers in the next frame (480, 640)."""
+        seen = find_centres(mask, smallest_px=self._smallest_px)
+        start = self._before + SPEED * self._step
+        moved, found = self._searched(start, seen)
+        if not (found >= 0).all() and len(seen):
+            cut = self._cut(mask, seen, self.markers + moved)
+            if cut is not None:
+                seen = cut
+                moved, found = self._searched(moved, seen)
+        known = found >= 0
+        self._step, self._before = moved - self._before, moved
+        growth = np.zeros((len(self.markers), 1))
+        growth[known, 0] = np.log(seen.area[found[known]] / self.area[known])
+        return Match(moved, self.spline.filled(growth, known)[:, 0], known)
+
+    def _searched(self, start: Floats, seen: Centres) -> tuple[Floats, Indices]:
+        """Return how far all markers moved (m, 2), and which of those seen each is (m,) or -1."""
+        usable = np.flatnonzero(seen.whole | self._all_cut)
+        places = seen.place[usable]
+        moved, found = start, np.full(len(self.markers), -1)
+        if not len(places):
+            return moved, found
+        tree = cKDTree(places)
+        for _ in range(ROUNDS):
+            again = self._nearest(self.markers + moved, places, tree)
+            offset = np.where(again[:, None] >= 0, places[again] - self.markers, 0.0)
+            again, moved = self._agreed(again, offset, start)
+            if np.array_equal(again, found):
+                break
+            found = again
+        return moved, np.where(found >= 0, usable[found], -1)
+
+    def _nearest(self, expected: Floats, places: Floats, tree: cKDTree) -> Indices:
+        """Return the place that is each marker's nearest, and whose nearest it is (m,), or -1."""
+        apart, nearest = tree.query(expected)
+        _, back = cKDTree(expected).query(places)
+        mine = (back[nearest] == np.arange(len(expected))) & (apart <= GATE * self.pitch_px)
+        return np.where(mine, nearest, -1)
+
+    def _agreed(self, found: Indices, offset: Floats, start: Floats) -> tuple[Indices, Floats]:
+        """Return the matches that agree with each other, and the motion of all markers by them."""
+        found = found.copy()
+        while True:
+            known = found >= 0
+            moved = self._completed(offset, known, start)
+            surprise = np.where(known, self.spline.surprise(moved), 0.0)
+            worst = int(surprise.argmax())
+            if surprise[worst] <= GATE * self.pitch_px:
+                return found, moved
+            found[worst] = -1
+
+    def _completed(self, offset: Floats, known: Chosen, start: Floats) -> Floats:
+        if known.all():
+            return offset
+        # What is lost goes on as it was expected to, but for what the others did beyond that.
+        return start + self.spline.filled(offset - start, known)
+
+    def _cut(self, mask: Masks, seen: Centres, expected: Floats) -> Centres | None:
+        """Return what is seen with patches cut that several markers are expected in; None: none."""
+        large = MERGED * float(np.median(self.area))
+        if not (seen.area > large).any():
+            return None
+        _, labels, stats, middle = cv2.connectedComponentsWithStats(
+            mask.view(np.uint8), connectivity=4
+        )
+        height, width = mask.shape
+        column, row = np.rint(expected).astype(np.int64).T
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        at = np.zeros(len(expected), np.int64)
+        at[inside] = labels[row[inside], column[inside]]
+        claims = np.bincount(at, minlength=len(stats))
+        merged = (claims > 1) & (stats[:, cv2.CC_STAT_AREA] > large)
+        merged[0] = False
+        place, area, whole = list(seen.place), list(seen.area), list(seen.whole)
+        gone: list[int] = []
+        for label in np.flatnonzero(merged).tolist():
+            left, top, wide, high, _ = stats[label]
+            rows, columns = np.nonzero(labels[top : top + high, left : left + wide] == label)
+            pixels = np.stack([columns + left, rows + top], axis=1).astype(np.float64)
+            parts, sizes = _parted(pixels, expected[at == label])
+            one = int(np.linalg.norm(seen.place - middle[label], axis=1).argmin())
+            gone.append(one)
+            place += list(parts)
+            area += sizes
+            whole += [bool(seen.whole[one])] * len(parts)
+        if not gone:
+            return None
+        kept = np.ones(len(place), np.bool_)
+        kept[gone] = False
+        return Centres(np.array(place)[kept], np.array(area, np.int64)[kept], np.array(whole)[kept])
+
+
+def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
+    """Return centres (k, 2) and sizes of the parts of a patch, one about each claim (k-means)."""
+    centres = claims.copy()
+    for _ in range(_CUTS):
+        apart = ((pixels[:, None] - centres[None]) ** 2).sum(axis=-1)
+        owner = apart.argmin(axis=1)
+        sizes = np.bincount(owner, minlength=len(centres))
+        for one in np.flatnonzero(sizes):
+            centres[one] = pixels[owner == one].mean(axis=0)
+    taken = np.flatnonzero(sizes)
+    return centres[taken], sizes[taken].tolist()
+
+
+# What the markers of a press say of the skin between them: displacement, and growth.
+#
+# A `FieldReader` belongs to one untouched mask. Its frames become displacement fields on the
+# lattice of marker archives, [px] of the sensor that they are to be used for, or the small maps of
+# displacement and growth that a force model can read in place of images.
+
+LATTICE = Lattice()
+"""Where displacement fields are kept: as archives keep them."""
+MAP_SIDE = 32
+"""Rows and columns of the maps that a force model reads."""
+SMOOTHING = 0.02
+"""Of the spline: centres of patches are a tenth of a pixel off, and so may a field be."""
+
+_MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
+
+
+class FieldReader:
+    """Reads the frames of one sensor and reference; keeps what is computed once."""
+
+    def __init__(self, reference: Masks, *, smoothing: float = SMOOTHING) -> None:
+        """Find the markers of the reference.
+
+        Args:
+            reference: The untouched mask (480, 640).
+            smoothing: How much the field may miss the markers to bend less (`Spline`).
+
+        Raises:
+            LearningError: Not bool (480, 640), or without markers.
+        """
+        self._matcher = Matcher(_required(reference, "reference", 2), smoothing=smoothing)
+        self._smoothing = smoothing
+        self._operators: dict[tuple[float, float], Floats] = {}
+
+    @property
+    def markers(self) -> Floats:
+        """Column and row of the untouched markers (m, 2) [px]."""
+        return self._matcher.markers
+
+    def matches(self, frames: NDArray[Any], *, ordered: bool) -> list[Match]:
+        """Return where the markers of the reference are in each frame.
+
+        Args:
+            frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
+            ordered: The frames are one press in order of time: markers are followed.
+
+        Raises:
+            LearningError: Frames of another shape or type.
+        """
+        self._matcher.restart()
+        matches = []
+        for mask in _each(frames):
+            matches.append(self._matcher.step(mask))
+            if not ordered:
+                self._matcher.restart()
+        return matches
+
+    def displacement(
+        self,
+        frames: NDArray[Any],
+        *,
+        ordered: bool,
+        source: SensorView | None = None,
+        target: SensorView | None = None,
+    ) -> NDArray[np.float32]:
+        """Return the displacement on `LATTICE` (n, 57, 73, 2) [px], components column and row.
+
+        With two views, it is that of the target's image: the same motion in mm at the same place of
+        the contact frame, which both have in the middle of their images. Beyond what the source
+        sees, what its border does.
+
+        Args:
+            frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
+            ordered: The frames are one press in order of time: markers are followed.
+            source: What the frames show; None: the same as the target's.
+            target: What the target's would.
+
+        Raises:
+            LearningError: Frames of another shape or type.
+        """
+        scale = _scale(source, target)
+        operator = self._operator(scale)
+        moved = np.stack([match.moved for match in self.matches(frames, ordered=ordered)])
+        field = np.tensordot(operator, moved, axes=(1, 1)).transpose(1, 0, 2) / scale
+        return field.reshape(len(moved), *LATTICE.shape).astype(np.float32)
+
+    def maps(self, frames: NDArray[Any], *, ordered: bool) -> NDArray[np.float32]:
+        """Return displacement and growth (n, 3, 32, 32): columns [px], rows [px], log of area.
+
+        Each at the middle of a 32nd of the untouched image's width and height.
+
+        Args:
+            frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
+            ordered: The frames are one press in order of time: markers are followed.
+
+        Raises:
+            LearningError: Frames of another shape or type.
+        """
+        matches = self.matches(frames, ordered=ordered)
+        values = np.stack(
+            [np.concatenate([one.moved, one.growth[:, None]], axis=1) for one in matches]
+        )
+        maps = np.tensordot(self._map_operator, values, axes=(1, 1))
+        return np.moveaxis(maps, 0, -1).reshape(-1, 3, MAP_SIDE, MAP_SIDE).astype(np.float32)
+
+    def _operator(self, scale: Floats) -> Floats:
+        """Return the matrix from markers to the target's lattice (57 x 73, m)."""
+        key = (float(scale[0]), float(scale[1]))
+        if key not in self._operators:
+            columns, rows = np.meshgrid(LATTICE.columns, LATTICE.rows)
+            places = _MIDDLE + (np.stack([columns, rows], axis=-1).reshape(-1, 2) - _MIDDLE) * scale
+            margin = LATTICE.margin_px
+            seen = np.clip(places, -margin, np.array([WIDTH, HEIGHT]) + margin)
+            self._operators[key] = self._matcher.spline.at(seen)
+        return self._operators[key]
+
+    @functools.cached_property
+    def _map_operator(self) -> Floats:
+        across = (np.arange(MAP_SIDE) + 0.5) / MAP_SIDE
+        columns, rows = np.meshgrid(across * WIDTH - 0.5, across * HEIGHT - 0.5)
+        return self._matcher.spline.at(np.stack([columns, rows], axis=-1).reshape(-1, 2))
+
+
+def marker_fields(
+    frames: NDArray[Any], reference: NDArray[Any], *, ordered: bool = True
+) -> NDArray[np.float32]:
+    """Return displacement and growth of a press (n, 3, 32, 32): columns [px], rows [px], log area.
+
+    Args:
+        frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
+        reference: The untouched mask, bool (480, 640) or packed (38400,).
+        ordered: The frames are one press in order of time: markers are followed.
+
+    Raises:
+        LearningError: Another shape or type, or a reference without markers.
+    """
+    mask = unpack(reference) if reference.dtype == np.uint8 else reference
+    return FieldReader(mask).maps(frames, ordered=ordered)
+
+
+def _scale(source: SensorView | None, target: SensorView | None) -> Floats:
+    """Return how many pixels of the source one of the target is, along columns and rows (2,)."""
+    if source is None or target is None:
+        return np.ones(2)
+    return np.array(
+        [target.mm_per_column / source.mm_per_column, target.mm_per_row / source.mm_per_row]
+    )
+
+
+def _each(frames: NDArray[Any]) -> NDArray[np.bool_]:
+    if frames.dtype == np.uint8 and frames.shape[1:] == (PACKED,):
+        return unpack(frames)
+    return _required(frames, "frames", 3)
+
+
+def _required(masks: NDArray[Any], what: str, dimensions: int) -> Masks:
+    if (
+        masks.dtype != np.bool_
+        or masks.ndim != dimensions
+        or masks.shape[-2:] != (HEIGHT, WIDTH)
+        or not len(masks)
+    ):
+        due = ("n, " if dimensions == 3 else "") + f"{HEIGHT}, {WIDTH}"
+        raise LearningError(f"{what}: found {masks.dtype} {masks.shape}; allowed: bool ({due})")
+    return masks
+
+
+# Fields of many presses, by as many processes as there are cores: for whoever warps on a GPU.
+#
+# Markers are followed on the CPU, a press at a time; presses are independent. A GPU warps thousands
+# of frames a second, so what feeds it has to be spread.
+
+Form = Literal["displacement", "maps"]
+"""Fields on the lattice of archives (n, 57, 73, 2), or small maps (n, 3, 32, 32)."""
+
+_PRESSES = 8  # a process takes so many at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPresses:
+    """Presses of one sensor, in packed masks."""
+
+    packed: NDArray[np.uint8]
+    """All frames (n, 38400), those of a press together, in order of time."""
+    starts: NDArray[np.int64]
+    """First frame of each press, and the number of frames (p + 1,)."""
+    references: NDArray[np.uint8]
+    """Packed untouched masks (k, 38400)."""
+    reference: NDArray[np.integer[Any]]
+    """Which of them each frame belongs to (n,); one in all frames of a press."""
+
+    def __post_init__(self) -> None:
+        """Refuse parts that do not fit together.
+
+        Raises:
+            LearningError: Naming the field.
+        """
+        for name in ("packed", "references"):
+            found = getattr(self, name)
+            if found.dtype != np.uint8 or found.ndim != 2 or found.shape[1] != PACKED:
+                raise LearningError(
+                    f"{name}: found {found.dtype} {found.shape}; allowed: uint8 (n, {PACKED})"
+                )
+        rising = len(self.starts) > 1 and self.starts[0] == 0 and (np.diff(self.starts) > 0).all()
+        if not rising or self.starts[-1] != len(self.packed):
+            raise LearningError(
+                f"starts: allowed: ascending from 0 to the number of frames, {len(self.packed)}"
+            )
+        if self.reference.shape != (len(self.packed),):
+            raise LearningError(
+                f"reference: found shape {self.reference.shape}; allowed: ({len(self.packed)},)"
+            )
+
+    def __len__(self) -> int:
+        """Return the number of presses."""
+        return len(self.starts) - 1
+
+
+def fields_of_presses(
+    presses: PackedPresses,
+    form: Form = "displacement",
+    *,
+    source: SensorView | None = None,
+    target: SensorView | None = None,
+    processes: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> NDArray[np.floating[Any]]:
+    """Return the fields of all frames: displacement as float16, maps as float32.
+
+    Args:
+        presses: The frames.
+        form: Which fields.
+        source: What the frames show; None: the same as the target's.
+        target: Whose image a displacement is for.
+        processes: How many compute.
+        progress: Called with the frames that are done and those there are.
+
+    Raises:
+        LearningError: A reference without markers.
+    """
+    total = len(presses.packed)
+    shape = LATTICE.shape if form == "displacement" else (3, MAP_SIDE, MAP_SIDE)
+    fields = np.empty((total, *shape), np.float16 if form == "displacement" else np.float32)
+    progress(0, total)
+    for first, part in _computed(list(_jobs(presses, form, source, target)), processes):
+        fields[first : first + len(part)] = part
+        progress(first + len(part), total)
+    return fields
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    """Some presses, and the references that they need."""
+
+    first: int
+    presses: PackedPresses
+    form: Form
+    source: SensorView | None
+    target: SensorView | None
+
+
+def _jobs(
+    presses: PackedPresses, form: Form, source: SensorView | None, target: SensorView | None
+) -> Iterator[_Job]:
+    for number in range(0, len(presses), _PRESSES):
+        starts = presses.starts[number : number + _PRESSES + 1]
+        first, end = int(starts[0]), int(starts[-1])
+        used, reference = np.unique(presses.reference[first:end], return_inverse=True)
+        part = PackedPresses(
+            presses.packed[first:end],
+            starts - first,
+            presses.references[used],
+            reference.reshape(-1),
+        )
+        yield _Job(first, part, form, source, target)
+
+
+def _computed(jobs: list[_Job], processes: int) -> Iterator[tuple[int, NDArray[np.floating[Any]]]]:
+    if processes < 2 or len(jobs) < 2:
+        yield from map(_fields, jobs)
+        return
+    # Forking a process in which torch has threads can hang.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(processes, len(jobs)), mp_context=context) as pool:
+        yield from pool.map(_fields, jobs)
+
+
+def _fields(job: _Job) -> tuple[int, NDArray[np.floating[Any]]]:
+    presses = job.presses
+    readers: dict[int, FieldReader] = {}
+    parts: list[NDArray[np.floating[Any]]] = []
+    for first, end in zip(presses.starts[:-1], presses.starts[1:], strict=True):
+        number = int(presses.reference[first])
+        if number not in readers:
+            readers[number] = FieldReader(unpack(presses.references[number]))
+        frames = presses.packed[first:end]
+        if job.form == "maps":
+            parts.append(readers[number].maps(frames, ordered=True))
+        else:
+            field = readers[number].displacement(
+                frames, ordered=True, source=job.source, target=job.target
+            )
+            parts.append(field.astype(np.float16))
+    return job.first, np.concatenate(parts)

@@ -1,0 +1,534 @@
+"""How markers are found in the pictures of a kind of sensor: plain data, a row a sensor.
+
+A picture is cut to its region and brought to 640 x 480; what the detectors find in it is put
+together, cleaned by morphology, and patches of the wrong size are dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.config import build_one_of, preset_names, preset_path, read_mapping
+from learning.errors import LearningError
+from recorder.markers import HEIGHT, SMALLEST_PX, WIDTH, find_blobs
+
+Channel = Literal["grey", "brightest", "darkest"]
+Step = Literal["open", "close", "dilate", "erode"]
+Shape = Literal["ellipse", "square"]
+CHANNELS: tuple[Channel, ...] = ("grey", "brightest", "darkest")
+STEPS: tuple[Step, ...] = ("open", "close", "dilate", "erode")
+SHAPES: tuple[Shape, ...] = ("ellipse", "square")
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The part of the camera's picture that shows markers."""
+
+    rows: tuple[int, int] | None = None
+    """First row and the one behind the last [px of the camera]; None: all of them."""
+    columns: tuple[int, int] | None = None
+    """The same for columns. What remains is resized to 640 x 480."""
+    polygon: tuple[tuple[int, int], ...] = ()
+    """Corners as column and row [px of the 640 x 480]; nothing is found outside. Empty: all."""
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            ends = getattr(self, name)
+            if ends is not None and not 0 <= ends[0] < ends[1]:
+                raise LearningError(f"region.{name}: found {ends}; allowed: 0 <= first < last")
+        if 0 < len(self.polygon) < 3:
+            raise LearningError(
+                f"region.polygon: found {len(self.polygon)} corners; allowed: none, 3 or more"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """Darker (or brighter) than midway between the extremes around it (Bernsen's threshold)."""
+
+    KIND: ClassVar[str] = "contrast"
+
+    window_px: int
+    """Side of the square around a pixel; wider than a marker, narrower than two."""
+    least: int
+    """Where extremes differ less there is no marker [grey levels]."""
+    bright: bool = False
+    """Whether markers are brighter than what is around them."""
+    channel: Channel = "grey"
+    """What is compared: luma, or the brightest or darkest of red, green, blue."""
+
+    def __post_init__(self) -> None:
+        _require(self, "window_px", self.window_px, 3, 400)
+        _require(self, "least", self.least, 1, 255)
+        _require_known(self, "channel", self.channel, CHANNELS)
+
+
+@dataclass(frozen=True, slots=True)
+class BlurDifference:
+    """Darker than a blurred copy of the picture."""
+
+    KIND: ClassVar[str] = "blur_difference"
+
+    kernel_px: int
+    """Side of the Gaussian kernel, odd."""
+    sigma_px: float
+    """Its standard deviation."""
+    least: int
+    """By so many grey levels at least."""
+
+    def __post_init__(self) -> None:
+        _require(self, "kernel_px", self.kernel_px, 1, 199)
+        _require(self, "sigma_px", self.sigma_px, 0.1, 100)
+        _require(self, "least", self.least, 1, 255)
+        if self.kernel_px % 2 == 0:
+            raise LearningError(f"blur_difference.kernel_px: found {self.kernel_px}; allowed: odd")
+
+
+@dataclass(frozen=True, slots=True)
+class Dark:
+    """The brightest of red, green and blue is below a limit (HSV's value)."""
+
+    KIND: ClassVar[str] = "dark"
+
+    below: int
+    """Limit, 1 to 255."""
+
+    def __post_init__(self) -> None:
+        _require(self, "below", self.below, 1, 255)
+
+
+@dataclass(frozen=True, slots=True)
+class ColourBelow:
+    """Red, green and blue are each below a limit of their own."""
+
+    KIND: ClassVar[str] = "colour_below"
+
+    red: int
+    """Limit, 1 to 256."""
+    green: int
+    """Limit, 1 to 256."""
+    blue: int
+    """Limit, 1 to 256."""
+
+    def __post_init__(self) -> None:
+        for name in ("red", "green", "blue"):
+            _require(self, name, getattr(self, name), 1, 256)
+
+
+Detector = Contrast | BlurDifference | Dark | ColourBelow
+"""A preset's file names one by its `kind`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Morphology:
+    """One step of cleaning."""
+
+    step: Step
+    """What is done."""
+    size_px: int
+    """Side of the structuring element."""
+    times: int = 1
+    """How often: an `open` of 2 erodes twice, then dilates twice."""
+    shape: Shape = "ellipse"
+    """Of the element."""
+
+    def __post_init__(self) -> None:
+        _require(self, "size_px", self.size_px, 1, 99)
+        _require(self, "times", self.times, 1, 20)
+        _require_known(self, "step", self.step, STEPS)
+        _require_known(self, "shape", self.shape, SHAPES)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPreset:
+    """How masks are made from the pictures of a camera."""
+
+    KIND: ClassVar[str] = "camera"
+
+    description: str
+    """What it is for, and where its numbers come from."""
+    detectors: tuple[Detector, ...]
+    """A pixel that one of them finds is a marker's."""
+    mm_per_px: float | None = None
+    """Size of a pixel of the 640 x 480 on the untouched surface [mm]; None: has to be said."""
+    sensors: tuple[str, ...] = ()
+    """Names of sensors in sessions that it is meant for."""
+    region: Region = field(default_factory=Region)
+    """The part of the picture that is looked at."""
+    equalise: bool = False
+    """Whether the luma of YUV is equalised first."""
+    invert: bool = False
+    """Whether the picture is turned into its negative, after that."""
+    smooth_px: int = 1
+    """Side of a Gaussian that takes off noise, odd; 1: none."""
+    morphology: tuple[Morphology, ...] = ()
+    """Steps of cleaning, in their order."""
+    area_px: tuple[int, int] = (12, 640 * 480)
+    """Least and largest number of pixels of a marker; other patches are dropped."""
+    box_px: int = 15
+    """Half the side of the boxes that EfficientSAM is asked for."""
+    tolerance: int = 0
+    """Markers that may be missing or new before a frame is flagged, beside what the border of the
+    image explains."""
+
+    def __post_init__(self) -> None:
+        if not self.detectors:
+            raise LearningError("detectors: found none; allowed: one or more")
+        if self.mm_per_px is not None:
+            _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
+        _require(self, "smooth_px", self.smooth_px, 1, 99)
+        if self.smooth_px % 2 == 0:
+            raise LearningError(f"smooth_px: found {self.smooth_px}; allowed: odd")
+        if not 1 <= self.area_px[0] < self.area_px[1]:
+            raise LearningError(f"area_px: found {self.area_px}; allowed: 1 <= least < largest")
+        _require(self, "box_px", self.box_px, 1, 240)
+        _require(self, "tolerance", self.tolerance, 0, 1000)
+
+
+@dataclass(frozen=True, slots=True)
+class TaxelPreset:
+    """How masks are drawn from the counts of taxels: `recorder.markers.draw_discs`."""
+
+    KIND: ClassVar[str] = "taxels"
+
+    description: str
+    """What it is for."""
+    mm_per_px: float | None = None
+    """Size of a pixel on the untouched surface [mm]: 128 columns are a pitch."""
+    sensors: tuple[str, ...] = ()
+    """Names of sensors in sessions that it is meant for."""
+    rows_from_top: bool = False
+    """Whether taxel 0 lies at the upper left and y counts point down; else lower left and up."""
+
+    def __post_init__(self) -> None:
+        if self.mm_per_px is not None:
+            _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
+
+
+Preset = CameraPreset | TaxelPreset
+
+
+def _require(owner: object, name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        where = getattr(owner, "KIND", type(owner).__name__.lower())
+        raise LearningError(f"{where}.{name}: found {value}; allowed: {low} to {high}")
+
+
+def _require_known(owner: object, name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        where = getattr(owner, "KIND", type(owner).__name__.lower())
+        raise LearningError(f"{where}.{name}: found {value!r}; allowed: {', '.join(known)}")
+
+
+# From a picture to the mask of its markers, as a preset says. OpenCV does the work.
+
+Mask = NDArray[np.bool_]
+Picture = np.ndarray[Any, np.dtype[Any]]
+"""Pixels, uint8: OpenCV does not say so of what it returns."""
+Binary = Picture
+
+_MORPHOLOGY = {
+    "open": cv2.MORPH_OPEN,
+    "close": cv2.MORPH_CLOSE,
+    "dilate": cv2.MORPH_DILATE,
+    "erode": cv2.MORPH_ERODE,
+}
+_COARSE = 2
+"""Extremes around a pixel are looked for at a half of the resolution: they are smooth."""
+
+
+class Segmenter:
+    """Makes masks from the pictures of one camera."""
+
+    def __init__(self, preset: CameraPreset) -> None:
+        """Prepare what all pictures share."""
+        self.preset = preset
+        self._inside = _inside(preset.region)
+        shapes = {"ellipse": cv2.MORPH_ELLIPSE, "square": cv2.MORPH_RECT}
+        self._elements = [
+            cv2.getStructuringElement(shapes[one.shape], (one.size_px, one.size_px))
+            for one in preset.morphology
+        ]
+
+    def mask(self, picture: Picture) -> Mask:
+        """Return the mask (480, 640) of a picture (h, w, 3), RGB.
+
+        Raises:
+            LearningError: No such picture, or one that is smaller than the preset's region.
+        """
+        return self.mask_of_view(self.view(picture))
+
+    def view(self, picture: Picture) -> Picture:
+        """Return what markers are looked for in: the region of a picture as (480, 640, 3).
+
+        Raises:
+            LearningError: No such picture, or one that is smaller than the preset's region.
+        """
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+            raise LearningError(
+                f"picture: found {picture.dtype} {picture.shape}; allowed: uint8 (h, w, 3), RGB"
+            )
+        region = self.preset.region
+        ends = []
+        for name, side in (("rows", picture.shape[0]), ("columns", picture.shape[1])):
+            first, last = getattr(region, name) or (0, side)
+            if last > side:
+                raise LearningError(
+                    f"region.{name}: found {first} to {last}; the picture has {side}"
+                )
+            ends.append(slice(first, last))
+        view = picture[ends[0], ends[1]]
+        if view.shape[:2] == (HEIGHT, WIDTH):
+            return view
+        resized: Picture = cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+        return resized
+
+    def mask_of_view(self, view: Picture) -> Mask:
+        """Return the mask (480, 640) of what `view` returned."""
+        preset = self.preset
+        if preset.equalise:
+            view = _equalised(view)
+        if preset.invert:
+            view = cv2.bitwise_not(view)
+        if preset.smooth_px > 1:
+            view = cv2.GaussianBlur(view, (preset.smooth_px, preset.smooth_px), 0)
+        found = _found(view, preset.detectors[0])
+        for detector in preset.detectors[1:]:
+            found = cv2.bitwise_or(found, _found(view, detector))
+        if self._inside is not None:
+            found = cv2.bitwise_and(found, self._inside)
+        for step, element in zip(preset.morphology, self._elements, strict=True):
+            found = cv2.morphologyEx(found, _MORPHOLOGY[step.step], element, iterations=step.times)
+        return _of_size(found, preset.area_px)
+
+
+def grey(picture: Picture) -> Picture:
+    """Return the luma (h, w) of a picture (h, w, 3), RGB (ITU-R BT.601)."""
+    luma: Picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    return luma
+
+
+def _equalised(view: Picture) -> Picture:
+    luma, first, second = cv2.split(cv2.cvtColor(view, cv2.COLOR_RGB2YUV))
+    merged = cv2.merge([cv2.equalizeHist(luma), first, second])
+    equalised: Picture = cv2.cvtColor(merged, cv2.COLOR_YUV2RGB)
+    return equalised
+
+
+def _found(view: Picture, detector: Detector) -> Binary:
+    """Return what a detector finds (480, 640), 255 where it does."""
+    if isinstance(detector, Contrast):
+        return _contrast(_channel(view, detector.channel), detector)
+    if isinstance(detector, BlurDifference):
+        luma = grey(view)
+        side = (detector.kernel_px, detector.kernel_px)
+        blurred = cv2.GaussianBlur(luma, side, detector.sigma_px)
+        return _below(cv2.subtract(blurred, luma), detector.least, at_least=True)
+    if isinstance(detector, Dark):
+        return _below(_channel(view, "brightest"), detector.below)
+    limits = _limits(detector)
+    within: Binary = cv2.inRange(view, (0, 0, 0), limits)
+    return within
+
+
+def _limits(detector: ColourBelow) -> tuple[int, int, int]:
+    return detector.red - 1, detector.green - 1, detector.blue - 1
+
+
+def _contrast(values: Picture, detector: Contrast) -> Binary:
+    """Return where values lie beyond midway between the extremes around them."""
+    small = cv2.resize(values, (WIDTH // _COARSE, HEIGHT // _COARSE), interpolation=cv2.INTER_AREA)
+    side = 2 * (detector.window_px // (2 * _COARSE)) + 1
+    element = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
+    low, high = cv2.erode(small, element), cv2.dilate(small, element)
+    enough = _below(cv2.subtract(high, low), detector.least, at_least=True)
+    middle = cv2.blur(cv2.addWeighted(low, 0.5, high, 0.5, 0), (side, side))
+    middle = cv2.resize(middle, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    enough = cv2.resize(enough, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    beyond = cv2.compare(values, middle, cv2.CMP_GT if detector.bright else cv2.CMP_LT)
+    found: Binary = cv2.bitwise_and(beyond, enough)
+    return found
+
+
+def _channel(view: Picture, channel: Channel) -> Picture:
+    if channel == "grey":
+        return grey(view)
+    red, green, blue = cv2.split(view)
+    pick = cv2.max if channel == "brightest" else cv2.min
+    picked: Picture = pick(pick(red, green), blue)
+    return picked
+
+
+def _below(values: Picture, limit: int, *, at_least: bool = False) -> Binary:
+    kind = cv2.THRESH_BINARY if at_least else cv2.THRESH_BINARY_INV
+    _, binary = cv2.threshold(values, limit - 1, 255, kind)
+    return np.asarray(binary, np.uint8)
+
+
+def _of_size(found: Binary, area_px: tuple[int, int]) -> Mask:
+    """Return the patches (connected through sides) whose areas are within limits."""
+    mask = np.asarray(found != 0)
+    area = find_blobs(mask[None]).area
+    if ((area >= area_px[0]) & (area <= area_px[1])).all():
+        # As a rule: labels of all pixels cost ten times the areas alone.
+        return mask
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(found, connectivity=4)
+    area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+    kept = (area >= area_px[0]) & (area <= area_px[1])
+    kept[0] = False
+    return np.asarray(kept[labels])
+
+
+def _inside(region: Region) -> Binary | None:
+    if not region.polygon:
+        return None
+    inside = np.zeros((HEIGHT, WIDTH), np.uint8)
+    cv2.fillPoly(inside, [np.array(region.polygon, np.int32)], 255)
+    return inside
+
+
+# Presets in YAML: those that are shipped, by name, and files of one's own.
+
+FOLDER = Path(__file__).parent / "presets"
+
+
+@cache
+def names() -> tuple[str, ...]:
+    """Return the names of the presets that are shipped."""
+    return preset_names(FOLDER)
+
+
+def preset(name: str) -> Preset:
+    """Return a preset by name, or from a YAML file if the name ends so.
+
+    Raises:
+        LearningError: No such preset, or a file that is none.
+    """
+    return read_preset(preset_path(FOLDER, name))
+
+
+def preset_of_sensor(sensor: str) -> str | None:
+    """Return the name of the preset that is meant for a sensor; None: there is none."""
+    for name in names():
+        if sensor in preset(name).sensors:
+            return name
+    return None
+
+
+def read_preset(path: Path) -> Preset:
+    """Return the preset in a YAML file.
+
+    Raises:
+        LearningError: Not there, not YAML, or a key or value that is not allowed.
+    """
+    made: Preset = build_one_of(get_args(Preset), read_mapping(path), str(path))
+    return made
+
+
+# Where markers are, to a small part of a pixel: centroids weighted by how dark each pixel is.
+#
+# The centre of a binary patch moves in steps as pixels of its rim come and go; the greys of the rim
+# say how much of each pixel the marker covers.
+
+_RIM_PX, _RING_PX = 2, 2
+"""A marker's greys are looked at so far beyond its patch; its ground is the ring so wide around."""
+_NONE = np.iinfo(np.uint16).max
+"""No label: a picture has fewer markers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Centres:
+    """Markers of one picture, from top to bottom."""
+
+    place: NDArray[np.float64]
+    """Column and row (n, 2) [px]; whole numbers are pixel centres."""
+    area: NDArray[np.int64]
+    """Pixels of the patch (n,)."""
+    whole: NDArray[np.bool_]
+    """Whether the image's border cuts nothing off (n,); the centre of a cut one is beside it."""
+
+    def __len__(self) -> int:
+        """Return the number of markers."""
+        return len(self.area)
+
+
+def find_centres(
+    mask: NDArray[np.bool_], grey: NDArray[np.uint8] | None = None, smallest_px: int = SMALLEST_PX
+) -> Centres:
+    """Return the markers of a mask, placed by the greys of the picture if it is given.
+
+    Args:
+        mask: Markers (h, w).
+        grey: The picture they were found in (h, w); None places them by the mask alone.
+        smallest_px: Patches of fewer pixels are specks.
+
+    Raises:
+        LearningError: No mask, or a picture of another size.
+    """
+    if mask.dtype != np.bool_ or mask.ndim != 2:
+        raise LearningError(f"mask: found {mask.dtype} {mask.shape}; allowed: bool (h, w)")
+    if grey is not None and (grey.dtype != np.uint8 or grey.shape != mask.shape):
+        raise LearningError(f"grey: found {grey.dtype} {grey.shape}; allowed: uint8 {mask.shape}")
+    _, labels, stats, middle = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+    area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+    left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
+    right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+    whole = (left > 0) & (top > 0) & (right < mask.shape[1]) & (bottom < mask.shape[0])
+    kept = area >= smallest_px
+    kept[0] = False
+    place = np.asarray(middle, np.float64)
+    if grey is not None:
+        place = _weighted(np.asarray(labels, np.int32), place, grey)
+    return Centres(place[kept], area[kept], whole[kept])
+
+
+def _weighted(
+    labels: NDArray[np.int32], middle: NDArray[np.float64], grey: NDArray[np.uint8]
+) -> NDArray[np.float64]:
+    """Return centres (n, 2) weighted by the difference to the ground around each marker."""
+    count = len(middle)
+    near = _grown(labels, _RIM_PX)
+    around = _grown(labels, _RIM_PX + _RING_PX)
+    inner, ring = labels > 0, (around > 0) & (near == 0)
+    values = grey.astype(np.float64)
+    ground = _mean(around[ring], values[ring], count)
+    ink = _mean(labels[inner], values[inner], count)
+    row, column = np.nonzero(near)
+    of = near[row, column]
+    # A marker without a ring, one in a crowd, keeps the centre of its patch.
+    known = np.isfinite(ground) & np.isfinite(ink) & (np.abs(ground - ink) >= 1.0)
+    depth = np.where(known, ink - ground, 1.0)
+    share = np.clip((values[row, column] - np.nan_to_num(ground)[of]) / depth[of], 0.0, 1.0)
+    total = np.bincount(of, share, count)
+    known &= total > 0
+    safe = np.where(known, total, 1.0)
+    weighted = np.stack(
+        [np.bincount(of, share * along, count) / safe for along in (column, row)], axis=1
+    )
+    return np.where(known[:, None], weighted, middle)
+
+
+def _grown(labels: NDArray[np.int32], by_px: int) -> NDArray[np.int64]:
+    """Return labels (h, w) that reach so far beyond their patches; where two meet, neither is."""
+    side = 2 * by_px + 1
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    plain = labels.astype(np.uint16)
+    most = cv2.dilate(plain, element)
+    # Without the background, the least label that is near is found as the greatest is.
+    plain[labels == 0] = _NONE
+    least = cv2.erode(plain, element)
+    grown = np.where(most == least, most, 0)
+    return np.where(labels > 0, labels, grown).astype(np.int64)
+
+
+def _mean(of: NDArray[np.integer], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    number = np.bincount(of, minlength=count)
+    total = np.bincount(of, values, count)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)

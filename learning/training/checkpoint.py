@@ -1,0 +1,292 @@
+"""The folder of a trained model: its weights, and what it was made with and from.
+
+    model.safetensors     the weights; other networks of the same training under their own names
+    config.yaml           kind, settings, facts, data, code_version
+
+A finished run is such a folder, and so is each of its checkpoints.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import subprocess
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+import yaml
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor, nn
+
+from learning.config import build, read_mapping
+from learning.errors import LearningError
+from recorder.store.durable import replace_file
+from recorder.strict_yaml import yaml_text
+
+# Weights of networks in files: safetensors, and errors that say what does not fit.
+
+_SHOWN = 4
+
+
+def save_weights(model: nn.Module | Mapping[str, Tensor], path: Path) -> None:
+    """Write the state of a module, whole or not at all.
+
+    Args:
+        model: The module, not wrapped by Accelerate, or its state.
+        path: The file, `.safetensors`.
+    """
+    state = model.state_dict() if isinstance(model, nn.Module) else model
+    # Copies: safetensors refuses tensors that share memory, as tied weights do.
+    plain = {name: value.detach().cpu().clone().contiguous() for name, value in state.items()}
+    replace_file(path, save(plain))
+
+
+def read_weights(path: Path) -> dict[str, Tensor]:
+    """Return the tensors of a file, on the CPU.
+
+    Raises:
+        LearningError: No such file, or not safetensors.
+    """
+    try:
+        weights: dict[str, Tensor] = load_file(path)
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
+    except (SafetensorError, OSError) as error:
+        raise LearningError(f"{path}: not a whole safetensors file: {error}") from None
+    return weights
+
+
+def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: str = "") -> None:
+    """Give a module the weights of a file, all of them and no others.
+
+    Args:
+        model: The module, not wrapped by Accelerate.
+        weights: The file, or what was read from it.
+        where: Begins the message of an error; the file's path where there is one.
+
+    Raises:
+        LearningError: No such file, names that are missing or unknown, or other shapes.
+    """
+    if isinstance(weights, Path):
+        where, weights = str(weights), read_weights(weights)
+    own = model.state_dict()
+    wrong = []
+    if missing := sorted(own.keys() - weights.keys()):
+        wrong.append(f"missing {_listed(missing)}")
+    if unexpected := sorted(weights.keys() - own.keys()):
+        wrong.append(f"unexpected {_listed(unexpected)}")
+    shapes = [
+        f"{name} {tuple(weights[name].shape)}, expected {tuple(own[name].shape)}"
+        for name in own.keys() & weights.keys()
+        if weights[name].shape != own[name].shape
+    ]
+    if shapes:
+        wrong.append(f"shapes {_listed(sorted(shapes), '; ')}")
+    if wrong:
+        raise LearningError(
+            f"{where}: not the weights of this network: {'; '.join(wrong)}; allowed: "
+            f"{len(own)} tensors of the settings beside them"
+        )
+    unsound = [
+        name
+        for name, value in weights.items()
+        if value.is_floating_point() and not bool(torch.isfinite(value).all())
+    ]
+    if unsound:
+        raise LearningError(f"{where}: found NaN or infinity in {_listed(sorted(unsound))}")
+    model.load_state_dict(dict(weights))
+
+
+def weights_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, 64 hexadecimal digits.
+
+    Raises:
+        LearningError: No such file.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
+
+
+def _listed(names: list[str], between: str = ", ") -> str:
+    rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return between.join(names[:_SHOWN]) + rest
+
+
+Settings = TypeVar("Settings")
+
+logger = logging.getLogger(__name__)
+
+CONFIG, MODEL = "config.yaml", "model"
+KINDS = ("autoencoder", "field", "direct", "marker-vae", "diffusion", "force")
+"""What a model may be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """What a model was made with and from."""
+
+    kind: str
+    """One of `KINDS`."""
+    settings: Mapping[str, Any]
+    """Plain values, as `settings_to_dict` gives them."""
+    data: str
+    """Fingerprint of what it was trained on."""
+    code_version: str
+    """Of this package."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """What was found and is needed to use it, such as the force range; plain values."""
+    step: int | None = None
+    """Steps that it was trained for; None: the run is not finished."""
+    score: float | None = None
+    """What it was judged by, less being better; None: it was not."""
+
+    def write(self, folder: Path) -> None:
+        """Write it to a folder, whole or not at all.
+
+        Raises:
+            LearningError: Settings or facts that are no plain values.
+        """
+        try:
+            text = yaml_text(asdict(self))
+        except yaml.YAMLError as error:
+            raise LearningError(f"{folder / CONFIG}: not plain values: {error}") from None
+        replace_file(folder / CONFIG, text.encode())
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFolder:
+    """A folder that holds a model."""
+
+    path: Path
+    config: Config
+
+    def settings(self, kind: type[Settings]) -> Settings:
+        """Return its settings as the dataclass that they were.
+
+        Raises:
+            LearningError: They are not of that class.
+        """
+        return build(kind, dict(self.config.settings), f"{self.path / CONFIG}.settings")
+
+    def weights(self, name: str = MODEL) -> dict[str, Tensor]:
+        """Return the weights of one of its networks.
+
+        Raises:
+            LearningError: There are none, or the file is damaged.
+        """
+        return read_weights(self.file(name))
+
+    def load(self, model: nn.Module, name: str = MODEL) -> None:
+        """Give a network its weights.
+
+        Raises:
+            LearningError: There are none, or they are of another network.
+        """
+        load_weights(model, self.file(name))
+
+    def hash(self, name: str = MODEL) -> str:
+        """Return the SHA-256 of the weights of one of its networks.
+
+        Raises:
+            LearningError: There are none.
+        """
+        return weights_hash(self.file(name))
+
+    def file(self, name: str = MODEL) -> Path:
+        """Return the path of the weights of one of its networks."""
+        return self.path / f"{name}.safetensors"
+
+
+def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
+    """Return the model in a folder.
+
+    Args:
+        path: A finished run, or a checkpoint of one.
+        kind: What it must be; None: any.
+
+    Raises:
+        LearningError: No such folder, no finished model, or one of another kind.
+    """
+    config = read_config(path)
+    if kind is not None and config.kind != kind:
+        raise LearningError(f"{path / CONFIG}: found kind {config.kind!r}; allowed: {kind!r}")
+    if not (path / f"{MODEL}.safetensors").is_file():
+        raise LearningError(
+            f"{path}: found no {MODEL}.safetensors; allowed: a finished run, or one of its "
+            "checkpoints"
+        )
+    return ModelFolder(path, config)
+
+
+def load_finished(
+    folder: Path, kind: str, settings: type[Settings]
+) -> tuple[Settings, dict[str, Tensor]]:
+    """Return the settings and the weights of a finished run.
+
+    Args:
+        folder: Of the run.
+        kind: What the model must be.
+        settings: Dataclass of its settings.
+
+    Raises:
+        LearningError: Not such a folder, a model of another kind, or a damaged file.
+    """
+    found = read_model_folder(folder, kind)
+    return found.settings(settings), found.weights()
+
+
+def read_config(folder: Path) -> Config:
+    """Return what a folder says of its model.
+
+    Raises:
+        LearningError: It says nothing, or something else than models do.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        raise LearningError(f"{folder}: found no {CONFIG}; allowed: the folder of a training run")
+    content = read_mapping(path)
+    known = Config.__dataclass_fields__
+    if unknown := sorted(set(content) - set(known)):
+        raise LearningError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(known)}")
+    for key, kind in (("kind", str), ("settings", dict), ("data", str), ("code_version", str)):
+        if not isinstance(content.get(key), kind):
+            found = content.get(key)
+            raise LearningError(f"{path}.{key}: found {found!r}; allowed: {kind.__name__}")
+    return Config(**content)
+
+
+@cache
+def code_version() -> str:
+    """Return what git calls this code, or the version of the package where there is no git."""
+    root = Path(__file__).parents[2]
+    # A package that is installed somewhere inside another project's repository is not of it.
+    if (root / ".git").exists():
+        try:
+            said = subprocess.run(
+                ["git", "describe", "--always", "--dirty", "--tags"],
+                cwd=root,
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=True,
+            )
+            return said.stdout.strip()
+        except (OSError, subprocess.SubprocessError) as error:
+            logger.warning("git does not say which code this is: %s", error)
+    return _package_version()
+
+
+def _package_version() -> str:
+    try:
+        return version("tactile-rig")
+    except PackageNotFoundError:
+        return "unknown"

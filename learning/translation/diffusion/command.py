@@ -1,0 +1,191 @@
+"""`python -m learning train-diffusion`: the paper's translator, trained on a marker archive."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.progress import Progress
+
+if TYPE_CHECKING:
+    from learning.command import Verbs
+    from learning.translation.diffusion.settings import TranslatorSettings
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and what it does."""
+    parser = verbs.add_parser(
+        "train-diffusion",
+        help="train the paper's translator on SD-Turbo",
+        description="Trains one translator for all pairs of an archive's sensors, from published "
+        "weights that you have: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. Stopped by Ctrl-C, the same "
+        "command with --resume goes on. Several GPUs: torchrun --nproc-per-node N -m learning ...",
+    )
+    parser.add_argument("archive", nargs="?", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--split", type=Path, metavar="JSON", help="of its presses")
+    parser.add_argument("--out", type=Path, metavar="RUN", help="folder of the run")
+    parser.add_argument(
+        "--preset",
+        default="ours",
+        metavar="NAME",
+        help="paper_main, paper_supplement, authors_code, ours, or a YAML file (%(default)s)",
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="over the preset"
+    )
+    parser.add_argument("--base", metavar="DIR", help="SD-Turbo: unet/, vae/ (weights.base)")
+    parser.add_argument("--clip", metavar="DIR", help="CLIP ViT-B/32 (weights.clip)")
+    parser.add_argument("--vgg", metavar="FILE", help="VGG16 of torchvision (weights.vgg)")
+    parser.add_argument("--lpips", metavar="FILE", help="LPIPS' heads for VGG (weights.lpips)")
+    parser.add_argument(
+        "--marker-vae", type=Path, metavar="RUN", help="start from this autoencoder's training"
+    )
+    parser.add_argument(
+        "--from", dest="start_from", type=Path, metavar="RUN", help="start from this translator"
+    )
+    parser.add_argument(
+        "--sensors", metavar="NAME,...", help="learn from these (all that are not held out)"
+    )
+    parser.add_argument(
+        "--pairing",
+        default="supplement",
+        choices=("supplement", "authors_code"),
+        help="which frames of a press are paired (%(default)s)",
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with the run that is there")
+    parser.add_argument(
+        "--full-size-check",
+        type=Path,
+        metavar="JSON",
+        help="moved: python -m benchmarks diffusion-full-size",
+    )
+    parser.add_argument("--batches", default="4,8,16", metavar="N,...", help="moved with it")
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.full_size_check is not None:
+        raise LearningError(
+            "--full-size-check: it has moved; run, from the repository: python -m benchmarks "
+            f"diffusion-full-size {options.full_size_check}"
+        )
+    for name in ("archive", "split", "out"):
+        if getattr(options, name) is None:
+            raise LearningError(f"{name}: missing; allowed: a path")
+    if options.marker_vae is not None and options.start_from is not None:
+        raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
+
+    from learning.archive_writer import archive_fingerprint
+    from learning.data.splits import read_split
+    from learning.training.checkpoint import read_model_folder
+    from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
+    from learning.translation.diffusion.data import read_image_pairs
+    from learning.translation.diffusion.train import read_pretrained, train
+    from learning.translation.diffusion.translator import (
+        BASE,
+        KIND,
+        load_vae_adapter,
+        require_base,
+        vae_adapter_of,
+    )
+    from learning.translation.diffusion.weights import fingerprint, require_base_folder
+    from recorder import MarkerArchive
+
+    settings = _settings(options)
+    archive, split = MarkerArchive(options.archive), read_split(options.split)
+    split.check(archive)
+    sensors = options.sensors.split(",") if options.sensors else split.trained_sensors(archive)
+    require_base_folder(settings.weights.base)
+    base = fingerprint(settings.weights.base)
+    vae_adapter, state, begun = None, None, ""
+    if options.marker_vae is not None:
+        vae_adapter = load_vae_adapter(options.marker_vae, base)
+        begun = read_model_folder(options.marker_vae).hash()
+    if options.start_from is not None:
+        before = read_model_folder(options.start_from, KIND)
+        require_base(before, base)
+        state, begun = before.weights(), before.hash()
+        vae_adapter = vae_adapter_of(state)
+    runs_on = accelerator(settings.launch)
+    data = [
+        "archive",
+        archive_fingerprint(archive),
+        split.fingerprint,
+        *sensors,
+        options.pairing,
+        base,
+        begun,
+    ]
+    with RunFolder.open(
+        options.out,
+        KIND,
+        settings,
+        " ".join(data),
+        options.resume,
+        facts={BASE: base},
+        writes=runs_on.is_main_process,
+    ) as run:
+        if run.finished:
+            print(f"{options.out}: is finished")
+            return 0
+        print(described(runs_on), file=sys.stderr)
+        reading, steps = Progress("images", sys.stderr), Progress("steps", sys.stderr)
+        pretrained = read_pretrained(settings)
+        training, validation = (
+            read_image_pairs(
+                archive,
+                split,
+                role,
+                sensors=sensors,
+                preset=options.pairing,
+                device=runs_on.device,
+                progress=reading,
+            )
+            if len(split.locations(role))
+            else None
+            for role in ("train", "validation")
+        )
+        if training is None:
+            raise LearningError(f"{options.split}: found no press to train on; allowed: some")
+        print(f"{len(training):,} pairs of {', '.join(sensors)}", file=sys.stderr)
+        try:
+            with Stop(lambda line: print(line, file=sys.stderr)) as stop:
+                train(
+                    training,
+                    pretrained,
+                    settings,
+                    validation=validation,
+                    vae_adapter=vae_adapter,
+                    start_from=state,
+                    run=run,
+                    accelerator=runs_on,
+                    stopping=lambda: stop.asked,
+                    progress=steps,
+                )
+        finally:
+            steps.close()
+        if stop.asked and not run.finished:
+            print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
+            return EXIT_INTERRUPTED
+    print(f"{options.out}: trained")
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> TranslatorSettings:
+    """Return the preset's settings, with what was given on the command line."""
+    import json
+
+    from learning.config import read_settings
+    from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
+
+    given = [
+        f"weights.{name}={json.dumps(getattr(options, name))}"
+        for name in ("base", "clip", "vgg", "lpips")
+        if getattr(options, name) is not None
+    ]
+    return read_settings(
+        TranslatorSettings, TRANSLATOR_PRESETS, options.preset, [*options.set, *given]
+    )

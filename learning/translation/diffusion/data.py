@@ -1,0 +1,296 @@
+"""Location pairs of many sensors at once, every image kept a single time.
+
+One model serves all pairs of a group, so an image is the source of many pairs and the target of
+many more: a pair is two numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any, Self
+
+import numpy as np
+import torch
+
+from learning.data.images import shrink
+from learning.data.presses import read_frames
+from learning.data.splits import Role, Split
+from learning.errors import LearningError
+from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePairs:
+    """N pairs of M images, with the K untouched images that belong to them."""
+
+    images: torch.Tensor
+    """(M, h, w) uint8, 255 where all is marker."""
+    reference: torch.Tensor
+    """Row of `references` for each image (M,) int64."""
+    references: torch.Tensor
+    """(K, h, w) uint8."""
+    source: torch.Tensor
+    """Row of `images` that is translated (N,) int64."""
+    target: torch.Tensor
+    """Row of `images` that it should become (N,) int64."""
+
+    def __post_init__(self) -> None:
+        for name in ("images", "references"):
+            found = getattr(self, name)
+            if found.dtype != torch.uint8 or found.ndim != 3:
+                raise LearningError(
+                    f"{name}: found {found.dtype} {tuple(found.shape)}; allowed: uint8 (n, h, w)"
+                )
+        if self.images.shape[1:] != self.references.shape[1:]:
+            raise LearningError(
+                f"references: found {tuple(self.references.shape)}; "
+                f"allowed: images of {tuple(self.images.shape[1:])}"
+            )
+        ends = (
+            ("reference", len(self.references)),
+            ("source", len(self.images)),
+            ("target", len(self.images)),
+        )
+        for name, end in ends:
+            index = getattr(self, name)
+            if len(index) and not 0 <= int(index.min()) <= int(index.max()) < end:
+                raise LearningError(f"{name}: found rows beyond 0 to {end - 1}")
+        if len(self.reference) != len(self.images) or len(self.source) != len(self.target):
+            raise LearningError("pairs: found rows of different number; allowed: one for each")
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self.source)
+
+    def rows(self, index: torch.Tensor) -> Self:
+        """Return some of the pairs, of the same images."""
+        return replace(self, source=self.source[index], target=self.target[index])
+
+    def to(self, device: torch.device | str) -> Self:
+        """Return the same pairs on another device."""
+        names = ("images", "reference", "references", "source", "target")
+        moved: dict[str, Any] = {name: getattr(self, name).to(device) for name in names}
+        return replace(self, **moved)
+
+    def sources(self) -> torch.Tensor:
+        """Return what is translated (N, 1, h, w) float32 in [0, 1]."""
+        return unit(self.images[self.source])
+
+    def targets(self) -> torch.Tensor:
+        """Return what it should become (N, 1, h, w) float32 in [0, 1]."""
+        return unit(self.images[self.target])
+
+
+def unit(images: torch.Tensor) -> torch.Tensor:
+    """Return images (n, h, w) uint8 as (n, 1, h, w) float32 in [0, 1]."""
+    return images.unsqueeze(1).float() / 255
+
+
+def read_image_pairs(
+    archive: MarkerArchive,
+    split: Split | None,
+    role: Role,
+    *,
+    sensors: Sequence[str] = (),
+    pairs: Sequence[tuple[str, str]] = (),
+    preset: str = "supplement",
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ImagePairs:
+    """Return the location pairs of sensors, both ways unless said otherwise.
+
+    Args:
+        archive: What is read.
+        split: Which presses have the role, and which sensors are held out; None: all of them.
+        role: What the pairs are for.
+        sensors: Names; none: all that are not held out.
+        pairs: Names of source and target; none: all permutations of the sensors.
+        preset: Which frames of a press are paired: `recorder.archive.PRESETS`.
+        device: Where images go.
+        progress: Called with the images that are read and their number.
+
+    Raises:
+        LearningError: An unknown sensor, a split of another archive, or no pairs.
+        SessionError: An archive that is unfinished or damaged.
+    """
+    if split is not None:
+        split.check(archive)
+    names = list(sensors) or [
+        name for name in archive if split is None or name not in split.held_out_sensors
+    ]
+    wanted = list(pairs) or list(permutations(names, 2))
+    if unknown := sorted({name for pair in wanted for name in pair} - set(archive)):
+        raise LearningError(
+            f"{archive.name}: no sensor {', '.join(unknown)}; known: {', '.join(archive)}"
+        )
+    found = [(pair, _paired(archive, *pair, split, role, preset)) for pair in wanted]
+    used = {
+        name: np.unique(
+            np.concatenate([ends[pair.index(name)] for pair, ends in found if name in pair])
+        )
+        for name in archive
+        if any(name in pair for pair, _ in found)
+    }
+    if not any(len(ends[0]) for _, ends in found):
+        raise LearningError(
+            f"{archive.name}: {', '.join(used)} have no location pairs with role {role}; "
+            "allowed: sensors that were pressed at the same places"
+        )
+    total = sum(map(len, used.values()))
+    images: list[torch.Tensor] = []
+    belongs: list[torch.Tensor] = []
+    references: list[torch.Tensor] = []
+    first: dict[str, int] = {}
+    known = 0
+    for name, rows in used.items():
+        sensor = archive[name]
+        first[name] = sum(map(len, images))
+        images.append(_read(sensor, rows, device, first[name], total, progress))
+        belongs.append(torch.from_numpy(sensor.table["reference"][rows].astype(np.int64)) + known)
+        references.append(torch.from_numpy(shrink(sensor.references)))
+        known += len(sensor.references)
+    ends_of = [
+        [
+            torch.from_numpy(np.searchsorted(used[pair[side]], ends[side]) + first[pair[side]])
+            for pair, ends in found
+        ]
+        for side in (0, 1)
+    ]
+    return ImagePairs(
+        torch.cat(images),
+        torch.cat(belongs),
+        torch.cat(references),
+        torch.cat(ends_of[0]),
+        torch.cat(ends_of[1]),
+    ).to(device)
+
+
+def _paired(
+    archive: MarkerArchive, source: str, target: str, split: Split | None, role: Role, preset: str
+) -> tuple[Any, Any]:
+    one = archive[source]
+    paired = location_pairs(one.table, archive[target].table, preset)
+    if split is None:
+        return paired.source, paired.target
+    kept = np.isin(paired.source, split.rows(one.table, role))
+    return paired.source[kept], paired.target[kept]
+
+
+def read_role_images(
+    archive: MarkerArchive,
+    split: Split,
+    role: Role,
+    *,
+    sensors: Sequence[str],
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> torch.Tensor:
+    """Return every frame that has a role, of several sensors, (n, 256, 256) uint8.
+
+    Args:
+        archive: What is read.
+        split: Which presses have the role.
+        role: What the frames are for.
+        sensors: Names.
+        device: Where images go.
+        progress: Called with the images that are read and their number.
+
+    Raises:
+        LearningError: An unknown sensor.
+        SessionError: An archive that is unfinished or damaged.
+    """
+    if unknown := sorted(set(sensors) - set(archive)):
+        raise LearningError(
+            f"{archive.name}: no sensor {', '.join(unknown)}; known: {', '.join(archive)}"
+        )
+    rows = {name: split.rows(archive[name].table, role) for name in sensors}
+    total, images, done = sum(map(len, rows.values())), [], 0
+    for name, chosen in rows.items():
+        images.append(_read(archive[name], chosen, device, done, total, progress))
+        done += len(chosen)
+    return torch.cat(images)
+
+
+def _read(
+    sensor: ArchivedSensor,
+    rows: Any,
+    device: torch.device | str,
+    before: int,
+    total: int,
+    progress: Callable[[int, int], None],
+) -> torch.Tensor:
+    """Return the images of rows; progress counts those of sensors that were read before."""
+    return read_frames(
+        sensor,
+        rows,
+        torch.device(device),
+        progress=lambda done, _: progress(before + done, total),
+    )
+
+
+# What is done alike to true and translated images before they are judged.
+#
+# Differentiable augmentation (Zhao et al. 2020) with its own ranges, as the vision-aided
+# discriminator uses it: colour, translation, cutout. What leaves the image or is cut out becomes 0.
+
+TRANSLATION = 1 / 8
+"""Largest shift, as a part of the side."""
+CUTOUT = 1 / 2
+"""Side of the square that is cut out, as a part of the image's."""
+
+
+def augment(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Return images (n, channels, h, w) changed at random, every image by itself."""
+    return _cut(_shift(_colour(images, generator), generator), generator)
+
+
+def _colour(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Change brightness by +-0.5, saturation by 0 to 2 and contrast by 0.5 to 1.5 times."""
+    brightness, saturation, contrast = torch.rand(
+        (3, len(images), 1, 1, 1), generator=generator, device=images.device
+    )
+    images = images + (brightness - 0.5)
+    grey = images.mean(dim=1, keepdim=True)
+    images = (images - grey) * (2 * saturation) + grey
+    mean = images.mean(dim=(1, 2, 3), keepdim=True)
+    changed: torch.Tensor = (images - mean) * (contrast + 0.5) + mean
+    return changed
+
+
+def _shift(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    rows, columns = _places(images)
+    for axis, places in ((2, rows), (3, columns)):
+        side = images.shape[axis]
+        most = int(side * TRANSLATION + 0.5)
+        shift = _integers(-most, most + 1, images, generator)
+        taken = places - shift
+        inside = (taken >= 0) & (taken < side)
+        index = taken.clamp(0, side - 1).expand_as(images)
+        images = images.gather(axis, index) * inside
+    return images
+
+
+def _cut(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    kept = torch.zeros((), dtype=torch.bool, device=images.device)
+    for axis, places in zip((2, 3), _places(images), strict=True):
+        side = images.shape[axis]
+        size = int(side * CUTOUT + 0.5)
+        first = _integers(0, side + 1 - size % 2, images, generator) - size // 2
+        kept = kept | (places < first) | (places >= first + size)
+    return images * kept
+
+
+def _places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return numbers of rows (1, 1, h, 1) and of columns (1, 1, 1, w)."""
+    height, width = images.shape[2:]
+    rows = torch.arange(height, device=images.device).view(1, 1, -1, 1)
+    return rows, torch.arange(width, device=images.device).view(1, 1, 1, -1)
+
+
+def _integers(
+    low: int, high: int, images: torch.Tensor, generator: torch.Generator
+) -> torch.Tensor:
+    shape = (len(images), 1, 1, 1)
+    return torch.randint(low, high, shape, generator=generator, device=images.device)

@@ -1,0 +1,306 @@
+"""A discriminator that sees through CLIP's eyes (vision-aided GAN, Kumari et al. 2022).
+
+Frozen features of ViT-B/32 after blocks 4 and 8 and its final projection are judged by a small head
+each; the paper uses it with the multilevel sigmoid loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+from torch.nn import functional
+from torch.nn.utils.parametrizations import spectral_norm
+
+from learning.translation.diffusion.data import augment
+from learning.translation.diffusion.network import MarkerToMarker
+from learning.translation.diffusion.perceptual import PerceptualDistance
+from learning.translation.diffusion.settings import LossWeights
+
+if TYPE_CHECKING:
+    from accelerate import Accelerator
+
+
+BLOCKS = (4, 8)
+"""After these of CLIP's blocks the patches' features are taken."""
+HEAD_WIDTH = 256
+"""Width of a head (vision-aided GAN)."""
+REAL = 0.8
+"""What true images should be judged as: one-sided smooth labels, `multilevel_sigmoid_s`."""
+PIXEL_MEAN = (0.48145466, 0.4578275, 0.40821073)
+"""Mean colour of the images CLIP was trained on, of [0, 1]."""
+PIXEL_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
+"""Its standard deviation."""
+BLUR = (1.0, 3.0, 3.0, 1.0)
+"""Binomial filter before the heads halve their raster (Zhang 2019)."""
+
+
+class ClipFeatures(nn.Module):
+    """CLIP's features of images in [-1, 1]: two rasters (n, width, h, w), a vector (n, width)."""
+
+    def __init__(self, clip: Any) -> None:
+        """Freeze a `CLIPVisionModelWithProjection`."""
+        super().__init__()
+        self.clip = clip.requires_grad_(False).eval()
+        self.register_buffer("mean", torch.tensor(PIXEL_MEAN).view(1, 3, 1, 1), persistent=False)
+        self.register_buffer(
+            "deviation", torch.tensor(PIXEL_DEVIATION).view(1, 3, 1, 1), persistent=False
+        )
+
+    def train(self, mode: bool = True) -> ClipFeatures:
+        """Stay in evaluation: it is frozen."""
+        return super().train(False)
+
+    def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
+        """Return the features of images (n, 3, h, w) in [-1, 1]."""
+        side = self.clip.config.image_size
+        seen = functional.interpolate(images * 0.5 + 0.5, size=(side, side), mode="area")
+        seen = (seen - self.get_buffer("mean")) / self.get_buffer("deviation")
+        found = self.clip(pixel_values=seen, output_hidden_states=True)
+        grid = side // self.clip.config.patch_size
+        rasters = [
+            found.hidden_states[block][:, 1:].transpose(1, 2).unflatten(2, (grid, grid)).float()
+            for block in BLOCKS
+        ]
+        return [*rasters, found.image_embeds.float()]
+
+
+class DiscriminatorHeads(nn.Module):
+    """What judges the features; the only part of the discriminator that learns."""
+
+    def __init__(self, raster_width: int, vector_width: int, width: int = HEAD_WIDTH) -> None:
+        """Make a head for each level.
+
+        Args:
+            raster_width: Channels of CLIP's blocks (768).
+            vector_width: Width of its projection (512).
+            width: Of the heads.
+        """
+        super().__init__()
+        self.rasters = nn.ModuleList(
+            nn.Sequential(
+                spectral_norm(nn.Conv2d(raster_width, width, 3, padding=1)),
+                nn.LeakyReLU(0.2),
+                Blur(width),
+                spectral_norm(nn.Conv2d(width, 1, 1, stride=2)),
+            )
+            for _ in BLOCKS
+        )
+        self.vector = nn.Sequential(
+            spectral_norm(nn.Linear(vector_width, width)),
+            nn.LeakyReLU(0.2),
+            spectral_norm(nn.Linear(width, 1)),
+        )
+
+    def forward(self, features: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+        """Return logits of every level: (n, 1, h, w) of the rasters, (n, 1) of the vector."""
+        *rasters, vector = features
+        judged = [head(raster) for head, raster in zip(self.rasters, rasters, strict=True)]
+        return [*judged, self.vector(vector)]
+
+
+class Blur(nn.Module):
+    """A binomial filter over every channel, of the same size out as in."""
+
+    def __init__(self, channels: int) -> None:
+        """Make the filter for so many channels."""
+        super().__init__()
+        line = torch.tensor(BLUR) / sum(BLUR)
+        kernel = (line[:, None] * line).expand(channels, 1, -1, -1).clone()
+        self.register_buffer("kernel", kernel, persistent=False)
+
+    def forward(self, raster: torch.Tensor) -> torch.Tensor:
+        """Return the raster (n, channels, h, w) blurred, zero beyond its border."""
+        kernel: torch.Tensor = self.get_buffer("kernel").to(raster.dtype)
+        return functional.conv2d(
+            functional.pad(raster, (1, 2, 1, 2)), kernel, groups=raster.shape[1]
+        )
+
+
+def multilevel_sigmoid(logits: Sequence[torch.Tensor], *, real: bool) -> torch.Tensor:
+    """Return the loss of logits, summed over levels, averaged over places and images.
+
+    Args:
+        logits: Of every level, of any shape.
+        real: Whether they should say `REAL` (true images, or the generator's aim), or 0.
+    """
+    total = torch.zeros((), device=logits[0].device)
+    for level in logits:
+        wanted = torch.full_like(level, REAL if real else 0.0, dtype=torch.float32)
+        total = total + functional.binary_cross_entropy_with_logits(level.float(), wanted)
+    return total
+
+
+# One step of generator and discriminator, in either of two ways.
+#
+# `merged` goes through the generator once: reconstruction and adversary share a backward pass and
+# an optimiser's step. `two_pass` is what the authors' code does: a pass and a step for
+# reconstruction, another for the adversary, and two steps of the discriminator.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """What the generator is given, and what it should make of it."""
+
+    source: torch.Tensor
+    """Images (n, 1, h, w) in [0, 1]."""
+    target: torch.Tensor
+    """The same of the target."""
+    target_reference: torch.Tensor
+    """Latents of the untouched target."""
+    source_reference: torch.Tensor | None
+    """Latents of the untouched source, where they are read."""
+    noise: torch.Tensor | None
+    """Standard normal, of a latent's shape; None: the posterior's mean."""
+    generator: torch.Generator
+    """Of augmentation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """A network that learns, with what makes it."""
+
+    network: nn.Module
+    """As it is called for gradients: wrapped, on several devices."""
+    optimiser: torch.optim.Optimizer
+    """Of what learns in it."""
+    clip_norm: float
+    """Largest norm of its gradient; 0: any."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judges:
+    """What the generator's images are judged by."""
+
+    losses: LossWeights
+    """What counts how much."""
+    perceptual: PerceptualDistance | None
+    """LPIPS; None where it counts nothing."""
+    features: ClipFeatures | None
+    """CLIP's; None where the adversary counts nothing."""
+    heads: Side | None
+    """The discriminator's."""
+
+
+def merged(
+    batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
+) -> dict[str, torch.Tensor]:
+    """Learn from the batches of one step; the mean of each loss, before it is weighted."""
+    share = 1 / len(batches)
+    said: list[dict[str, torch.Tensor]] = []
+    shown = []
+    for number, batch in enumerate(batches):
+        with _synchronised(generator.network, number == len(batches) - 1, runs_on):
+            made = _translate(generator.network, batch)
+            parts = _reconstruction(made, batch, generator, judges, runs_on)
+            if judges.heads is not None:
+                parts["adversarial"] = _fooling(made, batch, judges, runs_on)
+            runs_on.backward(_weighted(parts, judges.losses) * share)
+        said.append({name: part.detach() for name, part in parts.items()})
+        shown.append(made.detach())
+    _advance(generator, runs_on)
+    if judges.heads is not None and judges.features is not None:
+        for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
+            # One pass for both: spectral norms move with every pass.
+            both = torch.cat((_native(batch, generator, runs_on), made))
+            with _synchronised(judges.heads.network, number == len(batches) - 1, runs_on):
+                logits = judges.heads.network(_seen(both, batch, judges.features))
+                true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
+                loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
+                runs_on.backward(loss * judges.losses.adversarial * share)
+            said[number]["discriminator"] = loss.detach()
+        _advance(judges.heads, runs_on)
+    return {name: torch.stack([each[name] for each in said]).mean() for name in said[0]}
+
+
+def two_pass(
+    batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
+) -> dict[str, torch.Tensor]:
+    """Learn from one batch as the authors' code does; the losses, before they are weighted."""
+    parts = _reconstruction(_translate(generator.network, batch), batch, generator, judges, runs_on)
+    runs_on.backward(_weighted(parts, judges.losses))
+    _advance(generator, runs_on)
+    if judges.heads is None or judges.features is None:
+        return {name: part.detach() for name, part in parts.items()}
+    made = _translate(generator.network, batch)
+    parts["adversarial"] = _fooling(made, batch, judges, runs_on)
+    runs_on.backward(parts["adversarial"] * judges.losses.adversarial)
+    _advance(generator, runs_on)
+    judged = []
+    for shown, real in ((_native(batch, generator, runs_on), True), (made.detach(), False)):
+        loss = multilevel_sigmoid(
+            judges.heads.network(_seen(shown, batch, judges.features)), real=real
+        )
+        runs_on.backward(loss * judges.losses.adversarial)
+        _advance(judges.heads, runs_on)
+        judged.append(loss)
+    parts["discriminator"] = judged[0] + judged[1]
+    return {name: part.detach() for name, part in parts.items()}
+
+
+def _translate(network: nn.Module, batch: Batch) -> torch.Tensor:
+    made: torch.Tensor = network(
+        batch.source, batch.target_reference, batch.source_reference, batch.noise
+    )
+    return made
+
+
+def _native(batch: Batch, generator: Side, runs_on: Accelerator) -> torch.Tensor:
+    network: MarkerToMarker = runs_on.unwrap_model(generator.network)
+    return network.native(batch.target)
+
+
+def _reconstruction(
+    made: torch.Tensor, batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
+) -> dict[str, torch.Tensor]:
+    true = _native(batch, generator, runs_on)
+    parts = {"square": functional.mse_loss(made, true)}
+    if judges.perceptual is not None:
+        parts["perceptual"] = judges.perceptual(made, true).mean()
+    return parts
+
+
+def _fooling(
+    made: torch.Tensor, batch: Batch, judges: Judges, runs_on: Accelerator
+) -> torch.Tensor:
+    """Return how far the discriminator is from taking images for true; its heads do not learn."""
+    if judges.heads is None or judges.features is None:
+        return made.new_zeros(())
+    # Past the wrapper: nothing of the heads is synchronised in the generator's backward pass.
+    heads = runs_on.unwrap_model(judges.heads.network).requires_grad_(False)
+    try:
+        seen = judges.features(augment(made, batch.generator))
+        return multilevel_sigmoid(heads(seen), real=True)
+    finally:
+        heads.requires_grad_(True)
+
+
+def _seen(shown: torch.Tensor, batch: Batch, features: ClipFeatures) -> list[torch.Tensor]:
+    with torch.no_grad():
+        found: list[torch.Tensor] = features(augment(shown, batch.generator))
+    return found
+
+
+def _weighted(parts: dict[str, torch.Tensor], losses: LossWeights) -> torch.Tensor:
+    total = losses.square * parts["square"]
+    for name in ("perceptual", "adversarial"):
+        if name in parts:
+            total = total + getattr(losses, name) * parts[name]
+    return total
+
+
+def _synchronised(network: nn.Module, last: bool, runs_on: Accelerator) -> Any:
+    """Gradients are exchanged between devices with the last batch of a step only."""
+    return nullcontext() if last else runs_on.no_sync(network)
+
+
+def _advance(side: Side, runs_on: Accelerator) -> None:
+    if side.clip_norm:
+        learning = [each for group in side.optimiser.param_groups for each in group["params"]]
+        runs_on.clip_grad_norm_(learning, side.clip_norm)
+    side.optimiser.step()
+    side.optimiser.zero_grad()

@@ -1,0 +1,435 @@
+"""What is done to training images on the device: errors of segmentation and mounting.
+
+Images are (n, 1, h, w) in 0..1; everything random comes from a numpy generator, so that it is the
+same when a training is resumed.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from learning.data.images import read_fields, shrink
+from learning.data.presses import read_frames
+from learning.data.splits import Role, Split
+from learning.data.synthetic import before, sample_patterns, untouched
+from learning.errors import LearningError
+from learning.translation.direct.autoencoder import orient, scaled
+from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
+from recorder.markers import Lattice
+
+
+@dataclass(frozen=True, slots=True)
+class Augmentation:
+    """How much is done; 0 or false: not at all. Lengths are in pixels of the nets."""
+
+    procedural_source: float = 0.25
+    """Share of samples whose source is a random pattern on the target's surface."""
+    procedural_target: float = 0.25
+    """Share of samples whose target is a random pattern on the source's surface."""
+    no_source_reference: float = 0.1
+    """Share of samples without the source's own reference."""
+    orientation: bool = True
+    """Mirror and turn all images of a sample by quarters."""
+    edge: float = 0.8
+    """Most by which the markers of a source grow or shrink at their edge."""
+    edge_frame: float = 0.2
+    """Most by which they do so in a frame and not in its reference."""
+    drop: float = 0.05
+    """Largest share of a source frame that is blotted out."""
+    mount_shift: float = 3.0
+    """Most by which a source and its reference are shifted, along rows and columns."""
+    mount_angle: float = 0.03
+    """Most by which they are turned [rad]."""
+    mount_scale: float = 0.02
+    """Most by which they are stretched, as a share."""
+
+
+EDGE_SIGMA = 1.2
+"""Of the blur under a threshold that is moved [px]."""
+BLOTS = 8
+"""Places at which an image may be blotted out."""
+BLOT_RADIUS = 3.0, 9.0
+"""Radius of a blot [px]: about that of a marker."""
+
+
+def move_edges(images: Tensor, by: Tensor) -> Tensor:
+    """Return images whose markers grew at their edge by (n,) [px], or shrank if negative.
+
+    As a threshold does that is not where it should be: blurred, and cut at another level.
+    """
+    reach = int(3 * EDGE_SIGMA)
+    steps = torch.arange(-reach, reach + 1, device=images.device, dtype=images.dtype)
+    kernel = torch.exp(-0.5 * (steps / EDGE_SIGMA) ** 2)
+    kernel = kernel / kernel.sum()
+    padded = functional.pad(images, (reach,) * 4, mode="replicate")
+    blurred = functional.conv2d(padded, kernel.view(1, 1, 1, -1))
+    blurred = functional.conv2d(blurred, kernel.view(1, 1, -1, 1))
+    score = by.to(images.dtype) / EDGE_SIGMA
+    level = torch.special.ndtr(-score)
+    slope = torch.exp(-0.5 * score**2) / (EDGE_SIGMA * (2 * torch.pi) ** 0.5)
+    cut: Tensor = 0.5 + (blurred - level[:, None, None, None]) / slope[:, None, None, None]
+    return cut.clamp(0, 1)
+
+
+def blot(images: Tensor, largest_share: float, generator: np.random.Generator) -> Tensor:
+    """Return images with discs blotted out at random, up to a share of their area."""
+    count, _, height, width = images.shape
+    radius = generator.uniform(*BLOT_RADIUS, (count, BLOTS))
+    share = generator.uniform(0, largest_share, (count, 1))
+    due = share * height * width / (np.pi * (radius**2).mean(axis=1, keepdims=True))
+    radius = np.where(generator.random((count, BLOTS)) < due / BLOTS, radius, 0.0)
+    centre = generator.random((count, BLOTS, 2)) * (height, width)
+    rows = torch.arange(height, device=images.device)[:, None]
+    columns = torch.arange(width, device=images.device)[None]
+    kept = torch.ones((count, height, width), dtype=torch.bool, device=images.device)
+    for place in range(BLOTS):
+        row, column, size = (
+            torch.from_numpy(np.asarray(value, np.float32)).to(images.device)[:, None, None]
+            for value in (centre[:, place, 0], centre[:, place, 1], radius[:, place])
+        )
+        kept &= (rows - row) ** 2 + (columns - column) ** 2 >= size**2
+    return images * kept.unsqueeze(1)
+
+
+def remount(
+    images: list[Tensor], options: Augmentation, generator: np.random.Generator
+) -> list[Tensor]:
+    """Return images of a sensor that sits a little elsewhere, all of one sample alike."""
+    count, _, height, width = images[0].shape
+    angle = generator.uniform(-1, 1, count) * options.mount_angle
+    scale = 1 + generator.uniform(-1, 1, count) * options.mount_scale
+    shift = generator.uniform(-1, 1, (count, 2)) * options.mount_shift * 2 / (width, height)
+    cosine, sine = np.cos(angle) * scale, np.sin(angle) * scale
+    matrix = np.stack(
+        [
+            np.stack([cosine, -sine, shift[:, 0]], axis=1),
+            np.stack([sine, cosine, shift[:, 1]], axis=1),
+        ],
+        axis=1,
+    )
+    theta = torch.from_numpy(matrix.astype(np.float32)).to(images[0].device)
+    grid = functional.affine_grid(theta, [count, 1, height, width], align_corners=False)
+    return [functional.grid_sample(image, grid, align_corners=False) for image in images]
+
+
+def disturb_source(
+    frame: Tensor, reference: Tensor, options: Augmentation, generator: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """Return a source's frames and references as another mounting and segmentation show them."""
+    count = len(frame)
+    if options.mount_shift or options.mount_angle or options.mount_scale:
+        frame, reference = remount([frame, reference], options, generator)
+    if options.edge or options.edge_frame:
+        both = generator.uniform(-options.edge, options.edge, count)
+        alone = generator.uniform(-options.edge_frame, options.edge_frame, count)
+        frame, reference = (
+            move_edges(image, torch.from_numpy(by.astype(np.float32)).to(frame.device))
+            for image, by in ((frame, both + alone), (reference, both))
+        )
+    if options.drop:
+        frame = blot(frame, options.drop, generator)
+    return frame, reference
+
+
+# Images of several sensors that were pressed alike, in memory: what pairs are drawn from.
+
+_AT_ONCE = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignedImages:
+    """N moments of presses, each as S sensors show it."""
+
+    sensors: tuple[str, ...]
+    """Their names (S)."""
+    images: Tensor
+    """(S, N, 256, 256) uint8."""
+    references: Tensor
+    """The untouched sensors (K, 256, 256) uint8, those of all sensors one after the other."""
+    reference: Tensor
+    """Row of `references` that belongs to an image (S, N) int64."""
+    location: NDArray[np.int64]
+    """Place of each moment (N,)."""
+    fields: Tensor | None = None
+    """Displacements (F, N, 2, h, w) float16 [px of 640 x 480], of the surfaces that have them."""
+    field_of: tuple[int, ...] = ()
+    """Row of `fields` that belongs to a sensor (S); -1: none."""
+    lattice: Lattice | None = None
+    """Where the fields are kept; None: on cells that cover the image."""
+
+    def __len__(self) -> int:
+        """Return the number of moments."""
+        return self.images.shape[1]
+
+
+def align(
+    archive: MarkerArchive,
+    split: Split,
+    role: Role,
+    *,
+    sensors: Sequence[str] | None = None,
+    preset: str = "supplement",
+    fields: bool = True,
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> AlignedImages:
+    """Return the location-paired images of an archive's sensors: moments that all of them have.
+
+    Args:
+        archive: What is read.
+        split: Which locations are whose.
+        role: The role whose locations are taken.
+        sensors: Names of two or more; None: all that the split does not hold out.
+        preset: Which frames are paired, of `recorder.archive.PRESETS`.
+        fields: Whether displacement fields are read where there are any.
+        device: Where all of it goes.
+        progress: Called with the images that are read and their number.
+
+    Raises:
+        LearningError: A split of another archive, fewer than two sensors or one that is held out,
+            or no frames that belong together.
+        SessionError: No such sensor, or an archive that is damaged or still being written.
+    """
+    names = group(archive, split, sensors)
+    chosen = [archive[name] for name in names]
+    rows, location = _common_rows(chosen, preset)
+    kept = np.isin(location, split.locations(role))
+    rows, location = rows[:, kept], location[kept]
+    if not len(location):
+        raise LearningError(
+            f"{archive.name}: no location of role {role} was seen by all of {', '.join(names)}"
+        )
+    images = []
+    for done, (sensor, mine) in enumerate(zip(chosen, rows, strict=True)):
+        progress(done * len(location), rows.size)
+        images.append(read_frames(sensor, mine, torch.device(device)))
+    progress(rows.size, rows.size)
+    kinds = [torch.from_numpy(shrink(sensor.references)) for sensor in chosen]
+    firsts = np.cumsum([0, *(len(kind) for kind in kinds[:-1])])
+    reference = np.stack(
+        [
+            sensor.table["reference"][mine].astype(np.int64) + first
+            for sensor, mine, first in zip(chosen, rows, firsts, strict=True)
+        ]
+    )
+    found = _read_surfaces(chosen, rows, device) if fields else None
+    return AlignedImages(
+        sensors=names,
+        images=torch.stack(images),
+        references=torch.cat(kinds).to(device),
+        reference=torch.from_numpy(reference).to(device),
+        location=location,
+        fields=None if found is None else found[0],
+        field_of=(-1,) * len(names) if found is None else found[1],
+        lattice=None if found is None else found[2],
+    )
+
+
+def group(
+    archive: MarkerArchive, split: Split, sensors: Sequence[str] | None = None
+) -> tuple[str, ...]:
+    """Return the names of the sensors that are trained on together.
+
+    Args:
+        archive: Where they are.
+        split: Which of them are held out.
+        sensors: Those that are wanted; None: all that are not held out.
+
+    Raises:
+        LearningError: A split of another archive, fewer than two sensors or one that is held out.
+    """
+    split.check(archive)
+    trained = split.trained_sensors(archive)
+    names = tuple(sensors or trained)
+    for name in names:
+        if name not in trained:
+            raise LearningError(f"sensors: found {name!r}; allowed: {', '.join(trained)}")
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise LearningError(
+            f"sensors: found {', '.join(names) or 'none'}; allowed: two or more different ones"
+        )
+    return names
+
+
+def _common_rows(
+    sensors: Sequence[ArchivedSensor], preset: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return rows (S, N) that belong together in all sensors, and their locations (N,)."""
+    first = sensors[0].table
+    pairs = [location_pairs(first, sensor.table, preset) for sensor in sensors]
+    common = functools.reduce(np.intersect1d, [pair.source for pair in pairs])
+    rows = np.stack([_taken(pair.source, pair.target, common) for pair in pairs])
+    return rows, first["location"][common].astype(np.int64)
+
+
+def _taken(
+    keys: NDArray[np.int64], values: NDArray[np.int64], chosen: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    order = np.argsort(keys)
+    return values[order][np.searchsorted(keys[order], chosen)]
+
+
+def _read_surfaces(
+    sensors: Sequence[ArchivedSensor], rows: NDArray[np.int64], device: torch.device | str
+) -> tuple[Tensor, tuple[int, ...], Lattice] | None:
+    """Return fields (F, N, 2, h, w) float16, which sensor has which, and where; None without any.
+
+    Sensors whose archived fields are the same array and the same rows share a row here too.
+    """
+    surfaces: list[Tensor] = []
+    owners: dict[tuple[str, bytes], int] = {}
+    field_of, lattice = [], None
+    for sensor, mine in zip(sensors, rows, strict=True):
+        if sensor.fields is None or (lattice is not None and sensor.lattice != lattice):
+            field_of.append(-1)
+            continue
+        lattice = sensor.lattice
+        key = str(sensor.attrs.get("displacement_of") or sensor.name), mine.tobytes()
+        if key not in owners:
+            owners[key] = len(surfaces)
+            parts = [
+                read_fields(sensor, mine[first : first + _AT_ONCE]).displacement.half()
+                for first in range(0, len(mine), _AT_ONCE)
+            ]
+            surfaces.append(torch.cat(parts))
+        field_of.append(owners[key])
+    if lattice is None:
+        return None
+    return torch.stack(surfaces).to(device), tuple(field_of), lattice
+
+
+# Training examples of a direct translator, drawn on the device.
+
+Pair = tuple[int, int]
+"""Numbers of a source and of a target sensor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examples:
+    """Images in 0..1 (n, 1, h, w) that belong together."""
+
+    source: Tensor
+    source_reference: Tensor
+    given: Tensor
+    """Whether the source's reference may be looked at (n,) bool."""
+    reference: Tensor
+    """Of the target."""
+    target: Tensor
+    """What is to be made."""
+
+
+def all_pairs(sensors: int) -> tuple[Pair, ...]:
+    """Return every directed pair of different sensors."""
+    return tuple((i, j) for i in range(sensors) for j in range(sensors) if i != j)
+
+
+def draw_examples(
+    aligned: AlignedImages,
+    pairs: Sequence[Pair],
+    count: int,
+    augmentation: Augmentation,
+    generator: np.random.Generator,
+) -> Examples:
+    """Return random examples: the same ones for the same generator.
+
+    Args:
+        aligned: Images to draw from.
+        pairs: Directions to train.
+        count: How many examples.
+        augmentation: What is done to them.
+        generator: Of everything random.
+    """
+    moments = generator.integers(len(aligned), size=count)
+    chosen = np.asarray(pairs)[generator.integers(len(pairs), size=count)]
+    examples = examples_at(aligned, moments, chosen)
+    source, target = examples.source, examples.target
+    source_reference, reference = examples.source_reference, examples.reference
+    random_source = generator.random(count) < augmentation.procedural_source
+    random_target = generator.random(count) < augmentation.procedural_target
+    # A random source lies on the target's surface, a random target on the source's, two on one.
+    surface = np.where(random_source, chosen[:, 1], chosen[:, 0])
+    for replaced, frame, rest in (
+        (random_source, source, source_reference),
+        (random_target, target, reference),
+    ):
+        _replace_by_patterns(aligned, moments, surface, replaced, (frame, rest), generator)
+    source, source_reference = disturb_source(source, source_reference, augmentation, generator)
+    images = [source, source_reference, reference, target]
+    if augmentation.orientation:
+        images = orient(images, generator)
+    given = generator.random(count) >= augmentation.no_source_reference
+    source, source_reference, reference, target = images
+    return Examples(
+        source=source,
+        source_reference=source_reference,
+        given=torch.from_numpy(given).to(source.device),
+        reference=reference,
+        target=target,
+    )
+
+
+def examples_at(
+    aligned: AlignedImages,
+    moments: np.ndarray[tuple[int], np.dtype[np.int64]],
+    pairs: np.ndarray[tuple[int, int], np.dtype[np.int64]],
+) -> Examples:
+    """Return examples as they are in an archive.
+
+    Args:
+        aligned: Images to take them from.
+        moments: Which moments (n,).
+        pairs: Source and target of each (n, 2).
+    """
+    device = aligned.images.device
+    moment = torch.from_numpy(moments).to(device)
+    source, target = torch.from_numpy(np.ascontiguousarray(pairs.T)).to(device)
+    return Examples(
+        source=scaled(aligned.images[source, moment]),
+        source_reference=scaled(aligned.references[aligned.reference[source, moment]]),
+        given=torch.ones(len(moment), dtype=torch.bool, device=device),
+        reference=scaled(aligned.references[aligned.reference[target, moment]]),
+        target=scaled(aligned.images[target, moment]),
+    )
+
+
+def _replace_by_patterns(
+    aligned: AlignedImages,
+    moments: np.ndarray[tuple[int], np.dtype[np.int64]],
+    surface: np.ndarray[tuple[int], np.dtype[np.int64]],
+    replaced: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    images: tuple[Tensor, Tensor],
+    generator: np.random.Generator,
+) -> None:
+    """Put random patterns in the place of frames and references, where surfaces have a field.
+
+    Args:
+        aligned: Where the fields are.
+        moments: Of the examples (n,).
+        surface: Sensor whose surface each example shows (n,).
+        replaced: Which examples are to be replaced (n,).
+        images: Frames and references (n, 1, h, w); changed in place.
+        generator: Of the patterns.
+    """
+    if aligned.fields is None:
+        return
+    owner = np.asarray(aligned.field_of)[surface]
+    rows = np.flatnonzero(replaced & (owner >= 0))
+    if not rows.size:
+        return
+    frames, references = images
+    device, side = frames.device, frames.shape[-1]
+    where = torch.from_numpy(rows).to(device)
+    field = aligned.fields[
+        torch.from_numpy(owner[rows]).to(device), torch.from_numpy(moments[rows]).to(device)
+    ]
+    patterns = sample_patterns(len(rows), generator, device)
+    frames[where] = patterns.draw(before(field, aligned.lattice, side))
+    references[where] = patterns.draw(untouched(side, device))

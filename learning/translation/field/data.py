@@ -1,0 +1,436 @@
+"""What the field net learns from: frames of the archive, and patterns that no sensor has.
+
+Everything is drawn from a generator of numbers on the CPU and made on the device, so a step's
+examples are the same wherever they are made.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from learning.data.images import SIDE as IMAGE_SIDE
+from learning.data.images import read_fields
+from learning.data.presses import FRAME_BYTES, free_bytes, read_frames
+from learning.data.splits import Role, Split
+from learning.data.synthetic import Patterns, sample_patterns, untouched
+from learning.errors import LearningError
+from learning.translation.field.network import (
+    SIDE,
+    from_displacement,
+    image_grid,
+    resampled,
+    signed_distance,
+)
+from learning.translation.field.settings import ExampleSettings
+from learning.translation.translator import SensorView
+from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
+from recorder.markers import HEIGHT, WIDTH, unpack
+
+# What a field model is trained on: frames of several sensors, and which belong together.
+
+_AT_ONCE = 256  # frames that are read together
+_SHIFT_BYTES = 2 * 2 * SIDE * SIDE  # of a frame, float16
+_DISTANCES_AT_ONCE = 8  # full-size masks whose distances are worked out together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Frames of some sensors, one after the other, all on one device."""
+
+    images: Tensor
+    """(n, 256, 256) uint8."""
+    sensor: Tensor
+    """Which sensor each is of (n,) int64."""
+    reference: Tensor
+    """Row of `distances` of each (n,) int64."""
+    distances: Tensor
+    """Signed distance of the untouched sensors (k, 1, 256, 256) float16 [px of 640 x 480]."""
+    scales: Tensor
+    """Millimetres of a pixel along columns and rows, of each sensor (s, 2) float32."""
+    pairs: Tensor
+    """Rows of frames of two sensors under the same press, source and target (m, 2) int64."""
+    shift: Tensor | None = None
+    """True shift (n, 2, 64, 64) float16 [px], NaN of frames without; None: no frame has one."""
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together.
+
+        Raises:
+            LearningError: Shapes that differ from what is said above, or no frame at all.
+        """
+        count, square = len(self.images), (IMAGE_SIDE, IMAGE_SIDE)
+        due = {
+            "images": (count, *square),
+            "sensor": (count,),
+            "reference": (count,),
+            "distances": (len(self.distances), 1, *square),
+            "scales": (len(self.scales), 2),
+            "pairs": (len(self.pairs), 2),
+        }
+        if self.shift is not None:
+            due["shift"] = (count, 2, SIDE, SIDE)
+        for name, shape in due.items():
+            found = tuple(getattr(self, name).shape)
+            if found != shape:
+                raise LearningError(f"{name}: found shape {found}; allowed: {shape}")
+        if not count:
+            raise LearningError("images: found none; allowed: one frame and more")
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.images)
+
+    @property
+    def device(self) -> torch.device:
+        """Where they are."""
+        return self.images.device
+
+    def seen(self, rows: Tensor) -> Tensor:
+        """Return frames in 0..1 (m, 1, 256, 256) float32."""
+        return self.images[rows].unsqueeze(1).float() / 255
+
+    def distance(self, rows: Tensor) -> Tensor:
+        """Return signed distances of the references of frames (m, 1, 256, 256) float32 [px]."""
+        return self.distances[self.reference[rows]].float()
+
+    def scale(self, rows: Tensor) -> Tensor:
+        """Return millimetres of a pixel of frames (m, 2)."""
+        return self.scales[self.sensor[rows]]
+
+
+def gather_role(
+    archive: MarkerArchive,
+    split: Split,
+    sensors: Sequence[str],
+    role: Role,
+    *,
+    every: int = 1,
+    preset: str = "supplement",
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Frames | None:
+    """Return the frames of some sensors that have a role; None where no press has it.
+
+    Args:
+        archive: Where they are.
+        split: Of its presses.
+        sensors: Their names.
+        role: Of the presses.
+        every: Frames are taken whose number within the press this divides, and paired ones.
+        preset: Which frames of a press are paired (`recorder.archive.PRESETS`).
+        device: Where they go.
+        progress: Called with the frames that were read and those there are.
+
+    Raises:
+        LearningError: An unknown sensor, or a reference that has no marker.
+        SessionError: A damaged archive.
+    """
+    rows = {}
+    for name in sensors:
+        if name not in archive:
+            raise LearningError(f"{archive.name}: no sensor {name!r}; known: {', '.join(archive)}")
+        table = archive[name].table
+        there = split.rows(table, role)
+        # A sensor paired with itself: the frames of it that a pair can have.
+        paired = np.isin(there, location_pairs(table, table, preset).source)
+        rows[name] = np.sort(there[paired | (table["frame"][there] % every == 0)])
+    if not any(map(len, rows.values())):
+        return None
+    return gather_frames(archive, rows, preset=preset, device=device, progress=progress)
+
+
+def gather_frames(
+    archive: MarkerArchive,
+    rows: Mapping[str, NDArray[np.int64]],
+    *,
+    preset: str = "supplement",
+    device: torch.device | str = "cpu",
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Frames:
+    """Return frames of an archive, and the location pairs among them.
+
+    Args:
+        archive: Where they are.
+        rows: Which frames of which sensors, ascending; more than one sensor to pair them.
+        preset: Which frames of a press are paired (`recorder.archive.PRESETS`).
+        device: Where they go.
+        progress: Called with the frames that were read and those there are.
+
+    Raises:
+        LearningError: No frame, more of them than there is memory for, an unknown sensor, or one
+            whose reference has no marker.
+        SessionError: A damaged archive.
+    """
+    if not any(map(len, rows.values())):
+        raise LearningError(f"{archive.name}: found no frame to learn from; allowed: one and more")
+    device = torch.device(device)
+    _require_room(sum(map(len, rows.values())), device)
+    images, references, distances, shifts = [], [], [], []
+    begun = held = 0
+    for name, wanted in rows.items():
+        if name not in archive:
+            raise LearningError(f"{archive.name}: no sensor {name!r}; known: {', '.join(archive)}")
+        sensor = archive[name]
+        so_far = functools.partial(_passed_on, progress, begun, sum(map(len, rows.values())))
+        images.append(read_frames(sensor, wanted, device, progress=so_far))
+        begun += len(wanted)
+        for first in range(0, len(wanted), _AT_ONCE):
+            shifts.append(_shifts(sensor, wanted[first : first + _AT_ONCE], device))
+        own = distances_of(unpack(sensor.references), device)
+        if not bool((own > 0).flatten(1).any(dim=1).all()):
+            raise LearningError(f"{name}: found a reference without markers; allowed: markers")
+        distances.append(own)
+        references.append(held + sensor.table["reference"][wanted].astype(np.int64))
+        held += len(own)
+    counts = [len(each) for each in rows.values()]
+    views = [SensorView.of(archive[name]) for name in rows]
+    shift = torch.cat(shifts)
+    return Frames(
+        images=torch.cat(images),
+        sensor=torch.repeat_interleave(torch.tensor(counts)).to(device),
+        reference=torch.from_numpy(np.concatenate(references)).to(device),
+        distances=torch.cat(distances),
+        scales=torch.tensor([(v.mm_per_column, v.mm_per_row) for v in views]).to(device),
+        pairs=torch.from_numpy(_pairs(archive, rows, preset)).to(device),
+        shift=shift if bool(shift.isfinite().any()) else None,
+    )
+
+
+def distances_of(masks: NDArray[np.bool_], device: torch.device | str) -> Tensor:
+    """Return signed distances (k, 1, 256, 256) float16 [px of 640 x 480] of masks (k, 480, 640)."""
+    small = [
+        resampled(
+            signed_distance(torch.from_numpy(masks[first : first + _DISTANCES_AT_ONCE]).to(device)),
+            IMAGE_SIDE,
+        )
+        for first in range(0, len(masks), _DISTANCES_AT_ONCE)
+    ]
+    return torch.cat(small).half()
+
+
+def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.device) -> Tensor:
+    """Return true shifts (n, 2, 64, 64) float16; NaN of frames without a field."""
+    if sensor.fields is None:
+        shape = len(rows), 2, SIDE, SIDE
+        return torch.full(shape, torch.nan, dtype=torch.half, device=device)
+    fields = read_fields(sensor, rows, device=device)
+    shift = from_displacement(fields.displacement, fields.lattice).half()
+    shift[~fields.known.flatten(1).any(dim=1)] = torch.nan
+    return shift
+
+
+def _require_room(count: int, device: torch.device) -> None:
+    """Refuse more frames than a device has memory for.
+
+    Raises:
+        LearningError: Images and fields would not leave enough for the training.
+    """
+    # They are there twice while those of all sensors are joined; later there is room to train.
+    needed, free = count * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
+    if needed > free:
+        raise LearningError(
+            f"frames: found {count:,}, {needed / 1e9:.1f} GB; allowed: {free / 1e9:.1f} GB on "
+            f"{device} (a larger every_frame, fewer sensors)"
+        )
+
+
+def _passed_on(
+    progress: Callable[[int, int], None], begun: int, total: int, done: int, _: int
+) -> None:
+    progress(begun + done, total)
+
+
+def _pairs(
+    archive: MarkerArchive, rows: Mapping[str, NDArray[np.int64]], preset: str
+) -> NDArray[np.int64]:
+    """Return where in the frames the location pairs of all directed pairs of sensors are (m, 2)."""
+    begins = np.cumsum([0, *(len(each) for each in rows.values())])
+    found = [np.zeros((0, 2), np.int64)]
+    for source, source_begin in zip(rows, begins, strict=False):
+        for target, target_begin in zip(rows, begins, strict=False):
+            if source == target:
+                continue
+            pairs = location_pairs(archive[source].table, archive[target].table, preset)
+            there = np.isin(pairs.source, rows[source]) & np.isin(pairs.target, rows[target])
+            one = source_begin + np.searchsorted(rows[source], pairs.source[there])
+            other = target_begin + np.searchsorted(rows[target], pairs.target[there])
+            found.append(np.stack([one, other], axis=1).astype(np.int64))
+    return np.concatenate(found)
+
+
+_DRAWN_AT_ONCE = 8
+_BUMPS = 3  # of which a random shift is the sum
+_BUMP_PX = 30.0, 140.0  # their widths: from an edge to half of the image's height
+_BUMP_MOST_PX = 40.0  # how far one moves what it pushes: past half of a 64 px pitch
+_STRETCH_MOST = 0.6  # slope of a bump, so that nothing folds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """Random patterns, drawn once for a run."""
+
+    patterns: Patterns
+    distances: Tensor
+    """Their signed distances (n, 1, 256, 256) float16 [px of 640 x 480]."""
+
+    @classmethod
+    def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> Bank:
+        """Draw `count` patterns."""
+        patterns = sample_patterns(count, generator, device)
+        places = _full_places(device)
+        distances = []
+        for first in range(0, count, _DRAWN_AT_ONCE):
+            rows = torch.arange(first, min(first + _DRAWN_AT_ONCE, count), device=device)
+            masks = patterns[rows].draw(places).squeeze(1) > 0.5
+            distances.append(resampled(signed_distance(masks), IMAGE_SIDE).half())
+        empty = torch.empty(0, 1, IMAGE_SIDE, IMAGE_SIDE, dtype=torch.half, device=device)
+        return cls(patterns, torch.cat([empty, *distances]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examples:
+    """A batch for the field net. The last `len(other)` of them are random patterns."""
+
+    seen: Tensor
+    """What it sees, in 0..1 (n, 1, 256, 256)."""
+    distance: Tensor
+    """Signed distance of what that was untouched (n, 1, 256, 256) [px]."""
+    shown: Tensor
+    """What there was to be seen: all markers, their true edges (n, 1, 256, 256)."""
+    shift: Tensor
+    """True shift (n, 2, 64, 64) [px], NaN where it is not known."""
+    other: Tensor
+    """What another pattern would have shown (m, 1, 256, 256)."""
+    other_distance: Tensor
+    """Signed distance of that other pattern untouched (m, 1, 256, 256) [px]."""
+
+
+def draw_examples(
+    frames: Frames,
+    bank: Bank,
+    settings: ExampleSettings,
+    batch: int,
+    generator: np.random.Generator,
+) -> Examples:
+    """Return a batch of examples, the same for the same generator."""
+    made = round(batch * settings.procedural) if len(bank.distances) else 0
+    rows = _rows(generator.integers(len(frames), size=batch), frames.device)
+    places, sign = _views(batch, settings.move, generator, frames.device)
+    shift = _moved_shifts(frames, rows, places, sign)
+    own = slice(0, batch - made)
+    seen = _looked_up(frames.seen(rows[own]), places[own])
+    distance = _looked_up(frames.distance(rows[own]), places[own])
+    if not made:
+        return Examples(seen, distance, seen, shift, seen[:0], distance[:0])
+    pushed = _pushed(shift[batch - made :], settings, generator)
+    one, other = (
+        _rows(generator.integers(len(bank.distances), size=made), frames.device) for _ in range(2)
+    )
+    fine = functional.interpolate(pushed, (IMAGE_SIDE, IMAGE_SIDE), mode="bicubic")
+    material = untouched(IMAGE_SIDE, frames.device) - fine
+    whole, missed = bank.patterns[one], _segmented(bank.patterns[one], settings, generator)
+    return Examples(
+        seen=torch.cat([seen, missed.draw(material)]),
+        distance=torch.cat([distance, bank.distances[one].float()]),
+        shown=torch.cat([seen, whole.draw(material)]),
+        shift=torch.cat([shift[own], pushed]),
+        other=bank.patterns[other].draw(material),
+        other_distance=bank.distances[other].float(),
+    )
+
+
+def random_shifts(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
+    """Return smooth shifts (n, 2, 64, 64) [px]: bumps that push outwards and along."""
+    place = generator.uniform(0.1, 0.9, (count, _BUMPS, 2)) * (WIDTH, HEIGHT)
+    least, largest = _BUMP_PX
+    wide = np.exp(generator.uniform(np.log(least), np.log(largest), (count, _BUMPS, 1)))
+    most = np.minimum(_BUMP_MOST_PX, _STRETCH_MOST * wide) / _BUMPS
+    push = most * generator.uniform(-0.5, 1.0, (count, _BUMPS, 1))
+    angle = generator.uniform(0, 2 * np.pi, (count, _BUMPS, 1))
+    arrow = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
+    drag = most * generator.random((count, _BUMPS, 1)) * arrow
+    centre, width, outward, along = (
+        _on(each, device)[..., None, None] for each in (place, wide, push, drag)
+    )
+    offset = (untouched(SIDE, device).unsqueeze(1) - centre) / width
+    square = offset.square().sum(dim=2, keepdim=True)
+    # The outward push is greatest, exp(-1/2), one width away from the middle.
+    bumps: Tensor = outward * offset * torch.exp(0.5 - square / 2) + along * torch.exp(-square / 8)
+    return bumps.sum(dim=1)
+
+
+def _views(
+    count: int, move: float, generator: np.random.Generator, device: torch.device
+) -> tuple[Tensor, Tensor]:
+    """Return where frames are looked up (n, 256, 256, 2), and the sign of each axis (n, 2)."""
+    sign = _on(2.0 * generator.integers(0, 2, (count, 2)) - 1, device)
+    offset = _on(generator.uniform(-move, move, (count, 2)), device)
+    grid = image_grid(IMAGE_SIDE, IMAGE_SIDE, device)
+    return grid * sign[:, None, None] + offset[:, None, None], sign
+
+
+def _moved_shifts(frames: Frames, rows: Tensor, places: Tensor, sign: Tensor) -> Tensor:
+    """Return the true shifts (n, 2, 64, 64) in views of frames; NaN where none are known."""
+    if frames.shift is None:
+        shape = len(rows), 2, SIDE, SIDE
+        return torch.full(shape, torch.nan, device=frames.device)
+    step = IMAGE_SIDE // SIDE
+    cells = functional.avg_pool2d(places.permute(0, 3, 1, 2), step).permute(0, 2, 3, 1)
+    return _looked_up(frames.shift[rows].float(), cells) * sign[:, :, None, None]
+
+
+def _pushed(shift: Tensor, settings: ExampleSettings, generator: np.random.Generator) -> Tensor:
+    """Return shifts for random patterns: the archive's, louder or softer, or random bumps."""
+    count, device = len(shift), shift.device
+    factor = _on(generator.uniform(*settings.amplitude, (count, 1, 1, 1)), device)
+    bumps = random_shifts(count, generator, device)
+    chosen = _on(generator.random((count, 1, 1, 1)), device) < settings.random_shift
+    unknown = ~shift.isfinite().flatten(1).all(dim=1).view(-1, 1, 1, 1)
+    return torch.where(chosen | unknown, bumps, factor * shift.nan_to_num())
+
+
+def _segmented(
+    patterns: Patterns, settings: ExampleSettings, generator: np.random.Generator
+) -> Patterns:
+    """Return patterns as segmentation finds them: edges in or out a little, markers missing."""
+    count, device = len(patterns), patterns.radius.device
+    edge = generator.uniform(-settings.edge_px, settings.edge_px, (count, 1))
+    missing = generator.uniform(0, settings.missing, (count, 1))
+    missed = generator.random(tuple(patterns.radius.shape)) < missing
+    radius = torch.where(
+        torch.from_numpy(missed).to(device) | (patterns.radius < 0),
+        patterns.radius.new_tensor(-WIDTH),
+        (patterns.radius + _on(edge, device)).clamp(min=1.0),
+    )
+    return replace(patterns, radius=radius)
+
+
+def _looked_up(images: Tensor, places: Tensor) -> Tensor:
+    return functional.grid_sample(
+        images, places, mode="bilinear", padding_mode="border", align_corners=False
+    )
+
+
+def _full_places(device: torch.device) -> Tensor:
+    """Return columns and rows of the pixels of a mask (1, 2, 480, 640)."""
+    rows = torch.arange(HEIGHT, device=device, dtype=torch.float32)
+    columns = torch.arange(WIDTH, device=device, dtype=torch.float32)
+    down, across = torch.meshgrid(rows, columns, indexing="ij")
+    return torch.stack([across, down]).unsqueeze(0)
+
+
+def _rows(numbers: NDArray[np.int64], device: torch.device) -> Tensor:
+    return torch.from_numpy(numbers).to(device)
+
+
+def _on(values: NDArray[np.floating[Any]], device: torch.device) -> Tensor:
+    return torch.from_numpy(values.astype(np.float32)).to(device)
