@@ -1,4 +1,4 @@
-"""Command line of the rig: `python -m rig VERB`; every verb is a file of `rig.verbs`."""
+"""Command line of the rig: `python -m rig VERB`; every verb is a file of `rig.cli`."""
 
 from __future__ import annotations
 
@@ -7,17 +7,8 @@ import sys
 from collections.abc import Sequence
 
 from recorder import SessionError
-from rig.collect.interrupt import Interrupted
-from rig.errors import (
-    EXIT_DEVICE_LOST,
-    EXIT_INTERRUPTED,
-    EXIT_SAFETY_STOP,
-    EXIT_WRONG_INPUT,
-    ConfigError,
-    DeviceLost,
-    SafetyStop,
-)
-from rig.verbs import (
+from rig.acquire.control import Interrupted
+from rig.cli import (
     calibrate_latency,
     campaign,
     collect,
@@ -30,6 +21,15 @@ from rig.verbs import (
     mock,
     preview,
     replay,
+)
+from rig.core.errors import (
+    EXIT_DEVICE_LOST,
+    EXIT_INTERRUPTED,
+    EXIT_SAFETY_STOP,
+    EXIT_WRONG_INPUT,
+    ConfigError,
+    DeviceLost,
+    SafetyStop,
 )
 
 _VERBS = (

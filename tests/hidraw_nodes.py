@@ -1,4 +1,4 @@
-"""Runs Python where the shim of rig.hid gives it hidraw nodes."""
+"""Runs Python where the shim of rig.devices.hid gives it hidraw nodes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import ConfigError
-from rig.hid.shim import build
+from rig.core.errors import ConfigError
+from rig.devices.hid.shim import build
 
 ROOT = Path(__file__).parent.parent
 

@@ -13,8 +13,7 @@ from marker_truth import VIEWS
 
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
 from recorder.store.layout import merge_attrs
-from rig.world.markers import MarkerCamera
-from rig.world.surface import Surface
+from rig.mock.world.picture import MarkerCamera, Surface
 
 T0 = 5_000_000_000_000
 PHASE_NS = 100_000_000

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.markers import CameraPreset, Segmenter, find_centres, grey, preset
-from rig.world.markers import MarkerCamera, MarkerView
-from rig.world.surface import Surface
+from rig.bench.worlds import MarkerView
+from rig.mock.world.picture import MarkerCamera, Surface
 
 VIEWS = {
     "bench-gelsight": MarkerView("grid", 1.6e-3, 0.26e-3, 0.0249e-3, rows=7, columns=9),

@@ -20,21 +20,21 @@ ALLOWED = {
 }
 # Vendor libraries and the only modules that may import them.
 VENDORS = {
-    "rtde_control": {"rig/arm"},
-    "rtde_receive": {"rig/arm"},
-    "dashboard_client": {"rig/arm"},
-    "nidaqmx": {"rig/force"},
-    "grpc": {"rig/force"},
-    "serial": {"rig/force", "rig/gripper"},
-    "hidraw": {"rig/hid"},
+    "rtde_control": {"rig/devices/arm"},
+    "rtde_receive": {"rig/devices/arm"},
+    "dashboard_client": {"rig/devices/arm"},
+    "nidaqmx": {"rig/devices/force"},
+    "grpc": {"rig/devices/force"},
+    "serial": {"rig/devices/force", "rig/devices/gripper"},
+    "hidraw": {"rig/devices/hid"},
     "cv2": {
-        "rig/camera",
-        "rig/world",
+        "rig/devices/camera",
+        "rig/mock/world",
         "recorder/convert",
         "learning/markers",
         "learning/translation/flow",
     },
-    "websockets": {"rig/taxels", "rig/watch"},
+    "websockets": {"rig/devices/taxels", "rig/monitor/page"},
     "rerun": {"recorder/convert"},
     "h5py": {"recorder/convert"},
     "mcap": {"recorder/convert"},
@@ -56,7 +56,7 @@ VENDORS = {
     "trimesh": {"sim/indenters"},
     "distributed": {"sim/dataset"},
 }
-LAZY = {"rig/world/simulated.py": {"sim"}, "rig/live/predictor.py": {"learning"}}
+LAZY = {"rig/mock/world/simulated.py": {"sim"}, "rig/monitor/predictor.py": {"learning"}}
 """What a module may import inside of its functions alone."""
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()
@@ -120,5 +120,5 @@ def test_vendor_libraries_stay_in_their_own_folder(vendor: str) -> None:
 
 def test_only_the_clock_touches_time() -> None:
     users = {_name(path) for path in MODULES if "time" in _imports(path)}
-    wrong = {name for name in users if name.startswith("rig/")} - {"rig/clock.py"}
-    assert not wrong, "use rig.clock"
+    wrong = {name for name in users if name.startswith("rig/")} - {"rig/core/clock.py"}
+    assert not wrong, "use rig.core.clock"

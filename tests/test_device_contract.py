@@ -22,26 +22,25 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.camera.config import CameraConfig
-from rig.camera.jpeg import frame_stamp
-from rig.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig
-from rig.camera.opencv import OpenCvDriver
-from rig.camera.sources import LoopSource
-from rig.clock import SystemClock
-from rig.driver import Driver, Inbox, Receiver
-from rig.emulation import Emulator, SharedWorld
-from rig.errors import DeviceLost
-from rig.force.ati_serial import AtiSerialDriver
-from rig.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
-from rig.force.calibration_file import read_calibration
-from rig.force.config import AtiSerialConfig, NetFtConfig, NidaqConfig
-from rig.force.netft import NetFtDriver
-from rig.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
-from rig.force.nidaq import NidaqDriver
-from rig.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
-from rig.taxels.config import XelaConfig
-from rig.taxels.xela import XelaDriver
-from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
+from rig.core.clock import SystemClock
+from rig.core.driver import Driver, Inbox, Receiver
+from rig.core.emulation import Emulator, SharedWorld
+from rig.core.errors import DeviceLost
+from rig.devices.camera.jpeg import frame_stamp
+from rig.devices.camera.mjpeg_emulator import LoopSource, MjpegEmulator, MjpegEmulatorConfig
+from rig.devices.camera.opencv import OpenCvDriver
+from rig.devices.camera.settings import CameraConfig
+from rig.devices.force.ati_serial import AtiSerialDriver
+from rig.devices.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
+from rig.devices.force.calibration import read_calibration
+from rig.devices.force.netft import NetFtDriver
+from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
+from rig.devices.force.nidaq import NidaqDriver
+from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
+from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
+from rig.devices.taxels.settings import XelaConfig
+from rig.devices.taxels.xela import XelaDriver
+from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 
 CLOCK = SystemClock()
 CALIBRATION = Path(__file__).parent.parent / "benches" / "mock-nano17.cal"
@@ -188,7 +187,7 @@ KINDS = [
         "force",
         lambda host, silence: NetFtDriver(NetFtConfig(host, 8080, silence=silence), CLOCK),
         netft_emulator,
-        "rig.force.netft_emulator",
+        "rig.devices.force.netft_emulator",
         8080,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
     ),
@@ -198,7 +197,7 @@ KINDS = [
             NidaqConfig(str(CALIBRATION), grpc=f"{host}:31763", silence=silence), CLOCK
         ),
         nidaq_emulator,
-        "rig.force.nidaq_emulator",
+        "rig.devices.force.nidaq_emulator",
         31763,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
         ("--calibration", str(CALIBRATION)),
@@ -209,7 +208,7 @@ KINDS = [
             AtiSerialConfig(1280.0, 256.0, str(link_of(host)), silence=silence), CLOCK
         ),
         ati_serial_emulator,
-        "rig.force.ati_serial_emulator",
+        "rig.devices.force.ati_serial_emulator",
         0,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
         ("--link", "LINK"),
@@ -220,7 +219,7 @@ KINDS = [
         "taxels",
         lambda host, silence: XelaDriver(XelaConfig(f"ws://{host}:5000", silence=silence), CLOCK),
         xela_emulator,
-        "rig.taxels.xela_emulator",
+        "rig.devices.taxels.xela_emulator",
         5000,
         {"value": (np.int32, (16, 3)), "seq": (int, None), "device_t": (float, None)},
     ),
@@ -230,7 +229,7 @@ KINDS = [
             CameraConfig(f"http://{host}:8090/", silence=silence), CLOCK
         ),
         mjpeg_emulator,
-        "rig.camera.mjpeg_emulator",
+        "rig.devices.camera.mjpeg_emulator",
         8090,
         {"value": (bytes, None), "device_t": (float, None)},
         ("--source", "IMAGES"),

@@ -16,8 +16,7 @@ from learning.markers import Segmenter, preset, taxel_masks
 from learning.markers.displacement import FieldReader
 from learning.markers.segment import CameraPreset, TaxelPreset
 from recorder.markers import pack
-from rig.world.markers import MarkerCamera
-from rig.world.surface import Surface
+from rig.mock.world.picture import MarkerCamera, Surface
 
 REST = np.full((16, 3), 30_000.0)
 SHAPE = (1, 256, 256)

@@ -22,7 +22,7 @@ from learning.markers import Segmenter, archive_sessions, find_centres, grey, pr
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
 from recorder.markers import unpack
-from rig.world.markers import MarkerCamera
+from rig.mock.world.picture import MarkerCamera
 
 OWN = "dark-markers"
 

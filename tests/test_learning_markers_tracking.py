@@ -10,8 +10,7 @@ import pytest
 
 from learning.errors import LearningError
 from learning.markers import Segmenter, Tracker, find_centres, grey, preset
-from rig.world.markers import MarkerCamera
-from rig.world.surface import Surface
+from rig.mock.world.picture import MarkerCamera, Surface
 
 
 def grid(columns: int = 9, rows: int = 7, pitch: float = 60.0) -> np.ndarray[Any, Any]:

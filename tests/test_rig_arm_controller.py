@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig.arm import dashboard, faults
-from rig.arm.controller import PLAYING, STOPPED, Controller
-from rig.arm.kinematics import POSTURE, flange_pose
-from rig.arm.robot import CYCLE
-from rig.arm.rotation import compose, rotation_between
+from rig.core.geometry import compose, rotation_between
+from rig.devices.arm import emulator_faults
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.emulated_controller import PLAYING, STOPPED, Controller, dashboard_answer
 
 TCP = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
 START = compose(flange_pose(np.array(POSTURE)), TCP)
@@ -144,7 +143,7 @@ def test_an_asynchronous_stop_ends_the_move_and_is_an_operation_of_its_own(clien
 
 
 def test_the_slider_slows_a_move(client):
-    faults.apply(client.controller, Network(), "slider", fraction=0.5)
+    emulator_faults.apply(client.controller, Network(), "slider", fraction=0.5)
     took = client.command(MOVE_L, [*above(0.01), 0.05, 0.5])
     assert 0.56 <= took * CYCLE <= 0.64
 
@@ -221,21 +220,21 @@ def test_contact_force_above_the_limit_is_a_protective_stop_that_stays(client):
 
 def test_the_dashboard_says_what_ur_rtde_compares_word_for_word(client):
     controller = client.controller
-    assert dashboard.answer(controller, "get serial number").isdigit()
-    assert dashboard.answer(controller, "is in remote control") == "true"
-    assert dashboard.answer(controller, "running") == "Program running: true"
-    assert dashboard.answer(controller, "stop") == "Stopped"
-    assert dashboard.answer(controller, "running") == "Program running: false"
+    assert dashboard_answer(controller, "get serial number").isdigit()
+    assert dashboard_answer(controller, "is in remote control") == "true"
+    assert dashboard_answer(controller, "running") == "Program running: true"
+    assert dashboard_answer(controller, "stop") == "Stopped"
+    assert dashboard_answer(controller, "running") == "Program running: false"
     controller.protective_stop("test")
-    assert dashboard.answer(controller, "safetystatus") == "Safetystatus: PROTECTIVE_STOP"
-    assert dashboard.answer(controller, "unlock protective stop") == "Protective stop releasing"
-    assert dashboard.answer(controller, "safetystatus") == "Safetystatus: NORMAL"
-    assert "could not understand" in dashboard.answer(controller, "sing")
+    assert dashboard_answer(controller, "safetystatus") == "Safetystatus: PROTECTIVE_STOP"
+    assert dashboard_answer(controller, "unlock protective stop") == "Protective stop releasing"
+    assert dashboard_answer(controller, "safetystatus") == "Safetystatus: NORMAL"
+    assert "could not understand" in dashboard_answer(controller, "sing")
 
 
 def test_an_emergency_stop_takes_the_power(controller):
     controller.emergency_stop()
-    assert dashboard.answer(controller, "robotmode") == "Robotmode: POWER_OFF"
+    assert dashboard_answer(controller, "robotmode") == "Robotmode: POWER_OFF"
     assert controller.source("safety_status_bits")() & 0xE0
 
 
@@ -243,6 +242,6 @@ def test_an_emergency_stop_takes_the_power(controller):
     "line", ["", "{", "[]", '{"fault": "melt"}', '{"fault": "slider"}', '{"seconds": 1}']
 )
 def test_the_fault_port_survives_nonsense(controller, line):
-    reply = json.loads(faults.answer(controller, Network(), line))
+    reply = json.loads(emulator_faults.answer(controller, Network(), line))
     assert reply["ok"] is False
     assert reply["error"]

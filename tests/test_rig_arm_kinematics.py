@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rig.arm.kinematics import POSTURE, find_joints, flange_pose, solve_joints
-from rig.arm.rotation import matrix_from_vector
+from rig.core.geometry import matrix_from_vector
+from rig.devices.arm.emulated_arm import POSTURE, find_joints, flange_pose, solve_joints
 
 nudges = st.tuples(*[st.floats(-0.3, 0.3)] * 6).map(np.array)
 

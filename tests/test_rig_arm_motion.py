@@ -16,18 +16,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig.arm import faults
-from rig.arm.arm import Arm
-from rig.arm.config import ArmConfig
-from rig.arm.kinematics import POSTURE, flange_pose
-from rig.arm.reader import RtdePoseDriver
-from rig.arm.robot import CYCLE
-from rig.arm.rotation import compose
-from rig.clock import SECOND_NS, SystemClock
-from rig.errors import DeviceLost, SafetyStop
-from rig.guard import GuardLimits
-from rig.latest import FORCE_LATEST
-from rig.shared import LatestRecord
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.geometry import compose
+from rig.core.guard import GuardLimits
+from rig.core.samples import FORCE_LATEST
+from rig.core.shared_memory import LatestRecord
+from rig.devices.arm import emulator_faults
+from rig.devices.arm.arm import Arm
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.reader import RtdePoseDriver
+from rig.devices.arm.settings import ArmConfig
 
 pytest.importorskip("rtde_control", reason="ur-rtde is not installed: pip install -e '.[rig]'")
 
@@ -49,7 +48,7 @@ CLOCK = SystemClock()
 
 
 def inject(fault: str = "state", **values: Any) -> dict[str, Any]:
-    return faults.inject(HOST, fault, **values)
+    return emulator_faults.inject(HOST, fault, **values)
 
 
 def at(x: float, y: float, z: float, vector=START[3:]) -> np.ndarray:
@@ -87,7 +86,14 @@ def child() -> int:
 
 @pytest.fixture
 def emulator() -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "rig.arm.emulator", "--host", HOST, "--until-stdin-closes"]
+    command = [
+        sys.executable,
+        "-m",
+        "rig.devices.arm.emulator",
+        "--host",
+        HOST,
+        "--until-stdin-closes",
+    ]
     command += ["--pose", *map(repr, START.tolist()), "--tcp", *map(repr, TCP)]
     with subprocess.Popen(
         command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -300,7 +306,7 @@ def test_a_killed_child_is_device_lost_the_watchdog_stops_the_arm_and_it_recover
 
 
 def test_a_hanging_child_is_ended_in_bounded_time(arm, monkeypatch):
-    monkeypatch.setattr("rig.arm.arm._STOP_ANSWER", 1.0)
+    monkeypatch.setattr("rig.devices.arm.arm._STOP_ANSWER", 1.0)
     os.kill(child(), signal.SIGSTOP)
     with pytest.raises(DeviceLost, match="did not answer"):
         arm.halt()
@@ -413,7 +419,7 @@ def test_a_dead_parent_leaves_an_arm_that_halts_retracts_and_lets_go(emulator, t
     # The host is derived from the process id: the script must use ours.
     script = script.replace("    arm = make()", f"    arm = make(config={CONFIG!r})")
     script = script.replace("import multiprocessing, sys", "import multiprocessing")
-    script = "from rig.arm.config import ArmConfig\n" + script
+    script = "from rig.devices.arm.settings import ArmConfig\n" + script
     (tmp_path / "parent.py").write_text(script)
     paths = os.pathsep.join([str(ROOT), str(Path(__file__).parent)])
     with subprocess.Popen(

@@ -8,18 +8,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from rig.arm import faults, rtde
-from rig.arm.controller import Controller
-from rig.arm.emulator import ArmEmulator
-from rig.arm.emulator_clients import RtdeClient
-from rig.arm.kinematics import POSTURE, flange_pose
-from rig.arm.reader import COLUMNS, RtdeLink, RtdePoseDriver
-from rig.arm.robot import CYCLE
-from rig.clock import SystemClock
-from rig.emulation import SharedWorld
-from rig.errors import DeviceLost
-from rig.latest import ARM_TRUTH, WORLD_STATE
-from rig.shared import LatestRecord
+from rig.core.clock import SystemClock
+from rig.core.emulation import SharedWorld
+from rig.core.errors import DeviceLost
+from rig.core.samples import ARM_TRUTH, WORLD_STATE
+from rig.core.shared_memory import LatestRecord
+from rig.devices.arm import emulator_faults, rtde
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.emulated_controller import Controller
+from rig.devices.arm.emulator import ArmEmulator, RtdeClient
+from rig.devices.arm.reader import COLUMNS, RtdeLink, RtdePoseDriver
 
 HOST = f"127.{10 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
 # Loopback addresses by process: parallel runs do not meet.
@@ -121,7 +119,7 @@ def test_nobody_there_is_device_lost_with_the_address(driver):
 def test_a_dropped_connection_is_device_lost_after_what_came_before(emulator, driver):
     driver.open(5.0)
     read(driver, 5)
-    faults.inject(HOST, "drop")
+    emulator_faults.inject(HOST, "drop")
     with pytest.raises(DeviceLost, match=r"closed|lost"):
         read(driver, 10_000)
 
@@ -129,7 +127,7 @@ def test_a_dropped_connection_is_device_lost_after_what_came_before(emulator, dr
 def test_silence_is_device_lost(emulator, driver):
     driver.open(5.0)
     read(driver, 5)
-    faults.inject(HOST, "freeze", seconds=20.0)
+    emulator_faults.inject(HOST, "freeze", seconds=20.0)
     with pytest.raises(DeviceLost, match="no package for"):
         read(driver, 100_000)
 
@@ -199,7 +197,7 @@ def test_the_worlds_contact_force_can_stop_the_arm(emulator, driver, tmp_path):
     while read(driver, 1)[-1]["safety_status"] == 1:
         pass
     world.close()
-    assert "200.0 N" in faults.inject(HOST, "state")["reason"]
+    assert "200.0 N" in emulator_faults.inject(HOST, "state")["reason"]
 
 
 def test_a_taken_port_is_an_error_that_leaves_nothing_open(emulator):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rig.arm.rotation import (
+from rig.core.geometry import (
     compose,
     invert,
     matrix_from_vector,

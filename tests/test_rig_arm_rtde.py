@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.arm import rtde
+from rig.devices.arm import rtde
 
 whole = {
     "BOOL": st.integers(0, 1),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.camera.jpeg import (
+from rig.devices.camera.jpeg import (
     HUFFMAN_SEGMENT,
     frame_stamp,
     is_whole,

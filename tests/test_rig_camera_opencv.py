@@ -14,14 +14,19 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.camera.config import CameraConfig
-from rig.camera.jpeg import frame_stamp, jpeg_size, stamped, without_stamp
-from rig.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig
-from rig.camera.opencv import OpenCvDriver
-from rig.camera.sources import FrameSource, LoopSource, WorldSource
-from rig.clock import SystemClock
-from rig.errors import ConfigError, DeviceLost
-from rig.latest import WORLD_STATE
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.samples import WORLD_STATE
+from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped, without_stamp
+from rig.devices.camera.mjpeg_emulator import (
+    FrameSource,
+    LoopSource,
+    MjpegEmulator,
+    MjpegEmulatorConfig,
+    WorldSource,
+)
+from rig.devices.camera.opencv import OpenCvDriver
+from rig.devices.camera.settings import CameraConfig
 
 CLOCK = SystemClock()
 RNG = np.random.default_rng(0)

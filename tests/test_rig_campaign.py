@@ -13,12 +13,19 @@ from collecting import ROOT, Collection, faults_of
 
 from recorder import OUTCOMES, Session, SessionWriter, force_spec
 from rig.__main__ import main
-from rig.campaign import walk
-from rig.campaign.spec import Campaign, Item, load_campaign
-from rig.campaign.state import progress_of, table
-from rig.campaign.walk import Settings, command, run_campaign
-from rig.errors import ConfigError
-from rig.gripper.config import RobotiqConfig
+from rig.acquire import campaign as walk
+from rig.acquire.campaign import (
+    Campaign,
+    Item,
+    Settings,
+    command,
+    load_campaign,
+    progress_of,
+    run_campaign,
+    table,
+)
+from rig.core.errors import ConfigError
+from rig.devices.gripper.settings import RobotiqConfig
 from trajectories import plan_to_json
 
 DAY = """

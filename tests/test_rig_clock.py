@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.clock import SECOND_NS, ClockAnchor, FakeClock, Pacer, SystemClock
+from rig.core.clock import SECOND_NS, ClockAnchor, FakeClock, Pacer, SystemClock
 
 rates = st.floats(1, 1000)
 delays = st.lists(st.floats(0, 0.2), max_size=60)

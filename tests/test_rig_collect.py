@@ -65,7 +65,7 @@ def test_the_tip_was_where_the_plan_wants_it_and_the_frames_know(
 def test_what_was_recorded_is_what_the_world_felt(
     collected: tuple[Session, Collection, Path],
 ) -> None:
-    from rig.world.truth import Truth
+    from rig.mock.world.truth import Truth
 
     session, _, path = collected
     truth, force, pose = Truth(path), session.streams["force"], session.streams["pose"]
@@ -97,7 +97,7 @@ def test_force_records_come_with_none_dropped(
 
 
 def test_camera_bytes_are_the_cameras_own(collected: tuple[Session, Collection, Path]) -> None:
-    from rig.camera.jpeg import frame_stamp
+    from rig.devices.camera.jpeg import frame_stamp
 
     camera = collected[0].streams["camera"]
     stamps = [frame_stamp(camera.jpeg(row) or b"") for row in range(len(camera))]

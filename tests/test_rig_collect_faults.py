@@ -14,16 +14,16 @@ import pytest
 from collecting import Collection, faults_of, quick_bench
 
 from recorder import OUTCOMES, Session
-from rig.arm import faults
+from rig.devices.arm import emulator_faults
 
 pytestmark = pytest.mark.timeout(120)
 
 EMULATORS = {
-    "arm": "rig.arm.emulator",
-    "force": "rig.force.netft_emulator",
-    "camera": "rig.camera.mjpeg_emulator",
-    "taxels": "rig.taxels.xela_emulator",
-    "world": "rig.world.host",
+    "arm": "rig.devices.arm.emulator",
+    "force": "rig.devices.force.netft_emulator",
+    "camera": "rig.devices.camera.mjpeg_emulator",
+    "taxels": "rig.devices.taxels.xela_emulator",
+    "world": "rig.mock.world.host",
 }
 
 
@@ -87,7 +87,7 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
     run = pressing(tmp_path, "tacpalm")
     emulator = run.processes()[run.emulator(EMULATORS["arm"])]
     host = emulator.split("--host ")[1].split()[0]
-    with socket.create_connection((host, faults.PORT), 5.0) as port:
+    with socket.create_connection((host, emulator_faults.PORT), 5.0) as port:
         port.sendall(json.dumps({"fault": "protective_stop"}).encode() + b"\n")
         assert b"protective" in port.recv(4096).lower()
     assert run.wait() == 4, run.text

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from rig.collect.interrupt import Interrupted, InterruptFlag
+from rig.acquire.control import Interrupted, InterruptFlag
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

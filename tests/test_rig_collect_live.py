@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.clock import FakeClock
-from rig.collect.live import LiveLine, minutes
-from rig.latest import FORCE_LATEST
-from rig.streams.process import COUNTERS
+from rig.acquire.progress_line import LiveLine, minutes
+from rig.acquire.stream_process import COUNTERS
+from rig.core.clock import FakeClock
+from rig.core.samples import FORCE_LATEST
 from trajectories import PressShear
 
 PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3)

@@ -16,17 +16,15 @@ import pytest
 from collecting import Collection, faults_of
 
 from recorder import OUTCOMES, Session
-from rig import faultport
-from rig.clock import SystemClock
-from rig.collect.control import Control
-from rig.collect.interrupt import Interrupted
-from rig.collect.progress import first_open_target
-from rig.errors import DeviceLost
-from rig.gripper.config import RobotiqConfig
-from rig.gripper.emulator import RobotiqEmulator
-from rig.gripper.fingers import Fingers
-from rig.gripper.registers import AT_POSITION, MOVING, STOPPED_CLOSING, GripperStatus
-from rig.gripper.watch import GripWatch, judge
+from rig.acquire.control import Control, Interrupted
+from rig.acquire.resume import first_open_target
+from rig.core import emulation
+from rig.core.clock import SystemClock
+from rig.core.errors import DeviceLost
+from rig.devices.gripper.robotiq_emulator import Fingers, RobotiqEmulator
+from rig.devices.gripper.robotiq_wire import AT_POSITION, MOVING, STOPPED_CLOSING, GripperStatus
+from rig.devices.gripper.settings import RobotiqConfig
+from rig.devices.gripper.watch import GripWatch, judge
 from trajectories import PressShear
 
 ROOT = Path(__file__).parent.parent
@@ -321,10 +319,10 @@ def collecting_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 
 def inject(run: Collection, device: str, fault: str, **values: float) -> int:
     """Put a fault in; the time just before [ns of the monotonic clock]."""
-    command = run.processes()[run.emulator("rig.arm.emulator")]
+    command = run.processes()[run.emulator("rig.devices.arm.emulator")]
     host = command.split("--host ")[1].split()[0]
     now_ns = SystemClock().now_ns()
-    faultport.inject(host, faultport.PORTS[device], fault, **values)
+    emulation.inject(host, emulation.PORTS[device], fault, **values)
     return now_ns
 
 

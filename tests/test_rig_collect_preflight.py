@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.arm.rotation import compose
-from rig.bench import Bench, find_bench, load_bench
-from rig.collect import preflight
-from rig.errors import DeviceLost, SafetyStop
-from rig.latest import POSE_LATEST
+from rig.acquire import preflight
+from rig.bench.bench import Bench, find_bench, load_bench
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.geometry import compose
+from rig.core.samples import POSE_LATEST
 
 BENCH: Bench = load_bench(find_bench("tacpalm", Path(__file__).parent.parent / "benches"))[0]
 RATES = {"force": 1000.0, "pose": 500.0, "camera": 30.0}

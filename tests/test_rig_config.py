@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Literal
 
 import pytest
 
-from rig.bench import find_bench, load_bench
-from rig.config import build, read_yaml
-from rig.errors import ConfigError
+from rig.bench.bench import find_bench, load_bench
+from rig.core.config import build, read_yaml
+from rig.core.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)

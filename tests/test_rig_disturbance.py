@@ -13,27 +13,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig import faultport
-from rig.arm import faults
-from rig.arm.controller import Controller
-from rig.arm.emulator import ArmEmulator
-from rig.arm.kinematics import POSTURE, flange_pose
-from rig.arm.reader import RtdePoseDriver
-from rig.camera.config import CameraConfig
-from rig.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig
-from rig.camera.opencv import OpenCvDriver
-from rig.camera.sources import WorldSource
-from rig.clock import FakeClock, SystemClock
-from rig.disturbance import FAULTS, Disturbance, spoilt_bytes, spoilt_text
-from rig.errors import DeviceLost
-from rig.faultport import FaultPort
-from rig.force.config import NetFtConfig
-from rig.force.netft import NetFtDriver
-from rig.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
-from rig.latest import WORLD_STATE
-from rig.taxels.config import XelaConfig
-from rig.taxels.xela import XelaDriver
-from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
+from rig.core import emulation
+from rig.core.clock import FakeClock, SystemClock
+from rig.core.emulation import FaultPort
+from rig.core.errors import DeviceLost
+from rig.core.fault_injection import FAULTS, Disturbance, spoilt_bytes, spoilt_text
+from rig.core.samples import WORLD_STATE
+from rig.devices.arm import emulator_faults
+from rig.devices.arm.emulated_arm import POSTURE, flange_pose
+from rig.devices.arm.emulated_controller import Controller
+from rig.devices.arm.emulator import ArmEmulator
+from rig.devices.arm.reader import RtdePoseDriver
+from rig.devices.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig, WorldSource
+from rig.devices.camera.opencv import OpenCvDriver
+from rig.devices.camera.settings import CameraConfig
+from rig.devices.force.netft import NetFtDriver
+from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
+from rig.devices.force.settings import NetFtConfig
+from rig.devices.taxels.settings import XelaConfig
+from rig.devices.taxels.xela import XelaDriver
+from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 
 CLOCK = SystemClock()
 _numbers = itertools.count()
@@ -183,22 +182,22 @@ def test_the_fault_port_takes_faults_and_survives_nonsense(host: str, clock: Fak
     port = FaultPort(host, 31001, line.inject)
     port.start()
     try:
-        assert faultport.inject(host, 31001, "freeze", seconds=2.0)["active"] == ["freeze"]
+        assert emulation.inject(host, 31001, "freeze", seconds=2.0)["active"] == ["freeze"]
         assert line.passed("m1") == ()
         with pytest.raises(ValueError, match="melt"):
-            faultport.inject(host, 31001, "melt")
+            emulation.inject(host, 31001, "melt")
         with socket.create_connection((host, 31001), 5.0) as raw:
             raw.sendall(b'{"fault": \n[]\n{"fault": "clear"}\n')
             lines = _three_lines(raw)
         assert [b'"ok": true' in line for line in lines] == [False, False, True]
         with socket.create_connection((host, 31001), 5.0) as flood:
             flood.sendall(b"x" * (1 << 18))
-        assert faultport.inject(host, 31001, "state")["active"] == []
+        assert emulation.inject(host, 31001, "state")["active"] == []
     finally:
         port.close()
         port.close()
     with pytest.raises(OSError, match="refused"):
-        faultport.inject(host, 31001, "state")
+        emulation.inject(host, 31001, "state")
 
 
 def _three_lines(connection: socket.socket) -> list[bytes]:
@@ -247,7 +246,7 @@ def _arm(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     return (
         emulator,
         RtdePoseDriver(host, 500.0, CLOCK),
-        lambda fault, **values: faults.inject(host, fault, **values),
+        lambda fault, **values: emulator_faults.inject(host, fault, **values),
     )
 
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.clock import SystemClock
-from rig.emulation import UNTOUCHED_DEPTH, SharedWorld
-from rig.force.config import NetFtConfig
-from rig.force.netft import NetFtDriver
-from rig.latest import WORLD_STATE
-from rig.shared import LatestRecord
+from rig.core.clock import SystemClock
+from rig.core.emulation import UNTOUCHED_DEPTH, SharedWorld
+from rig.core.samples import WORLD_STATE
+from rig.core.shared_memory import LatestRecord
+from rig.devices.force.netft import NetFtDriver
+from rig.devices.force.settings import NetFtConfig
 
 ROOT = Path(__file__).parent.parent
 HOST = f"127.{1 + os.getpid() % 250}.50.1"
-NETFT = [sys.executable, "-m", "rig.force.netft_emulator", "--host", HOST]
+NETFT = [sys.executable, "-m", "rig.devices.force.netft_emulator", "--host", HOST]
 
 
 def state(t_ns: int, fz: float) -> np.ndarray:
@@ -82,7 +82,9 @@ EMULATORS = sorted(
     for path in (ROOT / "rig").rglob("*.py")
     if "type=loopback" in path.read_text() or "add_arguments(parser)" in path.read_text()
 )
-EMULATORS = [name for name in EMULATORS if name not in ("rig.emulation", "rig.world.host")]
+EMULATORS = [
+    name for name in EMULATORS if name not in ("rig.core.emulation", "rig.mock.world.host")
+]
 
 
 @pytest.mark.parametrize("module", EMULATORS)

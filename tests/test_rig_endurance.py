@@ -13,8 +13,8 @@ from collecting import ROOT, quick_bench
 from benchmarks.endurance.long_run import long_bench, run_long
 from benchmarks.endurance.processes import Track, look, role_of
 from benchmarks.endurance.report import growth_of, page
-from rig.bench import load_bench
-from rig.errors import ConfigError
+from rig.bench.bench import load_bench
+from rig.core.errors import ConfigError
 from trajectories import rehearse
 
 
@@ -44,7 +44,9 @@ def test_what_a_process_is_for_and_what_it_holds(tmp_path: Path) -> None:
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        track = Track(role_of(process.pid, "python -m rig.taxels.xela_emulator --port 1", tmp_path))
+        track = Track(
+            role_of(process.pid, "python -m rig.devices.taxels.xela_emulator --port 1", tmp_path)
+        )
         look(process.pid, track, 1.0)
         process.communicate()
     look(process.pid, track, 2.0)

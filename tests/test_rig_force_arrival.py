@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.clock import SECOND_NS, FakeClock, SystemClock
-from rig.force.arrival import StampedSocket
+from rig.core.clock import SECOND_NS, FakeClock, SystemClock
+from rig.devices.force.netft import StampedSocket
 
 
 @pytest.fixture(name="pair")

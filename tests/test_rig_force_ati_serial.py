@@ -16,14 +16,14 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.clock import SystemClock
-from rig.errors import ConfigError, DeviceLost
-from rig.force.ati_records import BinaryFramer, Record, TextFramer, emit, parse
-from rig.force.ati_serial import AtiSerialDriver
-from rig.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
-from rig.force.config import RECORD_BYTES, AtiSerialConfig
-from rig.force.status import LOST_BEFORE
-from rig.latest import WORLD_STATE
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.samples import WORLD_STATE
+from rig.devices.force.ati_serial import AtiSerialDriver
+from rig.devices.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
+from rig.devices.force.ati_serial_wire import BinaryFramer, Record, TextFramer, emit, parse
+from rig.devices.force.sample_clock import LOST_BEFORE
+from rig.devices.force.settings import RECORD_BYTES, AtiSerialConfig
 
 CLOCK = SystemClock()
 FORMS = ("binary", "ascii")

@@ -9,19 +9,19 @@ import pytest
 from collecting import ROOT, Collection, faults_of, quick_bench
 
 from recorder import Session
-from rig.bench import Bench, load_bench
-from rig.clock import FakeClock
-from rig.emulators import Stage, emulator_commands
-from rig.errors import ConfigError
-from rig.force.ati_serial import AtiSerialDriver
-from rig.force.config import AtiSerialConfig, NetFtConfig, NidaqConfig
-from rig.force.netft import NetFtDriver
-from rig.force.nidaq import NidaqDriver
-from rig.force.rdt import ERROR_MASK, SATURATION_MASK
-from rig.force.status import BEYOND_RATING, LOST_BEFORE, SATURATED
-from rig.latest import FORCE_LATEST
-from rig.streams.kinds import expected_rate, make_driver
-from rig.world.truth import Truth
+from rig.bench.bench import Bench, load_bench
+from rig.bench.stream_kinds import expected_rate, make_driver
+from rig.core.clock import FakeClock
+from rig.core.errors import ConfigError
+from rig.core.samples import FORCE_LATEST
+from rig.devices.force.ati_serial import AtiSerialDriver
+from rig.devices.force.netft import NetFtDriver
+from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
+from rig.devices.force.nidaq import NidaqDriver
+from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
+from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
+from rig.mock.emulators import Stage, emulator_commands
+from rig.mock.world.truth import Truth
 
 CALIBRATION = ROOT / "benches" / "mock-nano17.cal"
 NIDAQ = f"{{kind: nidaq, grpc: 'loopback:31763', calibration: {CALIBRATION}}}"
@@ -65,7 +65,7 @@ def test_every_kind_has_an_emulator_for_the_mock_bench(tmp_path: Path, kind: str
     bench = loaded(tmp_path, FORCES[kind])
     stage = Stage(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
     module, *options = emulator_commands(stage)["force"]
-    assert module == f"rig.force.{kind}_emulator"
+    assert module == f"rig.devices.force.{kind}_emulator"
     assert "--world" in options
 
 
@@ -109,7 +109,7 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
 def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
     tmp_path: Path, kind: str, status: int, stops: bool
 ) -> None:
-    from rig.guard import Guard
+    from rig.core.guard import Guard
 
     bench = loaded(tmp_path, FORCES[kind])
     guard = Guard(bench.guard_limits, bench.contact_frame, watch_pose=False)
@@ -121,7 +121,7 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
 
 @pytest.mark.parametrize("rate_hz", [85.0, 200.0, 1000.0])
 def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz: float) -> None:
-    from rig.guard import Guard
+    from rig.core.guard import Guard
 
     bench = loaded(tmp_path, ATI_SERIAL)
     limits = bench.guard_limits

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.errors import ConfigError
-from rig.force.calibration import Calibration
-from rig.force.calibration_file import (
+from rig.core.errors import ConfigError
+from rig.devices.force.calibration import (
     FORCE_UNITS,
     TORQUE_UNITS,
+    Calibration,
     emit_calibration,
     parse_calibration,
     read_calibration,
 )
-from rig.force.config import ToolTransform
+from rig.devices.force.settings import ToolTransform
 
 RATED = (12.0, 12.0, 17.0, 0.12, 0.12, 0.12)
 Edit = Callable[[ET.Element], None]

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.clock import SystemClock
-from rig.errors import ConfigError, DeviceLost
-from rig.force.config import NetFtConfig
-from rig.force.netft import NetFtDriver
-from rig.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
-from rig.force.rdt import Page
-from rig.latest import WORLD_STATE
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.samples import WORLD_STATE
+from rig.devices.force.netft import NetFtDriver
+from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
+from rig.devices.force.netft_wire import Page
+from rig.devices.force.settings import NetFtConfig
 
 CLOCK = SystemClock()
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.clock import SystemClock
-from rig.errors import ConfigError, DeviceLost
-from rig.force import nidaq_task
-from rig.force.calibration_file import emit_calibration, read_calibration
-from rig.force.config import NidaqConfig, ToolTransform
-from rig.force.nidaq import NidaqDriver
-from rig.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
-from rig.force.status import BEYOND_RATING, LOST_BEFORE, SATURATED
-from rig.latest import WORLD_STATE
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.samples import WORLD_STATE
+from rig.devices.force import nidaq_task
+from rig.devices.force.calibration import emit_calibration, read_calibration
+from rig.devices.force.nidaq import NidaqDriver
+from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
+from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
+from rig.devices.force.settings import NidaqConfig, ToolTransform
 
 CLOCK = SystemClock()
 PORT = 31763
@@ -296,7 +296,7 @@ def test_a_setting_that_reads_back_otherwise_is_refused(
 
 
 def test_without_the_library_the_extra_is_named(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "rig.force.nidaq_task")
+    monkeypatch.delitem(sys.modules, "rig.devices.force.nidaq_task")
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
     assert "install the extra: pip install -e '.[nidaq]'" in refused(host)
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.errors import ConfigError
-from rig.force.rdt import (
+from rig.core.errors import ConfigError
+from rig.devices.force.netft_wire import (
     COMMAND_REALTIME,
     ERROR_MASK,
     FORCE_UNITS,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.clock import SECOND_NS
-from rig.force.timeline import SampleTimeline
+from rig.core.clock import SECOND_NS
+from rig.devices.force.sample_clock import SampleTimeline
 
 RATE = 1000.0
 PERIOD = SECOND_NS // 1000

@@ -9,13 +9,12 @@ import minimalmodbus
 import pytest
 import serial
 
-from rig.clock import FakeClock, SystemClock
-from rig.config import build
-from rig.errors import ConfigError, DeviceLost
-from rig.gripper.config import RobotiqConfig
-from rig.gripper.emulator import RobotiqEmulator
-from rig.gripper.fingers import ACTIVATION, Fingers
-from rig.gripper.registers import (
+from rig.core.clock import FakeClock, SystemClock
+from rig.core.config import build
+from rig.core.errors import ConfigError, DeviceLost
+from rig.devices.gripper.robotiq import RobotiqDriver, swap_held
+from rig.devices.gripper.robotiq_emulator import ACTIVATION, Fingers, RobotiqEmulator
+from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
     ACTIVE,
     AT_POSITION,
@@ -25,8 +24,7 @@ from rig.gripper.registers import (
     GripperCommand,
     parse_status,
 )
-from rig.gripper.robotiq import RobotiqDriver
-from rig.gripper.swap import swap_held
+from rig.devices.gripper.settings import RobotiqConfig
 
 CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
 

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.arm.rotation import transform
-from rig.clock import FakeClock
-from rig.guard import AXES, Guard, GuardLimits, judge_safety, outside_box
-from rig.latest import FORCE_LATEST, POSE_LATEST
+from rig.core.clock import FakeClock
+from rig.core.geometry import transform
+from rig.core.guard import AXES, Guard, GuardLimits, judge_safety, outside_box
+from rig.core.samples import FORCE_LATEST, POSE_LATEST
 
 RATING = (10.0, 11.0, 12.0, 0.1, 0.2, 0.3)
 BOX = ((-0.02, -0.03, -0.001), (0.02, 0.03, 0.1))

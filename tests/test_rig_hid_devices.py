@@ -151,8 +151,8 @@ def test_a_device_that_is_not_there_is_lost_and_the_error_says_what_is(
 def test_a_node_without_the_right_names_the_udev_rule(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from rig.errors import DeviceLost
-    from rig.hid import device
+    from rig.core.errors import DeviceLost
+    from rig.devices.hid import device
 
     node = tmp_path / "hidraw0"
     node.touch()
@@ -163,8 +163,8 @@ def test_a_node_without_the_right_names_the_udev_rule(
 
 
 def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
-    from rig.errors import DeviceLost
-    from rig.hid.device import HidDevice
+    from rig.core.errors import DeviceLost
+    from rig.devices.hid.device import HidDevice
 
     node = tmp_path / "hidraw0"
     node.touch()
@@ -176,9 +176,9 @@ def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
 
 
 def test_an_emulated_node_without_the_shim_says_how_to_get_it(tmp_path: Path) -> None:
-    from rig.errors import DeviceLost
-    from rig.hid.device import HidDevice
+    from rig.core.errors import DeviceLost
+    from rig.devices.hid.device import HidDevice
 
     pedal = HidDevice(str(tmp_path / "pedal.hidraw"), "foot pedal", (1, 6))
-    with pytest.raises(DeviceLost, match=r"LD_PRELOAD=\$\(python -m rig.hid.shim\)"):
+    with pytest.raises(DeviceLost, match=r"LD_PRELOAD=\$\(python -m rig.devices.hid.shim\)"):
         pedal.open()

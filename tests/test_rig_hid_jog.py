@@ -17,11 +17,11 @@ from collecting import ROOT, Collection
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig import faultport
-from rig.arm import faults
-from rig.bench import load_bench
-from rig.clock import SystemClock
-from rig.hid.jog import REACH, origin_text, planned
+from rig.acquire.jog import REACH, origin_text, planned
+from rig.bench.bench import load_bench
+from rig.core import emulation
+from rig.core.clock import SystemClock
+from rig.devices.arm import emulator_faults
 
 BOX = ((-0.01, -0.01, -0.0047), (0.01, 0.01, 0.06))
 parts = st.floats(-1.0, 1.0)
@@ -103,7 +103,7 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
             )
         self.run = Collection(folder / "none", process)
         self.wait(lambda: "Ctrl-C ends" in self.log.read_text())
-        command = self.run.processes()[self.run.emulator("rig.arm.emulator")]
+        command = self.run.processes()[self.run.emulator("rig.devices.arm.emulator")]
         self.host = command.split("--host ")[1].split()[0]
         self.start = self.place()
 
@@ -116,13 +116,13 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
             clock.sleep_until(clock.now_ns() + 10_000_000)
 
     def move(self, fault: str, **values: float) -> None:
-        faultport.inject(self.host, faultport.PORTS["spacemouse"], fault, **values)
+        emulation.inject(self.host, emulation.PORTS["spacemouse"], fault, **values)
 
     def place(self) -> np.ndarray:
-        return np.array(faults.inject(self.host, "state")["pose"][:3])
+        return np.array(emulator_faults.inject(self.host, "state")["pose"][:3])
 
     def moving(self) -> bool:
-        speed = faults.inject(self.host, "state")["speed"]
+        speed = emulator_faults.inject(self.host, "state")["speed"]
         return bool(np.linalg.norm(speed[:3]) > 1e-4)
 
 

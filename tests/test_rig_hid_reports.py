@@ -6,12 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.config import build
-from rig.errors import ConfigError
-from rig.hid.config import PedalConfig, SpaceMouseConfig
-from rig.hid.dead_man import DeadMan
-from rig.hid.reports import CapReport, emit_cap, emit_keys, parse_cap, parse_keys
-from rig.hid.watch import PedalState
+from rig.core.config import build
+from rig.core.errors import ConfigError
+from rig.devices.hid.pedal import DeadMan, PedalState
+from rig.devices.hid.reports import CapReport, emit_cap, emit_keys, parse_cap, parse_keys
+from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 
 parts = st.integers(-350, 350).map(lambda count: count / 350)
 axes = st.tuples(parts, parts, parts)

@@ -13,13 +13,13 @@ import yaml
 from collecting import ROOT
 
 from recorder import Session
-from rig.bench import Bench, load_bench
-from rig.calibrate import home, store
-from rig.calibrate.onset import Onset, combine, find_onset, tilt
-from rig.calibration import Calibration, HomeCalibration, LatencyCalibration
-from rig.errors import ConfigError, SafetyStop
-from rig.world.analytic import AnalyticSpec, AnalyticWorld
-from rig.world.contact import Sphere
+from rig.acquire.calibration import home, store
+from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
+from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
+from rig.bench.bench import Bench, load_bench
+from rig.bench.worlds import AnalyticSpec, Sphere
+from rig.core.errors import ConfigError, SafetyStop
+from rig.mock.world.analytic import AnalyticWorld
 from trajectories import Touch, plan_from_json, plan_to_json
 
 

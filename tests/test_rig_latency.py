@@ -13,11 +13,11 @@ import yaml
 from collecting import ROOT
 
 from recorder import Session
-from rig.bench import load_bench
-from rig.calibrate import latency
-from rig.calibrate.lag import Lag, find_lag
-from rig.camera.jpeg import frame_stamp
-from rig.errors import ConfigError
+from rig.acquire.calibration import latency
+from rig.acquire.calibration.latency import Lag, find_lag
+from rig.bench.bench import load_bench
+from rig.core.errors import ConfigError
+from rig.devices.camera.jpeg import frame_stamp
 from trajectories import Taps, plan_from_json, plan_to_json
 
 TRUE = 0.055

@@ -20,12 +20,11 @@ from test_recorder_samples import make_session
 
 from recorder import Session, SessionError
 from rig.__main__ import main
-from rig.bench import find_bench, load_bench
-from rig.clock import SECOND_NS, FakeClock, SystemClock
-from rig.errors import ConfigError, DeviceLost
-from rig.live.line import ForceLine
-from rig.live.watch import Seen, watch
-from rig.live.watched import Watched, mock_bench, replayed
+from rig.bench.bench import find_bench, load_bench
+from rig.core.clock import SECOND_NS, FakeClock, SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.monitor.forces import ForceLine, Seen, watch
+from rig.monitor.watched import Watched, mock_bench, replayed
 
 BENCHES = Path(__file__).parent.parent / "benches"
 WORK_NS = 5_000_000

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import find_bench, load_bench
-from rig.emulators import Sources
-from rig.errors import ConfigError, DeviceLost
-from rig.mock import MockBench, free_loopback
+from rig.bench.bench import find_bench, load_bench
+from rig.core.errors import ConfigError, DeviceLost
+from rig.mock.bench import MockBench, free_loopback
+from rig.mock.emulators import Sources
 
 BENCHES = Path(__file__).parent.parent / "benches"
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.clock import SECOND_NS
-from rig.realtime import Sweeper
+from rig.core.clock import SECOND_NS
+from rig.core.realtime import Sweeper
 
 
 class Node:

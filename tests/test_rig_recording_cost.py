@@ -45,8 +45,8 @@ from benchmarks.recording.store_child import inspect, read, write
 from benchmarks.recording.store_race import ChildFailed, Kill, StoreRow, Write
 from benchmarks.recording.stores import STORES, Entry, entry
 from recorder import Session, SessionWriter, StreamWriter
-from rig.clock import FakeClock
-from rig.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
+from rig.core.clock import FakeClock
+from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 
 SECONDS = 3.0
 

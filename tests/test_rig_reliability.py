@@ -21,10 +21,10 @@ from benchmarks.faults.page import page
 from benchmarks.faults.rows import ROWS
 from benchmarks.faults.run import Results, names
 from recorder import Session
-from rig.bench import bench_from, load_bench
-from rig.clock import FakeClock
-from rig.guard import Guard
-from rig.latest import FORCE_LATEST, POSE_LATEST
+from rig.bench.bench import bench_from, load_bench
+from rig.core.clock import FakeClock
+from rig.core.guard import Guard
+from rig.core.samples import FORCE_LATEST, POSE_LATEST
 
 BENCHES = Path(__file__).parent.parent / "benches"
 MS = 1_000_000

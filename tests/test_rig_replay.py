@@ -18,15 +18,15 @@ from test_recorder_samples import Columns, make_session
 from recorder import Session, SessionError, check
 from recorder.info import digests
 from recorder.store.layout import merge_attrs
-from rig.clock import SECOND_NS
-from rig.errors import DeviceLost
-from rig.force.rdt import Page
+from rig.core.clock import SECOND_NS
+from rig.core.errors import DeviceLost
+from rig.devices.force.netft_wire import Page
+from rig.devices.playback import force_counts, replayable
+from rig.mock.cue import ENDED, PLAYING, POSITION
 from rig.replay import replay as module
-from rig.replay.cue import ENDED, PLAYING, POSITION
-from rig.replay.progress import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
 from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayOrder
 from rig.replay.result import Retiming, compared
-from rig.replay.wire import force_counts, replayable
+from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
 
 SCALE = np.repeat(Page().scale(), 3)
 ALL = ("camera", "force", "pose", "taxels")
@@ -302,7 +302,7 @@ def test_whatever_ends_a_replay_what_was_recorded_is_kept(
             next(
                 pid
                 for pid, command in replay.processes().items()
-                if "rig.replay.player --stream force" in command
+                if "rig.mock.player --stream force" in command
             ),
             signal.SIGKILL,
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.shared import LatestRecord
+from rig.core.shared_memory import LatestRecord
 
 PAIR = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
 

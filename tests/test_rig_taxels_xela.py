@@ -16,13 +16,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.clock import SystemClock
-from rig.errors import ConfigError, DeviceLost
-from rig.latest import WORLD_STATE
-from rig.taxels.config import XelaConfig
-from rig.taxels.scan import parse
-from rig.taxels.xela import XelaDriver
-from rig.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.samples import WORLD_STATE
+from rig.devices.taxels.settings import XelaConfig
+from rig.devices.taxels.xela import XelaDriver
+from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
+from rig.devices.taxels.xela_wire import parse
 
 CLOCK = SystemClock()
 _numbers = itertools.count()

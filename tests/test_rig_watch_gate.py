@@ -6,8 +6,8 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from rig.watch.gate import Gate, is_loopback
-from rig.watch.site import Site
+from rig.monitor.page.access import Gate, is_loopback
+from rig.monitor.page.server import Site
 
 LOCAL = Gate("127.0.0.1", 8765, "local-token")
 REMOTE = Gate("0.0.0.0", 8765, "remote-token")

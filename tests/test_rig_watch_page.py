@@ -16,12 +16,12 @@ from watching import TARGETS, Stage, next_state, watch
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from rig.collect.control import Control
-from rig.errors import ConfigError
-from rig.watch.facts import Snapshot
-from rig.watch.gate import Gate
-from rig.watch.page import Page
-from rig.watch.server import run_page
+from rig.acquire.control import Control
+from rig.core.errors import ConfigError
+from rig.monitor.page.access import Gate
+from rig.monitor.page.messages import Snapshot
+from rig.monitor.page.page import Page
+from rig.monitor.page.server import run_page
 
 
 @pytest.fixture

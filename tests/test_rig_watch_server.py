@@ -16,11 +16,10 @@ import pytest
 from watching import TARGETS, Stage, next_image, next_state, watch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from rig.collect.control import Control
-from rig.collect.interrupt import Interrupted
-from rig.watch.gate import Gate
-from rig.watch.page import Page
-from rig.watch.server import MAX_CONNECTIONS, MAX_MESSAGES, MAX_WATCHERS, parse_command
+from rig.acquire.control import Control, Interrupted
+from rig.monitor.page.access import Gate
+from rig.monitor.page.page import Page
+from rig.monitor.page.server import MAX_CONNECTIONS, MAX_MESSAGES, MAX_WATCHERS, parse_command
 
 PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 

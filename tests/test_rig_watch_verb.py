@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from watching import BENCH, TARGETS
 
-from rig.collect.order import Order
-from rig.errors import ConfigError
-from rig.verbs.watching import opened_page, watch_options
-from rig.watch.facts import page_job
-from rig.watch.gate import Gate
-from rig.watch.page import Page
+from rig.acquire.request import Order
+from rig.cli.options import opened_page, watch_options
+from rig.core.errors import ConfigError
+from rig.monitor.page.access import Gate
+from rig.monitor.page.messages import page_job
+from rig.monitor.page.page import Page
 from trajectories import ForceDepth
 
 

@@ -11,13 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.bench import find_bench, load_bench
-from rig.world.analytic import AnalyticSpec, AnalyticWorld, Hysteresis
-from rig.world.contact import Layer, Punch, Sphere
-from rig.world.markers import MarkerCamera, MarkerView
-from rig.world.surface import Surface
-from rig.world.taxels import TaxelField
-from rig.world.truth import Truth, TruthLog
+from rig.bench.bench import find_bench, load_bench
+from rig.bench.worlds import AnalyticSpec, Hysteresis, Layer, MarkerView, Punch, Sphere, TaxelField
+from rig.mock.world.analytic import AnalyticWorld
+from rig.mock.world.picture import MarkerCamera, Surface
+from rig.mock.world.truth import Truth, TruthLog
 
 LAYER = Layer(modulus=145e3, thickness=4e-3, poisson=0.45)
 BARE = AnalyticSpec(layer=LAYER, indenter=Punch(radius=3e-3), gauge_depth=0.02)

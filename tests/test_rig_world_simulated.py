@@ -13,16 +13,16 @@ import pytest
 from collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
-from rig.bench import bench_from, find_bench, load_bench, with_simulated_world
-from rig.clock import FakeClock
-from rig.config import build
-from rig.emulators import Stage, world_commands
-from rig.errors import ConfigError
-from rig.latest import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
-from rig.shared import LatestRecord
-from rig.world import SimulatedSpec, SimulatedWorld, build_world, load_view, read_file
-from rig.world.picture import coverage
-from rig.world.simulated import (
+from rig.bench.bench import bench_from, find_bench, load_bench, with_simulated_world
+from rig.core.clock import FakeClock
+from rig.core.config import build
+from rig.core.errors import ConfigError
+from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
+from rig.core.shared_memory import LatestRecord
+from rig.mock.emulators import Stage, world_commands
+from rig.mock.world import SimulatedSpec, SimulatedWorld, build_world, load_view, read_file
+from rig.mock.world.picture import coverage
+from rig.mock.world.simulated import (
     PRESS_FILE,
     SURFACE_FILE,
     Between,
@@ -32,7 +32,7 @@ from rig.world.simulated import (
     live_sensor,
     markers_of,
 )
-from rig.world.solver import Shared, Solver
+from rig.mock.world.solver import Shared, Solver
 
 BENCHES = Path(__file__).parent.parent / "benches"
 MS = 1_000_000
@@ -189,7 +189,7 @@ def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> N
     assert set(world_commands(Stage(bench, **there, **records))) == {"world"}
     simulated = bench_from(with_simulated_world(content, str(path)), str(path))
     commands = world_commands(Stage(simulated, **there, **records))
-    assert commands["solver"][0] == "rig.world.solver"
+    assert commands["solver"][0] == "rig.mock.world.solver"
     spec = {"world": {"kind": "simulated", "sensor": "gelsight"}, "contact_frame": list(FRAME)}
     there["spec"].write_text(json.dumps({**spec, "indenter": "prism"}))
     file = read_file(there["spec"])
@@ -344,7 +344,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
     arm = LatestRecord.create(tmp_path / "arm", ARM_TRUTH)
     LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     arm.write((MS, np.full(6, np.nan), np.zeros(6)))
-    command = ["-m", "rig.world.solver", "--spec", str(spec), "--arm", str(tmp_path / "arm")]
+    command = ["-m", "rig.mock.world.solver", "--spec", str(spec), "--arm", str(tmp_path / "arm")]
     run = subprocess.run(
         [sys.executable, *command], capture_output=True, text=True, timeout=50, check=False
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.bench import load_bench
+from rig.bench.bench import load_bench
 from sim import SceneError
 from sim.dataset import Plan, Solving, chosen_targets, families, gel, units
 from sim.dataset.plan import STATES, code, differing, force_scale, names, scenes

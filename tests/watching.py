@@ -13,14 +13,14 @@ import simplejpeg
 from websockets.sync.client import ClientConnection, connect
 
 from recorder import SessionWriter, StreamWriter, camera_spec
-from rig.bench import load_bench
-from rig.clock import SystemClock
-from rig.collect.order import Order
-from rig.latest import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
-from rig.shared import LatestRecord
-from rig.streams.process import COUNTERS
-from rig.watch.facts import PageJob, page_job
-from rig.watch.gate import Gate
+from rig.acquire.request import Order
+from rig.acquire.stream_process import COUNTERS
+from rig.bench.bench import load_bench
+from rig.core.clock import SystemClock
+from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
+from rig.core.shared_memory import LatestRecord
+from rig.monitor.page.access import Gate
+from rig.monitor.page.messages import PageJob, page_job
 
 ROOT = Path(__file__).parent.parent
 BENCH, _ = load_bench(ROOT / "benches" / "tacpalm.yaml")

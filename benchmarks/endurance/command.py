@@ -8,11 +8,11 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.errors import ConfigError
-from rig.verbs.options import bench_options, bench_path
+from rig.cli.options import bench_options, bench_path
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.verbs.options import Verbs
+    from rig.cli.options import Verbs
 
 
 def add_to(verbs: Verbs) -> None:

@@ -13,9 +13,9 @@ from pathlib import Path
 from benchmarks.endurance.processes import Track, look, role_of
 from benchmarks.faults.processes import family
 from recorder.strict_yaml import yaml_text
-from rig.bench import load_bench
-from rig.clock import SECOND_NS, SystemClock
-from rig.errors import ConfigError
+from rig.bench.bench import load_bench
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.errors import ConfigError
 from trajectories import PressShear, rehearse
 
 _EVERY = 5.0

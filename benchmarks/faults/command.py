@@ -9,10 +9,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.verbs.options import Verbs
+    from rig.cli.options import Verbs
 
 
 def add_to(verbs: Verbs) -> None:
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from benchmarks.faults.rows import SENSORS
     from benchmarks.faults.run import Campaign, names
-    from rig.bench import load_bench
+    from rig.bench.bench import load_bench
 
     if options.list:
         print("\n".join(names()))

@@ -13,8 +13,8 @@ from benchmarks.faults.one_row import judge
 from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.rows import Row
 from benchmarks.faults.trial import Hangs, Trial
-from rig.clock import SECOND_NS, SystemClock
-from rig.errors import EXIT_DEVICE_LOST
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.errors import EXIT_DEVICE_LOST
 
 ROW = Row("disk", "full", (EXIT_DEVICE_LOST,), None, targets=20, needs_recover=True)
 """Of the table of faults, as far as it is like the others."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.faults.observer import ArmState, Seen, age
 from recorder import Session, SessionError, check
-from rig.camera.jpeg import frame_stamp
+from rig.devices.camera.jpeg import frame_stamp
 
 _RECENT = 3.0
 # The arm's emulator ends with the bench; its last answer before that counts if no older [s].

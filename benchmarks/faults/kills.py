@@ -21,7 +21,7 @@ from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.trial import EMULATORS, Hangs, Trial
 from recorder import Session, SessionError
 from recorder.session.recover import recover
-from rig.clock import SECOND_NS, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 
 _SENSOR = "tacpalm"
 _STREAMS = ("force", "pose", "camera")

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from rig.arm import faults
-from rig.arm.rotation import compose, invert
-from rig.clock import SECOND_NS, SystemClock
-from rig.shared import LatestRecord
-from rig.streams.kinds import KINDS
-from rig.streams.process import COUNTERS
+from rig.acquire.stream_process import COUNTERS
+from rig.bench.stream_kinds import KINDS
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.geometry import compose, invert
+from rig.core.shared_memory import LatestRecord
+from rig.devices.arm import emulator_faults
 
 _PERIOD = 0.02
 _ARM_EVERY = 3
@@ -129,7 +129,7 @@ class Observer:
 
     def _ask_arm(self) -> None:
         try:
-            state = faults.inject(self._host, "state")
+            state = emulator_faults.inject(self._host, "state")
         except (OSError, ValueError):
             # The controller is gone: what was last heard of it stands, with its time.
             return

@@ -10,9 +10,9 @@ from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.rows import Row
 from benchmarks.faults.trial import Hangs, Trial
 from recorder.session.recover import recover
-from rig import faultport
-from rig.clock import SECOND_NS, SystemClock
-from rig.hid.shim import build
+from rig.core import emulation
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.devices.hid.shim import build
 
 _CLEARING = 5.0
 # A fault with an end is waited for, so that all it did can be counted [s].
@@ -51,10 +51,10 @@ def _with_fault(row: Row, trial: Trial) -> int:
     row.act(trial)
     if row.counts is None:
         return 0
-    clock, port = SystemClock(), faultport.PORTS[row.device]
+    clock, port = SystemClock(), emulation.PORTS[row.device]
     deadline_ns = clock.now_ns() + round(_CLEARING * SECOND_NS)
     while True:
-        state = faultport.inject(trial.host, port, "state")
+        state = emulation.inject(trial.host, port, "state")
         if not state.get("active") or clock.now_ns() > deadline_ns:
             return int(state["touched"])
         clock.sleep_until(clock.now_ns() + SECOND_NS // 20)

@@ -13,10 +13,10 @@ from benchmarks.faults.judge import Judgement, Left
 from benchmarks.faults.kills import VICTIMS, Kills
 from benchmarks.faults.rows import Row
 from benchmarks.faults.run import Results
-from rig.arm.config import ArmConfig
-from rig.bench import BenchLimits, load_bench
-from rig.collect.live import minutes
-from rig.collect.streams import SILENT, SLOW, SLOW_FRACTION
+from rig.acquire.progress_line import minutes
+from rig.acquire.streams import SILENT, SLOW, SLOW_FRACTION
+from rig.bench.bench import BenchLimits, load_bench
+from rig.devices.arm.settings import ArmConfig
 
 _LONGEST = 150
 # Characters of a reason; what follows is advice to the technician.
@@ -39,7 +39,7 @@ _INTRO = """# Reliability
 What the rig does when something breaks, found by breaking it. Every row below is a short
 collection on a mock bench, run as a technician runs it (`python -m rig collect`), with a fault
 put into the wire of one device, or a process killed, while the arm presses. The real drivers
-run; the faults are the emulators' (`rig/disturbance.py`).
+run; the faults are the emulators' (`rig/core/fault_injection.py`).
 
 Repeat it with `make faults` (`--quick`: 10 kills in place of 100; `--only ROW`, `--list`). The
 command fails when any row loses an accepted sample, hangs, leaves the arm moving, stores a

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Iterable
 from pathlib import Path
 
-from rig.clock import SECOND_NS, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 
 _POLL_NS = SECOND_NS // 100
 

@@ -12,9 +12,9 @@ from benchmarks.faults.judge import Judgement
 from benchmarks.faults.kills import Kills, kill_often
 from benchmarks.faults.one_row import run_row
 from benchmarks.faults.rows import ROWS, Row
-from rig.clock import SECOND_NS, SystemClock
-from rig.collect.live import minutes
-from rig.errors import ConfigError
+from rig.acquire.progress_line import minutes
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.errors import ConfigError
 
 KILLS = "kills"
 _ROW_SECONDS, _KILL_SECONDS, _RESUME_SECONDS = 11.0, 8.0, 25.0

@@ -17,19 +17,19 @@ import numpy as np
 from benchmarks.faults.observer import Observer, Seen
 from benchmarks.faults.processes import family, kill, stream_process, wait_gone
 from recorder import OUTCOMES, Session
-from rig import faultport
-from rig.clock import SECOND_NS, SystemClock
+from rig.core import emulation
+from rig.core.clock import SECOND_NS, SystemClock
 
 EMULATORS = {
-    "arm": "rig.arm.emulator",
-    "force": "rig.force.netft_emulator",
-    "camera": "rig.camera.mjpeg_emulator",
-    "taxels": "rig.taxels.xela_emulator",
-    "NI-DAQ": "rig.force.nidaq_emulator",
-    "RS-232": "rig.force.ati_serial_emulator",
-    "gripper": "rig.gripper.emulator",
-    "pedal": "rig.hid.emulator",
-    "world": "rig.world.host",
+    "arm": "rig.devices.arm.emulator",
+    "force": "rig.devices.force.netft_emulator",
+    "camera": "rig.devices.camera.mjpeg_emulator",
+    "taxels": "rig.devices.taxels.xela_emulator",
+    "NI-DAQ": "rig.devices.force.nidaq_emulator",
+    "RS-232": "rig.devices.force.ati_serial_emulator",
+    "gripper": "rig.devices.gripper.robotiq_emulator",
+    "pedal": "rig.devices.hid.emulator",
+    "world": "rig.mock.world.host",
 }
 """The module each device's emulator runs as."""
 _LINES = {"NI-DAQ": "force", "RS-232": "force"}
@@ -204,7 +204,7 @@ class Trial:
         """A fault through the device's fault port; how the device is.
 
         Raises:
-            OSError, ValueError: See `rig.faultport.inject`.
+            OSError, ValueError: See `rig.core.emulation.inject`.
         """
         self.injected_ns = self._clock.now_ns()
         return self.tell(device, fault, **values)
@@ -213,10 +213,10 @@ class Trial:
         """Through the device's fault port, what is no fault; how the device is.
 
         Raises:
-            OSError, ValueError: See `rig.faultport.inject`.
+            OSError, ValueError: See `rig.core.emulation.inject`.
         """
-        port = faultport.PORTS[_LINES.get(device, device)]
-        return faultport.inject(self.host, port, what, **values)
+        port = emulation.PORTS[_LINES.get(device, device)]
+        return emulation.inject(self.host, port, what, **values)
 
     def until_said(self, words: str, after: str = "") -> None:
         """Wait until it has printed `words`, after the first `after`.

@@ -24,8 +24,8 @@ from recorder import Session, Window
 from recorder.session import align
 from recorder.session.align import Sources
 from recorder.session.window import align_window, ticks_before
-from rig.arm.rotation import rotation_between
-from rig.clock import SECOND_NS, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.geometry import rotation_between
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.bench import find_bench
-from rig.errors import EXIT_DONE, ConfigError
+from rig.bench.bench import find_bench
+from rig.core.errors import EXIT_DONE, ConfigError
 
 if TYPE_CHECKING:
-    from rig.verbs.options import Verbs
+    from rig.cli.options import Verbs
 
 _PARTS = ("stores", "share", "lateness", "cameras", "full", "alignment")
 

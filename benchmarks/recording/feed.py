@@ -2,8 +2,9 @@
 
 A thread stands for the driver's receiver: at every tick of the stream it puts a sample into the
 rig's own `Inbox`. The main thread takes from it and appends with the `StreamWriter`, as
-`rig.streams.process` does. Dropped is a sample that met a full inbox and, of a camera, a tick that
-had passed before the receiver came to wait for it: the camera would have overwritten its buffer.
+`rig.acquire.stream_process` does. Dropped is a sample that met a full inbox and, of a camera, a
+tick that had passed before the receiver came to wait for it: the camera would have overwritten its
+buffer.
 What a socket delivers (force, pose, taxels) waits in the kernel for a late receiver: it is late.
 """
 
@@ -33,10 +34,10 @@ from recorder import (
     pose_spec,
     taxels_spec,
 )
-from rig.clock import SECOND_NS, Pacer, SystemClock
-from rig.driver import Inbox
-from rig.errors import ConfigError
-from rig.realtime import be_punctual
+from rig.core.clock import SECOND_NS, Pacer, SystemClock
+from rig.core.driver import Inbox
+from rig.core.errors import ConfigError
+from rig.core.realtime import be_punctual
 
 _READ_TIMEOUT = 0.05
 _LEAD = 0.3

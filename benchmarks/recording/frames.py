@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.camera.jpeg import frame_stamp, stamped
+from rig.devices.camera.jpeg import frame_stamp, stamped
 
 Image = NDArray[np.uint8]
 

@@ -12,9 +12,9 @@ from multiprocessing.connection import Connection
 
 from benchmarks.recording.measure import Scale, Spread
 from benchmarks.recording.progress import Progress
-from rig.clock import SECOND_NS, Pacer, SystemClock
-from rig.errors import ConfigError
-from rig.realtime import be_punctual
+from rig.core.clock import SECOND_NS, Pacer, SystemClock
+from rig.core.errors import ConfigError
+from rig.core.realtime import be_punctual
 
 RATES_HZ = (40.0, 60.0, 500.0)
 LOADS = ("idle", "two busy processes", "encoding thread")

@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.recording.feed import Fed, Feed, record
 from benchmarks.recording.measure import Scale
 from benchmarks.recording.progress import Progress
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 _START = 1.5
 # Starting one process and closing it [s].

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.recording.alignment import FORCE, Error, Method
 from recorder import Session
 from recorder.session.window import align_window
-from rig.camera.jpeg import frame_stamp
-from rig.world.truth import Truth
+from rig.devices.camera.jpeg import frame_stamp
+from rig.mock.world.truth import Truth
 
 _TIMEOUT = 180.0
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec
-from rig.arm.rotation import turn
-from rig.clock import SECOND_NS
-from rig.latest import WORLD_STATE
-from rig.world.analytic import AnalyticSpec, AnalyticWorld, Hysteresis, surface_of
-from rig.world.contact import Layer, Punch
-from rig.world.markers import MarkerCamera, MarkerView
+from rig.bench.worlds import AnalyticSpec, Hysteresis, Layer, MarkerView, Punch
+from rig.core.clock import SECOND_NS
+from rig.core.geometry import turn
+from rig.core.samples import WORLD_STATE
+from rig.mock.world.analytic import AnalyticWorld, surface_of
+from rig.mock.world.picture import MarkerCamera
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from rig.clock import SECOND_NS, Clock
-from rig.collect.live import minutes
+from rig.acquire.progress_line import minutes
+from rig.core.clock import SECOND_NS, Clock
 
 
 class Progress:

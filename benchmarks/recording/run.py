@@ -19,8 +19,8 @@ from benchmarks.recording.page_stores import STORES_CHART
 from benchmarks.recording.progress import Progress
 from benchmarks.recording.store_race import StoreRow
 from recorder.errors import SessionError
-from rig.clock import SECOND_NS, SystemClock
-from rig.errors import ConfigError
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.errors import ConfigError
 
 _COLORS = {"force": (46, 125, 180), "pose": (214, 120, 60), "image": (90, 160, 90)}
 

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.recording import stores
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
 from benchmarks.recording.measure import cpu_seconds, sync_tree, tree_bytes, warm
-from rig.clock import SECOND_NS, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 
 WINDOW = 16
 """Images of a window."""

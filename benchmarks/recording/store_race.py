@@ -20,7 +20,7 @@ from benchmarks.recording.measure import Scale, Spread
 from benchmarks.recording.progress import Progress
 from benchmarks.recording.store_child import RESULT
 from benchmarks.recording.stores import STORES, Entry
-from rig.clock import SECOND_NS, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 
 INTERPRETER = "LEROBOT_PYTHON"
 """Environment variable: a Python that has LeRobot and torch."""

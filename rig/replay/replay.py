@@ -20,17 +20,16 @@ import numpy as np
 from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.info import session_digest, stream_digest
 from recorder.session.clocks import fit_clocks
-from rig.clock import ClockAnchor, SystemClock
-from rig.collect.collector import software
-from rig.collect.interrupt import Interrupted, InterruptFlag
-from rig.collect.live import minutes
-from rig.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
-from rig.mock import free_loopback
-from rig.replay.bench import replay_bench
-from rig.replay.progress import ReadingProgress
+from rig.acquire.collector import software
+from rig.acquire.control import Interrupted, InterruptFlag
+from rig.acquire.progress_line import minutes
+from rig.core.clock import ClockAnchor, SystemClock
+from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
+from rig.devices.playback import replayable
+from rig.mock.bench import free_loopback
+from rig.mock.players import replay_bench
 from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
-from rig.replay.run import ReplayedRun
-from rig.replay.wire import replayable
+from rig.replay.run import ReadingProgress, ReplayedRun
 
 logger = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from recorder import Session
-from rig.clock import SECOND_NS
-from rig.replay.wire import origin_ns
+from rig.core.clock import SECOND_NS
+from rig.devices.playback import origin_ns
 
 Ints = npt.NDArray[np.int64]
 

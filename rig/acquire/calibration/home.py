@@ -1,0 +1,208 @@
+"""Finds the surface: slow approaches, the onset of force in each, and what they say together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import Session
+from recorder.session.align import linear
+from rig.acquire.calibration.calibration import HomeCalibration
+from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, tilt
+from rig.acquire.calibration.store import bench_hash, now_utc
+from rig.bench.bench import Bench
+from rig.core.errors import ConfigError, SafetyStop
+from rig.core.geometry import invert, transform
+from trajectories import PHASES, Touch
+
+METHOD = "onset of force, k d^p (1 + c d), profile likelihood"
+WIDTH_MAX = 50e-6
+"""A wider interval is refused unless told otherwise [m]."""
+SPEED = 1e-3
+"""Of the approach [m/s]."""
+FORCE = 0.3
+"""The approach ends here unless told otherwise [N]."""
+_NOISE_SHARE = 0.2
+# Noise above this part of the contact force would end approaches by itself.
+_DECELERATING = 10e-6
+# The last bit of an approach, where the arm already slows down [m].
+
+
+@dataclass(frozen=True, slots=True)
+class Approaches:
+    """What a session of touches says."""
+
+    surface: Surface
+    """At the first of its points, in the frame of the session."""
+    onsets: tuple[Onset, ...]
+    """Its approaches."""
+    slopes: tuple[float, float] | None
+    """Tilt along x and y of the contact frame [rad]; None unless three points were touched."""
+
+
+def touching_bench(bench: Bench, force: float) -> Bench:
+    """The bench for approaches: 1 mm/s, ended softly at `force` [N]; hard limits stay."""
+    limits = bench.limits
+    rating = limits.force_rating[2]
+    if not 0 < force < 0.5 * limits.soft_fraction * rating:
+        raise ConfigError(
+            f"--force: found {force} N; allowed: above 0, below half the soft limit "
+            f"({0.5 * limits.soft_fraction * rating:.2f} N)"
+        )
+    return dataclasses.replace(
+        bench,
+        arm=dataclasses.replace(bench.arm, speed=SPEED),
+        limits=dataclasses.replace(limits, soft_fraction=force / rating),
+        # A spread that comes near the contact force is refused before anything moves down.
+        preflight=dataclasses.replace(
+            bench.preflight,
+            tare_spread=min(bench.preflight.tare_spread, _NOISE_SHARE * force),
+            contact_free=min(bench.preflight.contact_free, 0.5 * force),
+        ),
+    )
+
+
+def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> Approaches:
+    """Fit every approach of a recorded session of touches.
+
+    Args:
+        session: Recorded along `plan`.
+        plan: The touches.
+        width_max: Widest interval that is accepted [m].
+
+    Raises:
+        SafetyStop: No contact within the travel, or an interval that is too wide: the bench is
+            not as its file says, and a person has to look.
+    """
+    found: dict[int, list[Onset]] = {}
+    for index, target in enumerate(plan.targets()):
+        onset = _approach(session, index)
+        if onset is None:
+            raise SafetyStop(
+                f"home: no contact at point {target.point} down to {-1e3 * plan.travel:.2f} mm; "
+                "is the contact frame of the bench file right? --travel-mm allows more"
+            )
+        found.setdefault(target.point, []).append(onset)
+    surfaces = {point: combine(onsets) for point, onsets in found.items()}
+    first = surfaces[plan.points[0]]
+    if first.width > width_max:
+        noise = max(onset.noise for onset in found[plan.points[0]])
+        raise SafetyStop(
+            f"home: the interval is {1e3 * first.width:.3f} mm wide; allowed: "
+            f"{1e3 * width_max:.3f} mm; force noise {noise:.3f} N, spread between approaches "
+            f"{1e3 * first.spread:.3f} mm; more --repeats or more --force-n narrow it"
+        )
+    slopes = None
+    if len(surfaces) >= 3:
+        places = np.array([plan.position(point) for point in surfaces])
+        slopes = tilt(places, np.array([surface.z for surface in surfaces.values()]))[:2]
+    return Approaches(first, tuple(found[plan.points[0]]), slopes)
+
+
+def _approach(session: Session, index: int) -> Onset | None:
+    """The onset in the downward move of target `index`, in the session's contact frame."""
+    segments = session.segments
+    rows = np.flatnonzero(
+        (np.asarray(segments["target"]) == index)
+        & (np.asarray(segments["phase"]) == PHASES.index("normal_inc"))
+    )
+    if not rows.size:
+        return None
+    start, end = (int(segments[name][rows[-1]]) for name in ("start_ns", "end_ns"))
+    force, pose = session.streams["force"], session.streams["pose"]
+    inside = (force.t_ns >= start) & (force.t_ns < end)
+    times = force.t_ns[inside]
+    frame = invert(session.attrs["contact_frame"])
+    height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
+    z = linear(pose.t_ns, height, times).value
+    known = np.isfinite(z)
+    z, pressed = z[known], -np.asarray(force.array("value"))[inside][known, 2]
+    if not len(z):
+        return None
+    # While the arm slows down and stands the gel relaxes: that is no onset any more.
+    going = z > z.min() + _DECELERATING
+    last = int(np.flatnonzero(going)[-1]) + 1 if going.any() else len(z)
+    return find_onset(z[:last], pressed[:last])
+
+
+def calibration_from(found: Approaches, bench: Bench, content: dict[str, Any]) -> HomeCalibration:
+    """What is stored of it.
+
+    Args:
+        found: Of a session recorded in the bench file's own contact frame.
+        bench: As its file describes it.
+        content: The file as read.
+    """
+    return HomeCalibration(
+        date_utc=now_utc(),
+        method=METHOD,
+        mock=bench.mock,
+        bench_sha256=bench_hash(content),
+        contact_frame=tuple(bench.contact_frame),
+        tcp=tuple(bench.arm.tcp),
+        shift=found.surface.z,
+        interval=found.surface.interval,
+        contacts=tuple(onset.z for onset in found.onsets),
+    )
+
+
+def lines_of(found: Approaches, bench: Bench) -> list[str]:
+    """What is printed of it; on a mock bench beside the World's truth."""
+    surface = found.surface
+    low, high = (1e3 * value for value in surface.interval)
+    lines = [
+        f"approach {number}: contact at {1e3 * onset.z:+.3f} mm (95 % "
+        f"{1e3 * onset.interval[0]:+.3f} to {1e3 * onset.interval[1]:+.3f}), power "
+        f"{onset.power:.1f}, force noise {onset.noise:.3f} N"
+        for number, onset in enumerate(found.onsets, 1)
+    ]
+    lines.append(
+        f"home: surface {1e3 * surface.z:+.3f} mm along z of the bench file's contact frame "
+        f"(95 % {low:+.3f} to {high:+.3f} mm)"
+    )
+    if found.slopes is not None:
+        across, along = np.degrees(found.slopes)
+        lines.append(
+            f"home: the surface tilts by {across:+.2f} deg along x, {along:+.2f} deg along y "
+            "(reported; correct contact_frame's rotation_deg if it matters)"
+        )
+    if bench.mock:
+        truth = transform(invert(bench.contact_frame), _origin(bench))[2]
+        lines.append(
+            f"home: the World's surface is at {1e3 * truth:+.3f} mm: "
+            f"difference {1e3 * (surface.z - truth):+.3f} mm"
+        )
+    return lines
+
+
+def _origin(bench: Bench) -> np.ndarray:
+    return np.array((bench.world_frame or bench.contact_frame)[:3])
+
+
+def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequence[int]) -> Touch:
+    """The touches for a bench: from 1 mm above its surface to `travel` below.
+
+    Raises:
+        ConfigError: More travel than the bench's deepest indentation, or no repeat.
+    """
+    most = bench.limits.depth_max
+    depth = min(1e-3, most) if travel is None else travel
+    if not 0 < depth <= most:
+        raise ConfigError(
+            f"--travel-mm: found {1e3 * depth:g}; allowed: above 0, up to {1e3 * most:g} "
+            "(limits.depth_max_mm of the bench file)"
+        )
+    try:
+        return Touch(travel=depth, repeats=repeats, points=tuple(points))
+    except ValueError as error:
+        raise ConfigError(f"home: {error}") from None
+
+
+def default_path(sensor: str, stamp: str) -> Path:
+    """Where the session of a homing goes."""
+    return Path("sessions") / f"{sensor}-home-{stamp}.zarr"

@@ -1,0 +1,178 @@
+"""Calibrations on disk: `calibrations/<sensor>.yaml`, mm and ms under keys that say so.
+
+`home` holds the height of the surface for each indenter, `latency` the lag of a signal. A session
+is recorded with what is there, says so, and stores it; what belongs to another bench is refused.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder.store.durable import replace_file
+from recorder.strict_yaml import yaml_text
+from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
+from rig.bench.bench import Bench
+from rig.core.clock import ClockAnchor
+from rig.core.config import build, key_of, read_yaml
+from rig.core.errors import ConfigError
+from rig.core.units import from_si
+
+FOLDER = Path("calibrations")
+"""Where they lie unless told otherwise."""
+STALE_DAYS = 7.0
+"""Older than this a calibration is used with a warning."""
+_NOTE = "# Measured, not written by hand: make home, make calibrate-latency.\n"
+_SAME_PLACE, _SAME_ANGLE = 1e-6, 1e-6
+# Frames that differ by less are the same [m, rad]: YAML keeps mm to nine digits.
+
+
+def bench_hash(content: dict[str, Any]) -> str:
+    """SHA-256 of a bench's content as read, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def device_name(bench: Bench, stream: str) -> str:
+    """Kind and address of the device behind a signal."""
+    config: Any = bench.camera if stream == "camera" else bench.taxels
+    return f"{config.KIND} {config.address}"
+
+
+def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[str]]:
+    """The calibration of a bench's sensor with an indenter, and warnings about it.
+
+    Args:
+        folder: Of the calibration files.
+        bench: As its file describes it, without a calibration.
+        indenter: Name of the indenter on the arm.
+
+    Raises:
+        ConfigError: A file that cannot be read, or one of another sensor, bench or device.
+    """
+    path = folder / f"{bench.sensor}.yaml"
+    if not path.exists():
+        return Calibration(), []
+    content = read_yaml(path)
+    again = "measure again, or remove the file"
+    if content.get("sensor") != bench.sensor:
+        raise ConfigError(
+            f"{path}.sensor: found {content.get('sensor')!r}; allowed: {bench.sensor!r}; {again}"
+        )
+    if unknown := sorted(set(content) - {"sensor", "home", "latency"}):
+        raise ConfigError(f"{path}: unknown {unknown}; known: ['home', 'latency', 'sensor']")
+    homes = content.get("home") or {}
+    if not isinstance(homes, dict):
+        raise ConfigError(f"{path}.home: found {homes!r}; allowed: a mapping by indenter")
+    warnings: list[str] = []
+    home = latency = None
+    if indenter in homes:
+        home = build(HomeCalibration, homes[indenter], f"{path}.home.{indenter}")
+        _refuse_foreign(home.mock, bench, f"{path}.home.{indenter}")
+        for name, found, wanted in (
+            ("contact_frame", home.contact_frame, bench.contact_frame),
+            ("tcp", home.tcp, bench.arm.tcp),
+        ):
+            if not _same(found, wanted):
+                raise ConfigError(
+                    f"{path}.home.{indenter}.{name}: it was measured with another {name} than the "
+                    f"bench file's; {again} (make home SENSOR={bench.sensor})"
+                )
+        _warn_stale(warnings, home.date_utc, f"{path}.home.{indenter}")
+    elif homes:
+        warnings.append(
+            f"{path}.home: known for {', '.join(sorted(homes))}, not for {indenter}: the bench "
+            f"file's contact frame is used (make home SENSOR={bench.sensor} INDENTER={indenter})"
+        )
+    if content.get("latency"):
+        latency = build(LatencyCalibration, content["latency"], f"{path}.latency")
+        _refuse_foreign(latency.mock, bench, f"{path}.latency")
+        config = bench.camera if latency.stream == "camera" else bench.taxels
+        if config is None or latency.device != device_name(bench, latency.stream):
+            raise ConfigError(
+                f"{path}.latency.device: found {latency.device!r}; the bench file has another "
+                f"{latency.stream}; {again} (make calibrate-latency SENSOR={bench.sensor})"
+            )
+        _warn_stale(warnings, latency.date_utc, f"{path}.latency")
+    return Calibration(home, latency, str(path)), warnings
+
+
+def store(
+    folder: Path,
+    sensor: str,
+    *,
+    home: dict[str, HomeCalibration] | None = None,
+    latency: LatencyCalibration | None = None,
+) -> Path:
+    """Add to a sensor's calibration file, atomically; what is not given stays.
+
+    Raises:
+        ConfigError: The file that is there belongs to another sensor, or cannot be written.
+    """
+    path = folder / f"{sensor}.yaml"
+    content: dict[str, Any] = read_yaml(path) if path.exists() else {"sensor": sensor}
+    if content.get("sensor") != sensor:
+        raise ConfigError(
+            f"{path}.sensor: found {content.get('sensor')!r}; allowed: {sensor!r}; remove the file"
+        )
+    for indenter, found in (home or {}).items():
+        content.setdefault("home", {})[indenter] = _plain(found)
+    if latency is not None:
+        content["latency"] = _plain(latency)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        replace_file(path, (_NOTE + yaml_text(content)).encode())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error})") from error
+    return path
+
+
+def now_utc() -> str:
+    """UTC now, ISO 8601 to the second."""
+    return f"{np.datetime64(ClockAnchor.take().utc_ns, 'ns').astype('datetime64[s]')}Z"
+
+
+def _plain(spec: Any) -> dict[str, Any]:
+    """A calibration as YAML writes it: mm, deg, ms under keys that say so."""
+    out: dict[str, Any] = {}
+    for item in dataclasses.fields(spec):
+        value, unit = getattr(spec, item.name), item.metadata.get("unit")
+        if item.metadata.get("pose"):
+            position = [round(1e3 * number, 9) for number in value[:3]]
+            rotation = [round(math.degrees(number), 9) for number in value[3:]]
+            out[item.name] = {"position_mm": position, "rotation_deg": rotation}
+        elif isinstance(value, tuple):
+            out[key_of(item)] = [round(from_si(n, unit), 9) if unit else n for n in value]
+        else:
+            out[key_of(item)] = round(from_si(value, unit), 9) if unit else value
+    return out
+
+
+def _same(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    difference = np.abs(np.subtract(one, other))
+    return bool((difference[:3] < _SAME_PLACE).all() and (difference[3:] < _SAME_ANGLE).all())
+
+
+def _refuse_foreign(mock: bool, bench: Bench, where: str) -> None:
+    if mock != bench.mock:
+        kinds = {True: "a mock bench", False: "a lab bench"}
+        raise ConfigError(
+            f"{where}.mock: {mock}: measured on {kinds[mock]}, this is {kinds[bench.mock]}; "
+            "measure again, or remove the file"
+        )
+
+
+def _warn_stale(warnings: list[str], date_utc: str, where: str) -> None:
+    try:
+        then = np.datetime64(date_utc.removesuffix("Z"), "s")
+    except ValueError:
+        raise ConfigError(f"{where}.date_utc: found {date_utc!r}; allowed: ISO 8601") from None
+    now = np.datetime64(now_utc().removesuffix("Z"), "s")
+    days = float((now - then) / np.timedelta64(1, "D"))
+    if days > STALE_DAYS:
+        warnings.append(f"{where}: {days:.0f} days old; after {STALE_DAYS:.0f} measure again")

@@ -1,0 +1,317 @@
+"""A campaign file: what to record today, in which order."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from recorder import Session, SessionError
+from rig.acquire.curve import show_curve
+from rig.acquire.progress_line import minutes
+from rig.acquire.resume import first_open_target
+from rig.bench.bench import Bench, find_bench, load_bench
+from rig.core.config import build, read_yaml
+from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT, ConfigError
+from trajectories import Plan, plan_from_json, rehearse
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One session to record."""
+
+    sensor: str
+    """Name of a bench file."""
+    indenter: str
+    """What the technician mounts."""
+    plan: Literal["press_shear", "force_depth"] = "press_shear"
+    """The bench's trajectory, or its force_depth."""
+    targets: int | None = None
+    """Only the first so many targets; None for all."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that are no file names, and a number of targets that makes no sense."""
+        for key in ("sensor", "indenter"):
+            value = getattr(self, key)
+            if not _NAME.fullmatch(value):
+                raise ValueError(f"{key}: {value!r}; allowed: letters, digits, - and _")
+        if self.targets is not None and (self.targets < 1 or self.plan != "press_shear"):
+            raise ValueError(f"targets: {self.targets!r}; allowed: 1 or more, for press_shear")
+
+    @property
+    def name(self) -> str:
+        """Of its session, unique in a campaign."""
+        targets = "" if self.targets is None else f"-{self.targets}"
+        return f"{self.sensor}-{self.indenter}-{self.plan.replace('_', '-')}{targets}"
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """An entry with the bench that records it."""
+
+    entry: Entry
+    bench_path: Path
+    bench: Bench
+    plan: Plan
+    total: int
+    """Targets wanted."""
+    duration: float
+    """Moving time the plan foretells [s]; preflight and pauses come on top."""
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """A campaign file, checked against its benches."""
+
+    name: str
+    items: tuple[Item, ...]
+    operator: str
+    out: Path
+    """Folder of its sessions: they are also its memory of what is done."""
+
+
+def load_campaign(path: Path, benches: Path) -> Campaign:
+    """Read a campaign file and every bench it names.
+
+    Args:
+        path: YAML with `out`, `operator` (both optional) and `sessions`, a list of entries.
+        benches: Folder of bench files.
+
+    Raises:
+        ConfigError: Something in it, or in a bench it names, cannot be used.
+    """
+    content = read_yaml(path)
+    if unknown := sorted(set(content) - {"out", "operator", "sessions"}):
+        raise ConfigError(f"{path}: unknown {unknown}; known: ['operator', 'out', 'sessions']")
+    listed = content.get("sessions")
+    if not isinstance(listed, list) or not listed:
+        raise ConfigError(f"{path}.sessions: found {listed!r}; allowed: a list of sessions")
+    entries = [build(Entry, item, f"{path}.sessions[{k}]") for k, item in enumerate(listed)]
+    names = [entry.name for entry in entries]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(f"{path}.sessions: {', '.join(twice)}: listed twice; allowed: once")
+    items = tuple(_item(entry, f"{path}.sessions[{k}]", benches) for k, entry in enumerate(entries))
+    out = content.get("out", f"sessions/{path.stem}")
+    operator = content.get("operator", "")
+    for key, value in (("out", out), ("operator", operator)):
+        if not isinstance(value, str):
+            raise ConfigError(f"{path}.{key}: found {value!r}; allowed: text")
+    return Campaign(path.stem, items, operator, Path(out))
+
+
+def _item(entry: Entry, where: str, benches: Path) -> Item:
+    try:
+        bench_path = find_bench(entry.sensor, benches)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    bench, _ = load_bench(bench_path)
+    plan: Plan | None = bench.trajectory if entry.plan == "press_shear" else bench.force_depth
+    if plan is None or plan.kind != entry.plan:
+        raise ConfigError(f"{where}.plan: found {entry.plan!r}; {bench_path} has none")
+    total = len(plan) if entry.targets is None else entry.targets
+    if total > len(plan):
+        raise ConfigError(f"{where}.targets: found {total}; allowed: 1 to {len(plan)}")
+    walked = rehearse(
+        plan, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
+    )
+    if walked.broken:
+        raise ConfigError(f"{where}: the plan breaks a limit: {'; '.join(walked.broken)}")
+    return Item(entry, bench_path, bench, plan, total, walked.duration * total / len(plan))
+
+
+# How far a campaign is. Its sessions are the only memory it has.
+
+_OVERHEAD = 20.0
+# Preflight, tare, sealing and the swap of an indenter that does not go wrong [s].
+
+State = Literal["done", "to resume", "open", "unreadable"]
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """One session of a campaign, as it is on disk."""
+
+    item: Item
+    session: Path
+    state: State
+    done: int
+    """Targets behind it."""
+    note: str = ""
+    """Why it was stopped, or cannot be read."""
+
+    @property
+    def left(self) -> float:
+        """Time it still takes, about [s]."""
+        if self.state == "done":
+            return 0.0
+        return _OVERHEAD + self.item.duration * (1 - self.done / self.item.total)
+
+
+def progress_of(campaign: Campaign) -> list[Progress]:
+    """Look at the session of every entry, in order."""
+    return [_look(item, campaign.out / f"{item.entry.name}.zarr") for item in campaign.items]
+
+
+def _look(item: Item, path: Path) -> Progress:
+    if not path.exists():
+        return Progress(item, path, "open", 0)
+    try:
+        session = Session(path)
+        attrs = session.attrs
+        for key, wanted in (("sensor", item.entry.sensor), ("indenter", item.entry.indenter)):
+            if attrs.get(key) != wanted:
+                note = f"its {key} is {attrs.get(key)!r}: move it away"
+                return Progress(item, path, "unreadable", 0, note)
+        total = int(attrs["targets_wanted"])
+        done = first_open_target(plan_from_json(attrs["plan"]), session.segments, total)
+    except (SessionError, OSError, ValueError, KeyError) as error:
+        return Progress(item, path, "unreadable", 0, str(error))
+    if session.status == "complete" and done == total:
+        return Progress(item, path, "done", total)
+    return Progress(item, path, "to resume", done, str(attrs.get("reason", "")))
+
+
+def table(found: list[Progress]) -> list[str]:
+    """What is done and what is left, one line an entry, and the time it takes."""
+    lines = [f"{'':<3}{'sensor':<18}{'indenter':<14}{'plan':<13}{'targets':>10}  state"]
+    for number, progress in enumerate(found, 1):
+        entry = progress.item.entry
+        count = f"{progress.done}/{progress.item.total}"
+        note = f" ({progress.note})" if progress.note else ""
+        more = f", about {minutes(progress.left)} left" if progress.state != "done" else ""
+        lines.append(
+            f"{number:<3}{entry.sensor:<18}{entry.indenter:<14}{entry.plan:<13}{count:>10}  "
+            f"{progress.state}{more}{note}"
+        )
+    done = sum(progress.state == "done" for progress in found)
+    left = sum(progress.left for progress in found)
+    lines.append(f"{done} of {len(found)} sessions done, about {minutes(left)} left")
+    return lines
+
+
+# Runs what is left of a campaign: asks for the swap, records, goes on.
+
+Ask = Callable[[str], bool]
+"""Shows a question and waits; False ends the campaign."""
+Say = Callable[[str], None]
+Swap = Callable[[Item], None]
+"""Waits until the gripper of an item's bench holds its indenter; raises DeviceLost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How a campaign is run."""
+
+    benches: Path
+    """Folder of bench files."""
+    calibrations: Path
+    """Folder of calibrations."""
+    keep_going: bool = False
+    """After a device or safety stop go on with the next entry."""
+
+
+def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
+    """Arguments of `python -m rig` that record, or go on with, one entry."""
+    entry, bench = progress.item.entry, str(progress.item.bench_path)
+    kept = ["--calibrations", str(settings.calibrations)]
+    if progress.state == "to resume":
+        return ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
+    common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]
+    common += [*kept, *(("--operator", campaign.operator) if campaign.operator else ())]
+    if entry.plan == "force_depth":
+        return ["force-depth", *common]
+    wanted = [] if entry.targets is None else ["--targets", str(entry.targets)]
+    return ["collect", *common, *wanted]
+
+
+def run_campaign(
+    campaign: Campaign, settings: Settings, ask: Ask, say: Say, swap: Swap | None = None
+) -> int:
+    """Record everything that is not done; the exit code.
+
+    A technician is asked to mount each sensor and indenter. Where the bench has a gripper and
+    `swap` is given, the indenter is not asked for: the gripper notices it.
+
+    0: all is done. Otherwise that of the session that ended it, or with `keep_going` of the first
+    one that failed. Ctrl-C ends the session under way in order and the campaign with it.
+    """
+    campaign.out.mkdir(parents=True, exist_ok=True)
+    failed = EXIT_DONE
+    mounted: tuple[str, str] | None = None
+    for number in range(len(campaign.items)):
+        progress = progress_of(campaign)[number]
+        entry = progress.item.entry
+        if progress.state == "done":
+            continue
+        if progress.state == "unreadable":
+            say(f"{progress.session}: {progress.note}")
+            failed = failed or EXIT_WRONG_INPUT
+            if settings.keep_going:
+                continue
+            break
+        if mounted != (entry.sensor, entry.indenter):
+            place = f"{number + 1} of {len(campaign.items)}"
+            if not _mount(progress.item, place, mounted, ask, swap):
+                failed = EXIT_INTERRUPTED
+                break
+            mounted = (entry.sensor, entry.indenter)
+        say(f"recording {progress.session}")
+        code = _record(command(progress, campaign, settings))
+        if code == EXIT_DONE:
+            if progress.state == "to resume" and entry.plan == "force_depth":
+                # A resumed one went through `collect`, which knows no curve.
+                show_curve(progress.session)
+            continue
+        say(f"{entry.name}: ended with exit code {code}")
+        failed = failed or code
+        if code == EXIT_INTERRUPTED or not settings.keep_going:
+            break
+    found = progress_of(campaign)
+    for line in table(found):
+        say(line)
+    if any(progress.state != "done" for progress in found):
+        say("the same command goes on from here")
+    return failed
+
+
+def _mount(
+    item: Item, place: str, before: tuple[str, str] | None, ask: Ask, swap: Swap | None
+) -> bool:
+    """Have an item's sensor and indenter mounted; False when the technician ends it."""
+    entry, bench = item.entry, item.bench
+    gripped = swap is not None and bench.gripper is not None and not bench.mock
+    if not gripped or before is None or before[0] != entry.sensor:
+        indenter = "" if gripped else f", indenter {entry.indenter}"
+        mock = " (mock bench: nothing to mount)" if bench.mock else ""
+        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}"):
+            return False
+    if gripped and swap is not None:
+        try:
+            swap(item)
+        except KeyboardInterrupt:
+            return False
+    return True
+
+
+def _record(arguments: list[str]) -> int:
+    """Run one session in a process of its own; its exit code.
+
+    Ctrl-C reaches that process as well: it ends its session in order, and is waited for.
+    """
+    # Its output is the terminal's: nothing of ours may stand in a buffer behind it.
+    sys.stdout.flush()
+    with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
+        interrupted = False
+        while True:
+            try:
+                code = process.wait()
+                break
+            except KeyboardInterrupt:
+                interrupted = True
+    return EXIT_INTERRUPTED if interrupted or code < 0 else code

@@ -1,0 +1,360 @@
+"""One run of a collection, from the first probe to the last printed line."""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import importlib.metadata
+import logging
+import platform
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recorder import Session, SessionError, SessionWriter
+from recorder.session.clocks import clock_lines, fit_clocks
+from recorder.session.sheet import contact_sheet
+from rig.acquire import summary
+from rig.acquire.control import Control, Interrupted, InterruptFlag
+from rig.acquire.interlocks import Sentinels
+from rig.acquire.plan_runner import Walk, require_arrival
+from rig.acquire.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
+from rig.acquire.progress_line import LiveLine
+from rig.acquire.request import Order
+from rig.acquire.resume import first_open_target
+from rig.acquire.streams import Streams
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import stream_names, stream_spec
+from rig.core.clock import ClockAnchor, SystemClock
+from rig.core.errors import (
+    EXIT_DEVICE_LOST,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_SAFETY_STOP,
+    DeviceLost,
+    SafetyStop,
+)
+from rig.core.geometry import compose, transform
+from rig.devices.arm.arm import Arm
+from trajectories import Plan, plan_to_json
+
+if TYPE_CHECKING:
+    from rig.monitor.page.page import Page
+
+logger = logging.getLogger(__name__)
+
+_EXIT_CODES: dict[type[BaseException], int] = {
+    Interrupted: EXIT_INTERRUPTED,
+    KeyboardInterrupt: EXIT_INTERRUPTED,
+    SafetyStop: EXIT_SAFETY_STOP,
+    DeviceLost: EXIT_DEVICE_LOST,
+    # The disk is a device too: full or failing, the session ends the same way.
+    SessionError: EXIT_DEVICE_LOST,
+    OSError: EXIT_DEVICE_LOST,
+}
+"""What may end a walk in progress, and the exit code of each."""
+
+
+class Collector:
+    """Collects one session, or the rest of one.
+
+    Args:
+        bench: The bench, with addresses filled in.
+        content: Its file as read, for the session.
+        folder: Run folder for shared records.
+        watch: Raises when what is behind the devices is gone, as a mock bench's World.
+        page: Shown how far it is; None when nobody asked for a page.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        content: dict[str, Any],
+        folder: Path,
+        watch: Callable[[], None] | None = None,
+        page: Page | None = None,
+    ) -> None:
+        self._watch = watch
+        self._page = page
+        self._control = Control()
+        self._bench = bench
+        self._content = content
+        self._folder = folder
+        self._clock = SystemClock()
+        self._bias = np.zeros(6)
+
+    def run(self, order: Order, plan: Plan, total: int) -> int:
+        """Collect; the exit code. Whatever ends it, what was recorded is closed and readable.
+
+        Args:
+            order: What the operator asked for.
+            plan: What to press.
+            total: How many of its targets.
+
+        Raises:
+            ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+        """
+        started_ns = self._clock.now_ns()
+        with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
+            streams = stack.enter_context(
+                Streams(self._bench, self._folder, self._clock, self._watch)
+            )
+            found = check_devices(self._bench, streams)
+            sentinels = stack.enter_context(Sentinels(self._bench, self._control, self._clock))
+            found.facts.update(sentinels.open())
+            interrupt.check()
+            check_clear(self._bench, streams)
+            arm = self._start_arm()
+            stack.callback(arm.close)
+            self._rise(arm, streams, sentinels)
+            tare = take_tare(self._bench, streams)
+            interrupt.check()
+            writer, first, run = self._open_session(order, plan, total, found, tare)
+            live = LiveLine(streams, total, self._clock)
+            if self._page is not None:
+                self._page.begin(self._control, live.progress, order.path, first)
+            walk = Walk(
+                self._bench,
+                arm,
+                streams,
+                writer,
+                live,
+                interrupt,
+                self._control,
+                sentinels,
+                self._clock,
+                run=run,
+                zero=tare.mean - self._bias,
+            )
+            stop: BaseException | None = None
+            try:
+                streams["force"].set_bias(self._bias)
+                for handle in streams:
+                    handle.record(writer.stream_path(handle.name))
+                walk.press(plan, first, total)
+            except BaseException as error:
+                # Whatever it is: the arm leaves and the session is closed before anything else.
+                stop = error
+                logger.error("stopping: %s", str(error) or type(error).__name__)
+            interrupt.ignore()
+            live.end()
+            if self._page is not None:
+                self._page.say("ending")
+            retracted = self._retract(arm)
+            status, reason = self._outcome(stop, retracted)
+            try:
+                summaries = self._close(streams, writer, status, reason)
+            except SessionError as error:
+                print(error, file=sys.stderr)
+                return EXIT_DEVICE_LOST
+            if stop is not None and not isinstance(stop, tuple(_EXIT_CODES)):
+                raise stop
+        seconds = (self._clock.now_ns() - started_ns) / 1e9
+        session = Session(order.path)
+        print(summary.cadence(self._bench, session, summaries))
+        self._fit_clocks(order.path)
+        self._picture(order.path)
+        last_line = summary.last_line(
+            status,
+            reason,
+            order.path,
+            done=first + walk.done,
+            limited=walk.limited,
+            total=total,
+            seconds=seconds,
+        )
+        print(last_line)
+        if self._page is not None:
+            self._page.say(status, last_line)
+        return self._exit_code(stop)
+
+    def _start_arm(self) -> Arm:
+        arm = Arm(
+            self._bench.arm,
+            self._bench.contact_frame,
+            self._bench.guard_limits,
+            force_path=self._folder / "force.latest",
+            pose_path=self._folder / "pose.latest",
+        )
+        arm.start(self._bench.preflight.timeout)
+        return arm
+
+    def _rise(self, arm: Arm, streams: Streams, sentinels: Sentinels) -> None:
+        """To the safe height where it stands, tool upright: tare and travel happen up there."""
+
+        def look() -> None:
+            sentinels.check()
+            streams.check()
+
+        x, y, z = tip_position(self._bench, streams)
+        height = max(self._bench.arm.retract, z)
+        pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
+        result = arm.move(
+            pose,
+            speed=self._bench.arm.travel_speed,
+            acceleration=self._bench.arm.travel_acceleration,
+            mode="travel",
+            on_wait=look,
+            wake=sentinels.wake,
+        )
+        require_arrival(result, pressing=False)
+
+    def _open_session(
+        self,
+        order: Order,
+        plan: Plan,
+        total: int,
+        found: Found,
+        tare: Tare,
+    ) -> tuple[SessionWriter, int, int]:
+        """The session to write, the first target to press and the number of this run."""
+        anchor = asdict(ClockAnchor.take())
+        entry = {
+            **anchor,
+            "operator": order.operator or getpass.getuser(),
+            "tare": {"mean": tare.mean.tolist(), "std": tare.std.tolist()},
+            "rates_hz": found.rates,
+            "bench": self._content,
+            "devices": found.facts,
+        }
+        if order.resume:
+            writer = SessionWriter.resume(order.path)
+            previous = Session(order.path)
+            first = first_open_target(plan, previous.segments, total)
+            run = len(previous.runs)
+            # One bias for the whole stream, so that raw = value + bias holds in every run; what
+            # the zero has moved by since is in this run's tare and in its references.
+            self._bias = np.array(previous.streams["force"].attrs["bias"])
+        else:
+            self._bias = tare.mean
+            writer = SessionWriter.create(
+                order.path,
+                attrs=self._attrs(order, plan, total, anchor),
+                streams=[
+                    stream_spec(
+                        self._bench,
+                        name,
+                        found.facts[name],
+                        found.rates[name],
+                        **_stream_attrs(name, order, tare),
+                    )
+                    for name in stream_names(self._bench)
+                ],
+                targets=target_table(plan, total, self._bench),
+            )
+            first, run = 0, 0
+        writer.begin_run(entry)
+        return writer, first, run
+
+    def _attrs(
+        self, order: Order, plan: Plan, total: int, anchor: dict[str, Any]
+    ) -> dict[str, Any]:
+        bench = self._bench
+        started = np.datetime64(anchor["utc_ns"], "ns")
+        return {
+            "mock": bench.mock,
+            "mock_sources": order.mock_facts or {},
+            "sensor": bench.sensor,
+            "indenter": bench.indenter,
+            "operator": order.operator or getpass.getuser(),
+            "plan": plan_to_json(plan),
+            "targets_wanted": total,
+            "bench": self._content,
+            "contact_frame": list(bench.contact_frame),
+            "rate_hz": bench.rate_hz,
+            "started_utc": f"{started}Z",
+            "clock": "CLOCK_MONOTONIC",
+            "t0_ns": anchor["t0_ns"],
+            "software": software(),
+            "calibration": order.calibration.facts(),
+        }
+
+    def _retract(self, arm: Arm) -> bool:
+        """Up and clear; True when the arm is known to be there."""
+        try:
+            if not arm.alive:
+                return arm.recover_and_retract()
+            return arm.retract()
+        except (SafetyStop, DeviceLost) as error:
+            logger.error("no retract: %s", error)
+            return False
+
+    def _outcome(self, stop: BaseException | None, retracted: bool) -> tuple[str, str]:
+        if stop is None:
+            return "complete", ""
+        reason = str(stop) or type(stop).__name__
+        if not retracted:
+            reason += "; THE ARM WAS NOT RETRACTED"
+        return "stopped", reason
+
+    def _close(
+        self, streams: Streams, writer: SessionWriter, status: str, reason: str
+    ) -> dict[str, Any]:
+        summaries = streams.close()
+        try:
+            writer.set_attrs(summary=summaries)
+            writer.finish(status, reason, rate_hz=self._bench.rate_hz)
+        except OSError as error:
+            raise SessionError(
+                f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
+                f"then run: python -m recorder recover {writer.path}"
+            ) from error
+        return summaries
+
+    def _fit_clocks(self, path: Path) -> None:
+        try:
+            fit_clocks(path)
+            for line in clock_lines(Session(path)):
+                print(line)
+        except (SessionError, OSError) as error:
+            logger.warning("no clock fit: %s", error)
+
+    def _picture(self, path: Path) -> None:
+        picture = path.with_suffix(".png")
+        try:
+            contact_sheet(path, picture)
+        except (SessionError, OSError) as error:
+            logger.warning("no contact sheet: %s", error)
+        else:
+            print(f"contact sheet: {picture}")
+
+    def _exit_code(self, stop: BaseException | None) -> int:
+        if stop is None:
+            return EXIT_DONE
+        return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
+
+
+def _stream_attrs(name: str, order: Order, tare: Tare) -> dict[str, Any]:
+    """What a stream's attributes hold beyond the facts of its device."""
+    if name == "force":
+        return {"bias": tare.mean.tolist()}
+    attrs = order.calibration.stream_attrs(name)
+    if name == "camera" and order.mock_facts and "camera" in order.mock_facts:
+        attrs["source_motion"] = order.mock_facts["camera"]["motion"]
+    return attrs
+
+
+def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
+    """The `targets` of a session: point, depth [m], direction, planned place in the base [m]."""
+    targets = [target for target in plan.targets() if target.index < total]
+    planned = transform(bench.contact_frame, np.array([target.sheared for target in targets]))
+    return {
+        "point": np.array([target.point for target in targets], dtype=np.int16),
+        "depth": np.array([target.depth for target in targets]),
+        "direction": np.array([target.direction for target in targets], dtype=np.int16),
+        "planned": np.asarray(planned),
+    }
+
+
+def software() -> dict[str, str]:
+    """Versions that matter when somebody asks, years later, what wrote this."""
+    names = ("tactile-rig", "numpy", "zarr", "ur-rtde", "opencv-contrib-python-headless")
+    versions = {"python": platform.python_version(), "system": platform.platform()}
+    for name in names:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[name] = importlib.metadata.version(name)
+    return versions

@@ -1,0 +1,216 @@
+"""Moves the arm by hand with a SpaceMouse, to where the origin of the contact frame shall be.
+
+Only the tip's place changes, never the tool's orientation. The arm gets short straight moves under
+the guard: inside the bench's box, never faster than the bench file allows, ended by a halt as soon
+as the cap points elsewhere, is let go of, or falls silent. If this process hangs, the arm comes to
+rest at the end of the move under way, at most `REACH` seconds later.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from typing import TextIO
+
+import numpy as np
+
+from rig.acquire.preflight import tip_position
+from rig.acquire.streams import Streams
+from rig.bench.bench import Bench
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.geometry import compose
+from rig.core.units import from_si
+from rig.devices.arm.arm import Arm, MoveResult
+from rig.devices.hid.reports import Axes
+from rig.devices.hid.spacemouse import Cap, SpaceMouseDriver
+from trajectories import Point
+
+logger = logging.getLogger(__name__)
+
+REACH = 1.0
+"""A move is as long as the tip comes in this time at the speed the cap asks for [s]."""
+TAKE = 0
+"""Number of the button that takes the origin."""
+
+_CHANGED = 0.15
+# The cap may wander by so much of its full deflection before the move is broken off.
+_SHORTEST = 2e-4
+# A move below the arm's own idea of having arrived is none [m].
+_SHOW_NS = {True: SECOND_NS // 5, False: 5 * SECOND_NS}
+
+
+def planned(
+    shift: Axes, tip: Point, box: tuple[Point, Point], speed_max: float
+) -> tuple[Point, float] | None:
+    """Where the cap sends the tip next, and how fast; None: it stays.
+
+    Args:
+        shift: Of the cap, -1 to 1 in x, y, z of the contact frame.
+        tip: Where it is in the contact frame [m].
+        box: Lower and upper corner of where it may be [m].
+        speed_max: At full deflection in any direction [m/s].
+
+    Returns:
+        Goal in the contact frame [m] and speed [m/s].
+    """
+    velocity = np.array(shift, np.float64)
+    length = float(np.linalg.norm(velocity))
+    if not length > 0:
+        return None
+    velocity *= speed_max / max(length, 1.0)
+    here = np.array(tip)
+    goal = np.clip(here + velocity * REACH, *np.array(box))
+    if float(np.linalg.norm(goal - here)) < _SHORTEST:
+        return None
+    x, y, z = goal.tolist()
+    return (x, y, z), float(np.linalg.norm(velocity))
+
+
+def origin_text(bench: Bench, tip: Point) -> str:
+    """The origin at `tip` (in the present contact frame [m]), as it stands in a bench file."""
+    pose = compose(bench.contact_frame, (*tip, 0.0, 0.0, 0.0))
+    place = ", ".join(f"{from_si(float(value), 'mm'):.3f}" for value in pose[:3])
+    turn = ", ".join(f"{from_si(value, 'deg'):.3f}" for value in bench.contact_frame[3:])
+    moved = ", ".join(f"{from_si(value, 'mm'):+.3f}" for value in tip)
+    return (
+        f"origin taken, [{moved}] mm from the one in the bench file; to keep it, write there:\n"
+        f"contact_frame:\n  position_mm: [{place}]\n  rotation_deg: [{turn}]\n"
+        f"then let the force find the surface: make home SENSOR={bench.sensor}"
+    )
+
+
+class _CapChanged(Exception):
+    """The cap wants something else than the move under way."""
+
+
+class Jog:
+    """One arm under one hand.
+
+    Args:
+        bench: The bench.
+        arm: Started.
+        streams: Running, the F/T sensor tared.
+        mouse: Open.
+        asked: Raises when the operator asked to end.
+        clock: Clock.
+        out: Where the line of places goes.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        arm: Arm,
+        streams: Streams,
+        mouse: SpaceMouseDriver,
+        asked: Callable[[], None],
+        clock: Clock,
+        *,
+        speed_max: float,
+        out: TextIO | None = None,
+    ) -> None:
+        self._bench = bench
+        self._arm = arm
+        self._streams = streams
+        self._mouse = mouse
+        self._asked = asked
+        self._clock = clock
+        self._speed_max = speed_max
+        self._out = out or sys.stdout
+        self._due_ns = 0
+        self._pressed: frozenset[int] = frozenset()
+        self._loaded = False
+
+    def run(self) -> Point:
+        """Follow the cap until a button takes the origin; the tip in the contact frame [m].
+
+        Raises:
+            SafetyStop: The hard force limit, or a safety stop of the controller.
+            DeviceLost: Arm, SpaceMouse or a stream is gone; the arm stands still.
+            Interrupted: The operator asked to end.
+        """
+        box = self._bench.guard_limits.box
+        while True:
+            cap = self._look(0.02)
+            if TAKE in self._pressed:
+                self._end_line()
+                return tip_position(self._bench, self._streams)
+            self._pressed = frozenset()
+            self._arm.check()
+            step = planned(
+                cap.shift, tip_position(self._bench, self._streams), box, self._speed_max
+            )
+            if step is not None:
+                self._go(*step, cap)
+
+    def _go(self, goal: Point, speed: float, cap: Cap) -> None:
+        rising = cap.shift[2] > 0 and not any(cap.shift[:2])
+        if self._loaded and not rising:
+            return
+        pose = compose(self._bench.contact_frame, (*goal, *self._bench.tool_rotation))
+        try:
+            result = self._arm.move(
+                pose,
+                speed=speed,
+                acceleration=self._bench.arm.acceleration,
+                # Away from a loaded surface the arm must get, soft limit or not.
+                mode="retreat" if self._loaded else "guarded",
+                on_wait=lambda: self._follow(cap),
+            )
+        except _CapChanged:
+            self._arm.halt()
+        except BaseException:
+            self._arm.halt()
+            raise
+        else:
+            self._judge(result)
+
+    def _judge(self, result: MoveResult) -> None:
+        if result.outcome == "stopped":
+            raise DeviceLost(f"arm: {result.reason}")
+        if result.outcome == "force_limited":
+            self._end_line()
+            logger.warning("%s: only straight up from here", result.reason)
+        self._loaded = result.outcome == "force_limited"
+
+    def _follow(self, begun: Cap) -> None:
+        """Break the move off when the cap points elsewhere than when it began."""
+        cap = self._look(0.0)
+        worst = max(abs(a - b) for a, b in zip(cap.shift, begun.shift, strict=True))
+        if worst > _CHANGED or not any(cap.shift) or self._pressed:
+            raise _CapChanged
+
+    def _look(self, timeout: float) -> Cap:
+        self._asked()
+        self._streams.check()
+        cap = self._mouse.read(timeout)
+        self._pressed |= cap.pressed
+        self._show()
+        return cap
+
+    def _show(self) -> None:
+        now_ns = self._clock.now_ns()
+        if now_ns < self._due_ns:
+            return
+        terminal = self._out.isatty()
+        self._due_ns = now_ns + _SHOW_NS[terminal]
+        x, y, z = (from_si(value, "mm") for value in tip_position(self._bench, self._streams))
+        force = self._streams["force"].latest()
+        felt = f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?"
+        text = f"tip x {x:+8.3f}  y {y:+8.3f}  z {z:+8.3f} mm  {felt}"
+        self._out.write(f"\r{text}\x1b[K" if terminal else f"{text}\n")
+        self._out.flush()
+
+    def _end_line(self) -> None:
+        if self._out.isatty():
+            self._out.write("\n")
+
+
+def retract(arm: Arm) -> bool:
+    """Up and clear after an origin was taken or a limit reached; False when the arm cannot."""
+    try:
+        return arm.retract()
+    except (SafetyStop, DeviceLost) as error:
+        logger.warning("no retract: %s", error)
+        return False

@@ -1,0 +1,267 @@
+"""The arm through the plan, phase by phase, each one a row of `segments`."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from functools import partial
+
+import numpy as np
+
+from recorder import OUTCOMES, SessionError, SessionWriter
+from rig.acquire.control import Control, InterruptFlag
+from rig.acquire.interlocks import Released, Sentinels
+from rig.acquire.preflight import check_untouched, tip_position
+from rig.acquire.progress_line import LiveLine
+from rig.acquire.streams import Streams
+from rig.bench.bench import Bench
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.geometry import compose
+from rig.core.guard import Mode
+from rig.devices.arm.arm import Arm, MoveResult
+from trajectories import Move, Plan, Point, Target
+
+logger = logging.getLogger(__name__)
+
+_LOOK_NS = SECOND_NS // 20
+# Between two looks at whether a pause is over.
+
+
+def require_arrival(result: MoveResult, *, pressing: bool) -> None:
+    """Let a move pass that arrived, or a press that the soft force limit ended.
+
+    Raises:
+        DeviceLost: The arm stopped short of its target on its own.
+        SafetyStop: It felt a force where nothing should be.
+    """
+    if result.outcome == "stopped":
+        raise DeviceLost(f"arm: {result.reason}")
+    if result.outcome == "force_limited" and not pressing:
+        raise SafetyStop(f"contact where none was expected: {result.reason}")
+
+
+class Walk:
+    """Presses the targets of a plan from a given one on.
+
+    Args:
+        bench: The bench.
+        arm: Started, its tip anywhere clear of the surface inside the box.
+        streams: Recording.
+        writer: The session.
+        live: The progress line.
+        interrupt: Looked at after every row.
+        control: Likewise, and for pauses before every target.
+        sentinels: Watching; asked while the arm moves.
+        clock: Clock.
+        run: Number of this run.
+        zero: What the untouched F/T sensor shows after the tare was taken (6,) [N, N m].
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        arm: Arm,
+        streams: Streams,
+        writer: SessionWriter,
+        live: LiveLine,
+        interrupt: InterruptFlag,
+        control: Control,
+        sentinels: Sentinels,
+        clock: Clock,
+        *,
+        run: int,
+        zero: np.ndarray,
+    ) -> None:
+        self._bench = bench
+        self._arm = arm
+        self._streams = streams
+        self._writer = writer
+        self._live = live
+        self._interrupt = interrupt
+        self._control = control
+        self._sentinels = sentinels
+        self._clock = clock
+        self._run = run
+        self._zero = zero
+        self._point: int | None = None
+        # The contact point whose p0 the tip was brought to; None: none, or it has left.
+        self.done = 0
+        """Targets that were pressed to their end."""
+        self.limited = 0
+        """Targets of those that ended at the soft force limit."""
+
+    def press(self, plan: Plan, first: int, total: int) -> None:
+        """Press targets `first` to `total` - 1.
+
+        Raises:
+            SafetyStop, DeviceLost, SessionError: What stopped it; the arm stands still.
+            Interrupted: The operator asked to.
+        """
+        for target in plan.targets():
+            if not first <= target.index < total:
+                continue
+            self._live.at(target, None)
+            limited = self.limited
+            while not self._attempt(plan, target):
+                pass
+            self.done += 1
+            self._live.ended(target, "limited" if self.limited > limited else "done")
+
+    def _attempt(self, plan: Plan, target: Target) -> bool:
+        """Press a target from its start; False when the dead-man pedal was let go of meanwhile."""
+        self._hold()
+        try:
+            if target.point != self._point:
+                self._go_to_point(target)
+                self._point = target.point
+            self._press_target(plan, target)
+        except Released as released:
+            self._live.end()
+            logger.warning("target %d: halted: %s", target.index + 1, released)
+            self._point = None
+            self._live.at(target, None)
+            self._rise(target)
+            self._sentinels.disarm()
+            return False
+        return True
+
+    def _hold(self) -> None:
+        """Wait while anybody wants a pause, or the dead-man pedal is not held."""
+        self._asked()
+        began_ns = now_ns = self._clock.now_ns()
+        while (why := self._reason_to_wait()) is not None:
+            self._wait()
+            # What the guard finds while nothing moves, a protective stop for one, must come out.
+            self._arm.check()
+            self._live.waiting(why)
+            self._clock.sleep_until(now_ns + _LOOK_NS)
+            now_ns = self._clock.now_ns()
+            self._asked()
+        if now_ns > began_ns:
+            self._live.waited(now_ns - began_ns)
+            logger.info("going on after a pause of %.1f s", (now_ns - began_ns) / SECOND_NS)
+
+    def _reason_to_wait(self) -> str | None:
+        paused_by = self._control.paused_by
+        if paused_by:
+            return f"paused by the {' and the '.join(paused_by)}"
+        return None if self._sentinels.armed() else f"waiting: {self._sentinels.wish}"
+
+    def _asked(self) -> None:
+        """Raise Interrupted when the operator asked to end, in whatever way."""
+        self._interrupt.check()
+        self._control.check()
+
+    def _rise(self, target: Target) -> None:
+        """From wherever a press was broken off straight up, clear of the surface and higher."""
+        x, y, z = tip_position(self._bench, self._streams)
+        self._move((x, y, max(z, target.origin[2])), mode="retreat")
+        self._move((x, y, max(z, self._bench.arm.retract)), mode="travel")
+
+    def _go_to_point(self, target: Target) -> None:
+        """Straight up, over to the point at a safe height, down to p0, and its reference."""
+        x, y, clearance = target.origin
+        approach = max(self._bench.approach, clearance)
+        height = max(self._bench.arm.retract, approach)
+        here_x, here_y, here_z = tip_position(self._bench, self._streams)
+        if here_z < height:
+            self._move((here_x, here_y, height), mode="travel")
+        self._move((x, y, height), mode="travel")
+        self._move((x, y, approach), mode="travel")
+        self._move((x, y, clearance), mode="guarded")
+        self._take_reference(target.point)
+        self._asked()
+
+    def _take_reference(self, point: int) -> None:
+        window = self._bench.preflight.point_window
+        averaged = [handle.name for handle in self._streams if handle.name in ("force", "taxels")]
+        found = self._streams.measure(window, *averaged)
+        force = found["force"]
+        if "mean" not in force:
+            raise DeviceLost(f"force: no sample over point {point}")
+        check_untouched(self._bench, force["mean"] - self._zero, point)
+        image = -1
+        if "camera" in self._streams:
+            latest = self._streams["camera"].latest()
+            image = int(latest["row"]) if latest is not None else -1
+        taxels = found.get("taxels", {}).get("mean", np.full((16, 3), np.nan))
+        self._writer.reference.append(
+            point=point,
+            image=image,
+            wrench=force["mean"],
+            wrench_std=force["std"],
+            taxels=taxels,
+            run=self._run,
+            t_ns=force["t_ns"],
+        )
+        logger.info(
+            "point %d  drift since the tare %s N",
+            point,
+            " ".join(f"{value:+.3f}" for value in force["mean"][:3]),
+        )
+
+    def _press_target(self, plan: Plan, target: Target) -> None:
+        for move in plan.moves(target):
+            self._live.at(target, move)
+            result = self._move(move.end, mode="guarded", record=move)
+            if result.outcome == "force_limited":
+                self.limited += 1
+                self._live.end()
+                logger.warning("target %d: %s", target.index + 1, result.reason)
+                self._leave(target)
+                return
+            self._asked()
+
+    def _leave(self, target: Target) -> None:
+        """Straight up from a press that reached the soft limit, then on to p0 for the next one."""
+        x, y, z = tip_position(self._bench, self._streams)
+        self._move((x, y, max(z, target.origin[2])), mode="retreat")
+        self._move(target.origin, mode="guarded")
+        self._asked()
+
+    def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
+        bench, arm = self._bench, self._bench.arm
+        travelling, pressing = mode == "travel", mode == "guarded"
+        self._sentinels.check(pressing=pressing)
+        asked_ns = self._clock.now_ns()
+        pose = compose(bench.contact_frame, (*place, *bench.tool_rotation))
+        try:
+            result = self._arm.move(
+                pose,
+                speed=arm.travel_speed if travelling else arm.speed,
+                acceleration=arm.travel_acceleration if travelling else arm.acceleration,
+                mode=mode,
+                on_wait=partial(self._wait, pressing=pressing),
+                wake=self._sentinels.wake,
+            )
+        except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt, Released) as error:
+            ended_ns = self._clock.now_ns()
+            released = isinstance(error, Released)
+            # A halt that fails says more than a pedal does; any other error came first.
+            with contextlib.suppress(*(() if released else (SafetyStop, DeviceLost))):
+                self._arm.halt()
+            if record is not None:
+                self._note(record, "interrupted" if released else "stopped", asked_ns, ended_ns)
+            raise
+        if record is not None:
+            outcome = "complete" if result.outcome == "done" else result.outcome
+            self._note(record, outcome, result.start_ns, result.end_ns)
+        require_arrival(result, pressing=record is not None)
+        return result
+
+    def _wait(self, *, pressing: bool = False) -> None:
+        # The sentinels first: what they found has to stop the arm soonest.
+        self._sentinels.check(pressing=pressing)
+        self._streams.check()
+        self._live.tick()
+
+    def _note(self, move: Move, outcome: str, start_ns: int, end_ns: int) -> None:
+        self._writer.segments.append(
+            target=move.target,
+            phase=move.phase,
+            outcome=OUTCOMES.index(outcome),
+            run=self._run,
+            start_ns=start_ns,
+            end_ns=end_ns,
+        )

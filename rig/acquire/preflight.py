@@ -1,0 +1,144 @@
+"""Before anything is recorded: every device answers, at its rate; the tip is clear; the tare."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rig.acquire.streams import Streams
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import expected_rate
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.geometry import compose, invert
+from trajectories import Point
+
+logger = logging.getLogger(__name__)
+
+_AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What the preflight found of the devices."""
+
+    facts: dict[str, dict[str, Any]]
+    """`Driver.describe()` by stream."""
+    rates: dict[str, float]
+    """Measured rate by stream [Hz]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tare:
+    """The untouched F/T sensor."""
+
+    mean: np.ndarray
+    """Mean wrench (6,) [N, N m]."""
+    std: np.ndarray
+    """Its spread (6,) [N, N m]."""
+
+
+def check_devices(bench: Bench, streams: Streams) -> Found:
+    """Open every device and measure its rate.
+
+    Raises:
+        ConfigError, DeviceLost: A device that refuses, does not answer, or sends far too slowly.
+    """
+    facts = streams.wait_opened()
+    rates: dict[str, float] = {}
+    for name, found in streams.measure(bench.preflight.rate_window).items():
+        rate, expected = found["rate_hz"], expected_rate(bench, name)
+        rates[name] = rate
+        deviation = rate / expected - 1
+        logger.info(
+            "preflight  %-7s %7.1f Hz (expected %.0f)  longest gap %.1f ms",
+            name,
+            rate,
+            expected,
+            1e3 * found["longest_gap"],
+        )
+        if rate < 0.5 * expected:
+            raise DeviceLost(
+                f"{name}: {rate:.1f} Hz measured; expected {expected:.0f} Hz (bench file)"
+            )
+        if abs(deviation) > bench.preflight.rate_tolerance:
+            logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)
+    return Found(facts, rates)
+
+
+def tip_position(bench: Bench, streams: Streams) -> Point:
+    """Where the tip is in the contact frame [m].
+
+    Raises:
+        DeviceLost: No pose has arrived yet.
+    """
+    latest = streams["pose"].latest()
+    if latest is None:
+        raise DeviceLost("pose: no sample yet")
+    x, y, z = compose(invert(bench.contact_frame), latest["value"])[:3].tolist()
+    return (x, y, z)
+
+
+def check_clear(bench: Bench, streams: Streams) -> None:
+    """Refuse to start with the tip at or below the surface, or outside the box.
+
+    Raises:
+        SafetyStop: It is.
+    """
+    x, y, z = tip_position(bench, streams)
+    limits = bench.limits
+    inside = (
+        limits.box_x[0] <= x <= limits.box_x[1]
+        and limits.box_y[0] <= y <= limits.box_y[1]
+        and z <= limits.height_max
+    )
+    where = f"the tip is at x {1e3 * x:.1f}, y {1e3 * y:.1f}, z {1e3 * z:.1f} mm of the sensor"
+    if z <= 0:
+        raise SafetyStop(f"{where}: at or below its surface; jog it clear, then start again")
+    if not inside:
+        raise SafetyStop(f"{where}: outside the bench's box; jog it above the sensor")
+
+
+def take_tare(bench: Bench, streams: Streams) -> Tare:
+    """The zero of the F/T sensor, which nothing may be touching.
+
+    Raises:
+        DeviceLost: No samples, or a spread that says it is not still.
+    """
+    found = streams.measure(bench.preflight.tare_window, "force")["force"]
+    if "mean" not in found:
+        raise DeviceLost("force: no sample during the tare")
+    spread = float(found["std"][:3].max())
+    if spread > bench.preflight.tare_spread:
+        axis = _AXES[int(found["std"][:3].argmax())]
+        raise DeviceLost(
+            f"force: {axis} spreads by {spread:.3f} N during the tare; allowed: "
+            f"{bench.preflight.tare_spread:.3f} N; is something moving or touching the sensor?"
+        )
+    logger.info(
+        "preflight  tare  %s N, spread %.4f N",
+        " ".join(f"{value:+.3f}" for value in found["mean"][:3]),
+        spread,
+    )
+    return Tare(found["mean"], found["std"])
+
+
+def check_untouched(bench: Bench, force: np.ndarray, point: int) -> None:
+    """Contact must not be made above a contact point.
+
+    Args:
+        bench: The bench.
+        force: Mean wrench (6,) there, less the tare [N, N m].
+        point: Number of the contact point.
+
+    Raises:
+        SafetyStop: It is made.
+    """
+    worst = int(np.abs(force[:3]).argmax())
+    if abs(force[worst]) > bench.preflight.contact_free:
+        raise SafetyStop(
+            f"point {point}: {_AXES[worst]} is {force[worst]:+.2f} N before the press; allowed: "
+            f"{bench.preflight.contact_free:.2f} N; is the surface where the bench file says?"
+        )

@@ -1,0 +1,132 @@
+"""The line a technician watches: rewritten in place on a terminal, else logged now and then."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import Any, TextIO
+
+from rig.acquire.streams import Streams
+from rig.core.clock import SECOND_NS, Clock
+from trajectories import PHASES, Move, Target
+
+logger = logging.getLogger(__name__)
+
+_ON_TERMINAL_NS = SECOND_NS // 5
+_IN_LOG_NS = 10 * SECOND_NS
+_CLEAR = "\x1b[K"
+
+
+def minutes(seconds: float) -> str:
+    """`seconds` as m:ss."""
+    whole = max(round(seconds), 0)
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+class LiveLine:
+    """Progress of a collection.
+
+    Args:
+        streams: Whose rates are shown.
+        total: Number of targets of the session.
+        clock: Clock.
+        out: Where to write.
+    """
+
+    def __init__(
+        self, streams: Streams, total: int, clock: Clock, out: TextIO | None = None
+    ) -> None:
+        self._streams = streams
+        self._total = total
+        self._clock = clock
+        self._out = out or sys.stdout
+        self._terminal = self._out.isatty()
+        self._due_ns = 0
+        self._start_ns = clock.now_ns()
+        self._first: int | None = None
+        self._target: Target | None = None
+        self._move: Move | None = None
+        self._ended: dict[int, str] = {}
+        self._waiting = ""
+
+    def at(self, target: Target, move: Move | None) -> None:
+        """Say which target and move is under way."""
+        if self._first is None:
+            self._first, self._start_ns = target.index, self._clock.now_ns()
+        self._target, self._move = target, move
+
+    def waiting(self, why: str) -> None:
+        """Say in place of the phase that nothing moves, and why; a new reason is shown at once."""
+        if why != self._waiting:
+            self._waiting, self._due_ns = why, 0
+
+    def waited(self, duration_ns: int) -> None:
+        """Go on; a pause of `duration_ns` does not count for the time left."""
+        self._waiting, self._due_ns = "", 0
+        self._start_ns += duration_ns
+
+    def ended(self, target: Target, outcome: str) -> None:
+        """Say how a target ended: done or limited."""
+        self._ended[target.index] = outcome
+
+    def progress(self) -> dict[str, Any]:
+        """What a page to watch on shows: `Snapshot` fields, `ended`, `waiting`; from any thread."""
+        target, move = self._target, self._move
+        if target is None:
+            return {}
+        return {
+            "target": target.index,
+            "phase": self._phase(move),
+            "left": self._seconds_left(target, self._clock.now_ns()),
+            "ended": dict(self._ended),
+            "waiting": bool(self._waiting),
+        }
+
+    def tick(self) -> None:
+        """Write the line when it is time to."""
+        now_ns = self._clock.now_ns()
+        if now_ns < self._due_ns or self._target is None:
+            return
+        self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _IN_LOG_NS)
+        text = self._text(self._target, now_ns)
+        if self._terminal:
+            self._out.write(f"\r{text}{_CLEAR}")
+            self._out.flush()
+        else:
+            logger.info("%s", text)
+
+    def end(self) -> None:
+        """Leave the last line standing."""
+        if self._terminal and self._target is not None:
+            self._out.write("\n")
+            self._out.flush()
+
+    def _text(self, target: Target, now_ns: int) -> str:
+        counters = self._streams.counters()
+        force = self._streams["force"].latest()
+        dropped = sum(int(count["dropped"]) for count in counters.values())
+        rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
+        parts = [
+            f"target {target.index + 1}/{self._total}",
+            f"{self._phase(self._move):<10}",
+            f"{1e3 * target.depth:.2f} mm",
+            f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?",
+            rates,
+            f"dropped {dropped}",
+            f"{self._left(target, now_ns)} left",
+        ]
+        return "  ".join(parts)
+
+    def _phase(self, move: Move | None) -> str:
+        return self._waiting or (PHASES[move.phase] if move is not None else "to point")
+
+    def _left(self, target: Target, now_ns: int) -> str:
+        seconds = self._seconds_left(target, now_ns)
+        return "?:??" if seconds is None else minutes(seconds)
+
+    def _seconds_left(self, target: Target, now_ns: int) -> float | None:
+        done = target.index - (self._first or 0)
+        if done == 0:
+            return None
+        per_target = (now_ns - self._start_ns) / SECOND_NS / done
+        return per_target * (self._total - target.index)

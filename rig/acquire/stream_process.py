@@ -1,0 +1,232 @@
+"""The process of one stream: driver to shard log, nothing in between.
+
+It is told what to do through a pipe and answers there; everybody may look at its newest sample and
+its counters in shared memory. When the pipe closes, whoever started it is gone: it seals what it
+has and ends.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections import deque
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import SessionError, StreamWriter
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import KINDS, StreamKind, make_driver
+from rig.core.clock import SECOND_NS, Clock, SystemClock
+from rig.core.driver import Driver, refused
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.realtime import Sweeper, be_punctual
+from rig.core.shared_memory import LatestRecord
+
+logger = logging.getLogger(__name__)
+
+COUNTERS = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("samples", "<i8"),
+        ("rows", "<i8"),
+        ("dropped", "<i8"),
+        ("rate_hz", "<f8"),
+        ("longest_gap", "<f8"),
+    ]
+)
+"""Last arrival [ns], samples since opening, rows stored by this run, samples the device sent that
+never came, rate over the last second [Hz], longest gap between stored samples [s]."""
+
+_READ_TIMEOUT = 0.05
+# How long a command from the parent may wait for a silent device [s].
+_COUNTERS_EVERY_NS = SECOND_NS // 20
+
+
+@dataclass(frozen=True, slots=True)
+class StreamJob:
+    """What the process of one stream needs."""
+
+    name: str
+    """Name of the stream, a key of `KINDS`."""
+    bench: Bench
+    """The bench, with addresses filled in."""
+    folder: Path
+    """Where `<name>.latest` and `<name>.counters` were made."""
+
+
+class _Measurement:
+    """Samples of a window: rate, mean, spread."""
+
+    def __init__(self, kind: StreamKind, start_ns: int, seconds: float) -> None:
+        self._averaged = kind.averaged
+        self._start_ns = start_ns
+        self.end_ns = start_ns + round(seconds * SECOND_NS)
+        self._times: list[int] = []
+        self._values: list[Any] = []
+
+    def add(self, sample: dict[str, Any]) -> None:
+        if self._start_ns <= sample["t_ns"] <= self.end_ns:
+            self._times.append(sample["t_ns"])
+            if self._averaged:
+                self._values.append(sample["value"])
+
+    def result(self) -> dict[str, Any]:
+        """`n`, `rate_hz`, `longest_gap` [s] and, where averaged, `mean` and `std` of the values."""
+        times = np.array([self._start_ns, *self._times, self.end_ns], dtype=np.int64)
+        inner = times[1:-1]
+        span = (inner[-1] - inner[0]) / SECOND_NS if len(inner) > 1 else 0.0
+        found: dict[str, Any] = {
+            "n": len(inner),
+            "t_ns": int(self.end_ns),
+            "rate_hz": (len(inner) - 1) / span if span > 0 else 0.0,
+            "longest_gap": float(np.diff(times).max()) / SECOND_NS,
+        }
+        if self._averaged and len(inner):
+            values = np.array(self._values, dtype=float)
+            found |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
+        return found
+
+
+class _StreamLoop:
+    """State of the running process."""
+
+    def __init__(self, job: StreamJob, pipe: Connection, driver: Driver, clock: Clock) -> None:
+        self._kind = KINDS[job.name]
+        self._pipe = pipe
+        self._driver = driver
+        self._clock = clock
+        self._latest = LatestRecord.attach(
+            job.folder / f"{job.name}.latest", self._kind.latest, writable=True
+        )
+        self._counters = LatestRecord.attach(
+            job.folder / f"{job.name}.counters", COUNTERS, writable=True
+        )
+        self._sweeper = Sweeper()
+        self._writer: StreamWriter | None = None
+        self._bias: np.ndarray | None = None
+        self._measurement: _Measurement | None = None
+        self._recent: deque[int] = deque()
+        self._samples = self._rows = 0
+        self._dropped_before = 0
+        self._refused_before: dict[str, int] = {}
+        self._last_ns = self._shown_ns = 0
+        self._longest_gap = 0.0
+
+    def run(self) -> None:
+        """Until told to close, or until the parent's end of the pipe is gone."""
+        while True:
+            while self._pipe.poll():
+                command, argument = self._pipe.recv()
+                if command == "close":
+                    self._pipe.send(("closed", self.close()))
+                    return
+                getattr(self, f"_on_{command}")(argument)
+            for sample in self._driver.read(_READ_TIMEOUT):
+                self._take(sample)
+            now_ns = self._clock.now_ns()
+            if now_ns - self._shown_ns >= _COUNTERS_EVERY_NS:
+                self._show(now_ns)
+            if self._measurement is not None and now_ns > self._measurement.end_ns:
+                self._pipe.send(("measured", self._measurement.result()))
+                self._measurement = None
+
+    def _on_measure(self, seconds: float) -> None:
+        self._measurement = _Measurement(self._kind, self._clock.now_ns(), seconds)
+
+    def _on_bias(self, bias: list[float]) -> None:
+        self._bias = np.array(bias)
+        self._pipe.send(("biased", None))
+
+    def _on_record(self, path: Path) -> None:
+        self._writer = StreamWriter.open(path)
+        self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
+        self._dropped_before = self._driver.dropped
+        self._refused_before = refused(self._driver)
+        self._pipe.send(("recording", self._writer.rows))
+
+    def _take(self, sample: dict[str, Any]) -> None:
+        if self._bias is not None:
+            sample["value"] = sample["value"] - self._bias
+        row = -1
+        if self._writer is not None:
+            row = self._writer.append(**{name: sample[name] for name in self._kind.columns})
+            self._rows += 1
+            if self._last_ns:
+                gap = (sample["t_ns"] - self._last_ns) / SECOND_NS
+                self._longest_gap = max(self._longest_gap, gap)
+        self._latest.write(self._kind.record(sample, row))
+        self._last_ns = sample["t_ns"]
+        self._samples += 1
+        self._recent.append(sample["t_ns"])
+        if self._measurement is not None:
+            self._measurement.add(sample)
+
+    def _show(self, now_ns: int) -> None:
+        while self._recent and self._recent[0] < now_ns - SECOND_NS:
+            self._recent.popleft()
+        dropped = self._driver.dropped - self._dropped_before
+        rate_hz = float(len(self._recent))
+        self._counters.write(
+            (self._last_ns, self._samples, self._rows, dropped, rate_hz, self._longest_gap)
+        )
+        self._shown_ns = now_ns
+        self._sweeper.sweep(now_ns)
+
+    def close(self) -> dict[str, Any]:
+        """Seal what was recorded; the summary of it."""
+        self._show(self._clock.now_ns())
+        summary = {
+            "rows": self._rows,
+            "dropped": self._driver.dropped - self._dropped_before,
+            "refused": {
+                reason: count - self._refused_before.get(reason, 0)
+                for reason, count in refused(self._driver).items()
+            },
+            "longest_gap": self._longest_gap,
+        }
+        if self._writer is not None:
+            writer, self._writer = self._writer, None
+            writer.close()
+        return summary
+
+
+def run_stream(job: StreamJob, pipe: Connection) -> None:
+    """Body of the process; `pipe` is its end."""
+    # Ctrl-C and a closed terminal belong to the parent, which closes every stream in order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    granted = be_punctual()
+    clock = SystemClock()
+    loop: _StreamLoop | None = None
+    driver: Driver | None = None
+    try:
+        driver = make_driver(job.bench, job.name, clock)
+        driver.open(job.bench.preflight.timeout)
+        loop = _StreamLoop(job, pipe, driver, clock)
+        pipe.send(("opened", {**driver.describe(), "granted": granted}))
+        loop.run()
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        logger.warning("%s: the collecting process is gone; sealing and ending", job.name)
+    except (ConfigError, DeviceLost, SessionError, OSError) as error:
+        _report(pipe, job.name, error)
+    finally:
+        if loop is not None:
+            try:
+                loop.close()
+            except (SessionError, OSError) as error:
+                _report(pipe, job.name, error)
+        if driver is not None:
+            driver.close()
+        pipe.close()
+
+
+def _report(pipe: Connection, name: str, error: Exception) -> None:
+    kind = type(error).__name__ if isinstance(error, ConfigError | DeviceLost) else "SessionError"
+    try:
+        pipe.send(("failed", (kind, f"{name}: {error}")))
+    except OSError:
+        logger.warning("%s: %s (and nobody left to tell)", name, error)

@@ -1,0 +1,275 @@
+"""All streams of a session together: start, measure, record, end."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import SessionError
+from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.shared_memory import LatestRecord
+
+# The collecting process's end of one stream.
+
+_ERRORS = {error.__name__: error for error in (ConfigError, DeviceLost, SessionError)}
+_START_TIMEOUT = 20.0
+# Starting an interpreter and importing OpenCV takes a second here, more on a busy machine [s].
+_CLOSE_TIMEOUT = 30.0
+# Sealing syncs up to 64 images; a slow disk may take its time, and killing it would lose the seal.
+
+
+class StreamHandle:
+    """Starts, asks, and ends the process of one stream.
+
+    Args:
+        name: A key of `KINDS`.
+        bench: The bench, with addresses filled in.
+        folder: Run folder for the shared records.
+    """
+
+    def __init__(self, name: str, bench: Bench, folder: Path) -> None:
+        self.name = name
+        self._bench = bench
+        self._latest = LatestRecord.create(folder / f"{name}.latest", KINDS[name].latest)
+        self._counters = LatestRecord.create(folder / f"{name}.counters", COUNTERS)
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        job = StreamJob(name, bench, folder)
+        self._process = context.Process(
+            target=run_stream, args=(job, theirs), name=f"stream-{name}", daemon=False
+        )
+        self._process.start()
+        theirs.close()
+        self._closed = False
+        self._failure: Exception | None = None
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid or 0
+
+    def wait_opened(self) -> dict[str, Any]:
+        """Facts of the device once its driver is open.
+
+        Raises:
+            ConfigError, DeviceLost: What the driver found.
+        """
+        facts: dict[str, Any] = self._answer("opened", self._bench.preflight.timeout)
+        return facts
+
+    def start_measuring(self, seconds: float) -> None:
+        """Begin a window over which rate, mean and spread are taken."""
+        self._send("measure", seconds)
+
+    def measured(self, seconds: float) -> dict[str, Any]:
+        """The result of the window that `start_measuring(seconds)` began; see `_Measurement`."""
+        found: dict[str, Any] = self._answer("measured", seconds)
+        return found
+
+    def set_bias(self, bias: np.ndarray) -> None:
+        """Subtract `bias` (6,) [N, N m] from now on."""
+        self._send("bias", [float(value) for value in bias])
+        self._answer("biased", 1.0)
+
+    def record(self, path: Path) -> int:
+        """Append to the stream group at `path` from now on; the rows it had."""
+        self._send("record", path)
+        rows: int = self._answer("recording", 5.0)
+        return rows
+
+    def latest(self) -> np.void | None:
+        """The newest sample, as `KINDS[name].latest`."""
+        return self._latest.read()
+
+    def counters(self) -> np.void | None:
+        """COUNTERS as of the last twentieth of a second."""
+        return self._counters.read()
+
+    def check(self) -> None:
+        """Notice a failure.
+
+        Raises:
+            ConfigError, DeviceLost, SessionError: What ended the stream.
+        """
+        if self._failure is not None:
+            raise self._failure
+        try:
+            while self._pipe.poll():
+                self._failed_by(self._pipe.recv())
+        except (EOFError, OSError):
+            self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+
+    def close(self) -> dict[str, Any] | None:
+        """Seal and end; the summary, or None when the process is gone already. Safe twice."""
+        if self._closed:
+            return None
+        self._closed = True
+        summary: dict[str, Any] | None = None
+        try:
+            self._send("close", None)
+            summary = self._answer("closed", _CLOSE_TIMEOUT)
+        except (DeviceLost, ConfigError, SessionError):
+            # `check` reports whatever ended the stream; here only the end counts.
+            summary = None
+        self._process.join(_CLOSE_TIMEOUT)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+        self._latest.close()
+        self._counters.close()
+        return summary
+
+    def _send(self, command: str, argument: Any) -> None:
+        try:
+            self._pipe.send((command, argument))
+            return
+        except OSError:
+            # Nothing is raised in here: as the context of an error that is kept, this one would
+            # keep the pickling buffer of `send` in a cycle, which Python 3.12 crashes on.
+            pass
+        self.check()
+        self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+
+    def _answer(self, word: str, seconds: float) -> Any:
+        if self._failure is not None:
+            raise self._failure
+        while True:
+            if not self._pipe.poll(seconds + _START_TIMEOUT):
+                self._fail(DeviceLost(f"{self.name}: its process does not answer ('{word}')"))
+            try:
+                message = self._pipe.recv()
+            except (EOFError, OSError):
+                self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
+            if message[0] == word:
+                return message[1]
+            self._failed_by(message)
+
+    def _failed_by(self, message: tuple[str, Any]) -> None:
+        if message[0] == "failed":
+            kind, text = message[1]
+            self._fail(_ERRORS[kind](text))
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = error
+        raise error
+
+    def _exit_code(self) -> int | None:
+        self._process.join(1.0)
+        return self._process.exitcode
+
+
+SILENT = 2.0
+# A signal (camera, taxels) that shows no new sample for so long is lost; force and pose have their
+# own, shorter limits in the guard [s].
+SLOW_FRACTION, SLOW = 0.5, 3.0
+# A stream that comes at less than this part of its rate (what the preflight refuses too) for so
+# long [s] is no recording of what happens.
+
+
+class Streams:
+    """The streams of one bench, as a context manager.
+
+    Args:
+        bench: The bench, with addresses filled in.
+        folder: Run folder for shared records.
+        clock: Clock.
+        watch: Raises when what is behind the devices is gone, as a mock bench's World.
+    """
+
+    def __init__(
+        self, bench: Bench, folder: Path, clock: Clock, watch: Callable[[], None] | None = None
+    ) -> None:
+        self._clock = clock
+        self._watch = watch
+        self._handles = {name: StreamHandle(name, bench, folder) for name in stream_names(bench)}
+        self._summaries: dict[str, Any] = {}
+        self._closed = False
+        self._expected = {name: expected_rate(bench, name) for name in self._handles}
+        self._slow_since_ns: dict[str, int] = {}
+
+    def __enter__(self) -> Streams:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[StreamHandle]:
+        return iter(self._handles.values())
+
+    def __getitem__(self, name: str) -> StreamHandle:
+        return self._handles[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._handles
+
+    def wait_opened(self) -> dict[str, dict[str, Any]]:
+        """Facts of every device, by stream.
+
+        Raises:
+            ConfigError, DeviceLost: What the first driver to fail found.
+        """
+        return {handle.name: handle.wait_opened() for handle in self}
+
+    def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
+        """Rate, mean and spread over the same window of the named streams (all when none)."""
+        chosen = [handle for handle in self if not names or handle.name in names]
+        for handle in chosen:
+            handle.start_measuring(seconds)
+        return {handle.name: handle.measured(seconds) for handle in chosen}
+
+    def check(self) -> None:
+        """Notice a stream that failed, or a signal that went silent.
+
+        Raises:
+            ConfigError, DeviceLost, SessionError: What ended it.
+        """
+        now_ns = self._clock.now_ns()
+        # The streams first: of a device that is gone, its driver knows more than its process.
+        for handle in self:
+            handle.check()
+            latest = handle.latest()
+            if latest is not None and now_ns - int(latest["t_ns"]) > SILENT * SECOND_NS:
+                raise DeviceLost(
+                    f"{handle.name}: no sample for {(now_ns - int(latest['t_ns'])) / SECOND_NS:.1f}"
+                    f" s; allowed: {SILENT:.1f} s; is the device powered and connected?"
+                )
+            self._check_rate(handle, now_ns)
+        if self._watch is not None:
+            self._watch()
+
+    def _check_rate(self, handle: StreamHandle, now_ns: int) -> None:
+        counters = handle.counters()
+        expected = self._expected[handle.name]
+        if counters is None or counters["rate_hz"] >= SLOW_FRACTION * expected:
+            self._slow_since_ns.pop(handle.name, None)
+            return
+        since_ns = self._slow_since_ns.setdefault(handle.name, now_ns)
+        if now_ns - since_ns > SLOW * SECOND_NS:
+            raise DeviceLost(
+                f"{handle.name}: {counters['rate_hz']:.0f} Hz for {SLOW:.0f} s; expected "
+                f"{expected:.0f} Hz; is its line overloaded, or its lighting too dim?"
+            )
+
+    def counters(self) -> dict[str, np.void]:
+        """COUNTERS of every stream that has shown some."""
+        found = {handle.name: handle.counters() for handle in self}
+        return {name: counters for name, counters in found.items() if counters is not None}
+
+    def close(self) -> dict[str, Any]:
+        """Seal and end every stream; their summaries by name. Safe twice."""
+        if not self._closed:
+            self._closed = True
+            for handle in self:
+                summary = handle.close()
+                if summary is not None:
+                    self._summaries[handle.name] = summary
+        return self._summaries

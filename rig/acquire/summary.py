@@ -1,0 +1,84 @@
+"""What is printed at the end: did every stream keep its pace, and what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import Session
+from rig.acquire.progress_line import minutes
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import expected_rate
+
+
+def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
+    """The table of streams: expected and measured rate, longest gap, dropped, worst skew."""
+    lines = [f"{'stream':<8}{'expected':>10}{'measured':>10}{'longest gap':>13}{'dropped':>9}"]
+    for name, stream in session.streams.items():
+        times = stream.t_ns
+        span = (times[-1] - times[0]) / 1e9 if len(times) > 1 else 0.0
+        rate = (len(times) - 1) / span if span > 0 else 0.0
+        summary = summaries.get(name, {})
+        gap = f"{1e3 * summary['longest_gap']:.1f} ms" if summary else "?"
+        dropped = str(summary["dropped"]) if summary else "?"
+        lines.append(
+            f"{name:<8}{expected_rate(bench, name):>7.0f} Hz{rate:>7.1f} Hz{gap:>13}{dropped:>9}"
+            + left_out(summary.get("refused", {}))
+        )
+    frames = session.frames
+    valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
+    if valid.any():
+        skew = np.asarray(frames["skew"])[valid]
+        invalid = int((~valid).sum())
+        lines.append(
+            f"{len(valid)} frames at {bench.rate_hz:.0f} Hz, {invalid} invalid, "
+            f"worst skew {1e3 * skew.max():.1f} ms (median {1e3 * np.median(skew):.2f} ms)"
+        )
+        lines.append(frames_per_target(session))
+    return "\n".join(lines)
+
+
+def left_out(refused: Mapping[str, int]) -> str:
+    """What came and was not stored, in words; empty when there was none."""
+    found = [f"{count} {reason}" for reason, count in refused.items() if count]
+    return f"  left out: {', '.join(found)}" if found else ""
+
+
+def frames_per_target(session: Session) -> str:
+    """Frames per target beside the paper's 20 to 60."""
+    targets = np.asarray(session.frames["target"])
+    counts = np.bincount(targets[targets >= 0])
+    counts = counts[counts > 0]
+    fresh = ~np.asarray(session.frames["is_duplicate"], dtype=bool)
+    fresh_counts = np.bincount(targets[(targets >= 0) & fresh])
+    fresh_counts = fresh_counts[fresh_counts > 0]
+    if not len(counts) or not len(fresh_counts):
+        return "no frames in any target"
+    return (
+        f"frames per target: {counts.min()} to {counts.max()}, mean {counts.mean():.0f} "
+        f"(without repeats: mean {fresh_counts.mean():.0f}; paper: 20 to 60)"
+    )
+
+
+def last_line(
+    status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
+) -> str:
+    """One line: how it ended, how far it came, where it lies.
+
+    Args:
+        status: Of the session.
+        reason: Why it was stopped, or empty.
+        path: The session.
+        done: Targets behind it.
+        limited: Those of this run that ended at the soft force limit.
+        total: Targets wanted.
+        seconds: Wall time of this run [s].
+    """
+    why = f" ({reason})" if reason else ""
+    ended = f", {limited} of them at the force limit," if limited else ""
+    return (
+        f"{status}{why}: {done} of {total} targets{ended} in {minutes(seconds)}; readable at {path}"
+    )

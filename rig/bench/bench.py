@@ -1,0 +1,221 @@
+"""A bench, read from YAML: which devices at which addresses, which sensor, limits and plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rig.bench.worlds import AnalyticSpec, SimulatedSpec
+from rig.core.config import build, read_yaml
+from rig.core.errors import ConfigError
+from rig.core.guard import GuardLimits
+from rig.devices.arm.settings import ArmConfig
+from rig.devices.camera.settings import CameraConfig
+from rig.devices.force.settings import ForceConfig
+from rig.devices.gripper.settings import RobotiqConfig
+from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
+from rig.devices.taxels.settings import XelaConfig
+from trajectories import ForceDepth, Limits, PressShear
+
+LOOPBACK = "loopback"
+"""Stands for the address the emulators are started on."""
+RUN_FOLDER = "runfolder"
+"""Stands for the folder where emulators of serial devices put links to their ptys."""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchLimits:
+    """What sensor, gauge and lab allow."""
+
+    box_x: tuple[float, float] = field(metadata={"unit": "mm"})
+    """Allowed x of the tip in the contact frame [m]."""
+    box_y: tuple[float, float] = field(metadata={"unit": "mm"})
+    """Allowed y [m]."""
+    depth_max: float = field(metadata={"unit": "mm"})
+    """Deepest indentation [m]."""
+    height_max: float = field(metadata={"unit": "mm"})
+    """Highest z [m]."""
+    force_rating: tuple[float, float, float] = field(metadata={"unit": "n"})
+    """Rated force per axis of the weaker of sensor and gauge [N]."""
+    torque_rating: tuple[float, float, float] = field(metadata={"unit": "n_mm"})
+    """Rated torque per axis [N m]."""
+    stiffness: float = field(metadata={"unit": "n_per_mm"})
+    """Expected normal stiffness [N/m]; only foretells the force of a plan."""
+    duration_max: float = field(metadata={"unit": "min"})
+    """Longest session [s]."""
+    soft_fraction: float = 0.85
+    """Part of the rating that ends a target as force_limited."""
+    hard_fraction: float = 1.0
+    """Part of the rating that stops the session."""
+    horizon: float = field(default=0.02, metadata={"unit": "ms"})
+    """How far ahead the guard extrapolates the force [s]."""
+    stale_force: float = field(default=0.05, metadata={"unit": "ms"})
+    """Without a force sample for so long the session stops [s]."""
+    stale_pose: float = field(default=0.1, metadata={"unit": "ms"})
+    """The same for poses [s]."""
+
+    @property
+    def plan(self) -> Limits:
+        """What a plan is held against before anything moves."""
+        return Limits(
+            box_x=self.box_x,
+            box_y=self.box_y,
+            depth_max=self.depth_max,
+            height_max=self.height_max,
+            force_rating=self.soft_fraction * self.force_rating[2],
+            stiffness=self.stiffness,
+            duration_max=self.duration_max,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """What is checked, and how long, before anything is recorded."""
+
+    rate_window: float = 1.0
+    """How long rates are measured [s]."""
+    rate_tolerance: float = 0.15
+    """Relative deviation from the expected rate that stops the preflight."""
+    tare_window: float = 0.5
+    """How long the tare is averaged [s]."""
+    tare_spread: float = field(default=0.1, metadata={"unit": "n"})
+    """Largest standard deviation of a force axis over the tare [N]."""
+    point_window: float = 0.25
+    """How long the reference of a contact point is averaged [s]."""
+    contact_free: float = field(default=0.3, metadata={"unit": "n"})
+    """Largest force, less the tare, above a contact point: more means contact is made [N]."""
+    timeout: float = 5.0
+    """How long a device may take to answer [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Everything `collect` needs to know."""
+
+    sensor: str
+    """Name of the sensor: the name of its bench file, and in the session's."""
+    description: str
+    mock: bool
+    """Whether the devices are emulators; written into every session."""
+    rate_hz: float
+    """Rate of the synchronised view."""
+    contact_frame: tuple[float, ...] = field(metadata={"pose": True})
+    """Pose (6,) of the contact frame in the base frame [m, rad]."""
+    tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
+    """Orientation of the TCP in the contact frame, rotation vector [rad]."""
+    arm: ArmConfig
+    force: ForceConfig
+    limits: BenchLimits
+    trajectory: PressShear | ForceDepth
+    preflight: Preflight = Preflight()
+    approach: float = field(default=0.003, metadata={"unit": "mm"})
+    """Height above the surface from which the tip comes down at contact speed [m]."""
+    indenter: str = "cylinder"
+    """Name of the indenter on the arm."""
+    camera: CameraConfig | None = None
+    taxels: XelaConfig | None = None
+    gripper: RobotiqConfig | None = None
+    """Holds the indenter; watched while the arm moves."""
+    pedal: PedalConfig | None = None
+    jog: SpaceMouseConfig | None = None
+    """Moves the arm by hand, for `make jog` only."""
+    force_depth: ForceDepth | None = None
+    """The press that `force-depth` records; None where the sensor has none."""
+    world: AnalyticSpec | SimulatedSpec | None = None
+    """What presses what, on a mock bench; None on a lab bench."""
+    simulated: SimulatedSpec | None = None
+    """What WORLD=sim puts in the place of `world`."""
+    world_frame: tuple[float, ...] | None = field(default=None, metadata={"pose": True})
+    """Where a mock's surface really is, (6,) in the base frame [m, rad]; None: at contact_frame."""
+
+    def __post_init__(self) -> None:
+        """Refuse a bench without a signal, or whose mock flag and World disagree."""
+        if self.camera is None and self.taxels is None:
+            raise ValueError("camera, taxels: both missing; allowed: at least one")
+        if self.mock != (self.world is not None):
+            raise ValueError(
+                f"mock: {self.mock} with world {'given' if self.world else 'missing'}; "
+                "allowed: true with a world, false without one"
+            )
+        if not self.rate_hz > 0:
+            raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
+
+    @property
+    def guard_limits(self) -> GuardLimits:
+        """What the guard watches while the arm moves."""
+        limits = self.limits
+        return GuardLimits(
+            force_rating=(*limits.force_rating, *limits.torque_rating),
+            soft_fraction=limits.soft_fraction,
+            hard_fraction=limits.hard_fraction,
+            horizon=limits.horizon,
+            stale_force=limits.stale_force,
+            stale_pose=limits.stale_pose,
+            box=(
+                (limits.box_x[0], limits.box_y[0], -limits.depth_max),
+                (limits.box_x[1], limits.box_y[1], limits.height_max),
+            ),
+            force_status_mask=self.force.UNTRUSTED_MASK,
+        )
+
+
+def find_bench(sensor: str, folder: Path) -> Path:
+    """The lab's bench file of `sensor` if there is one, else the mock bench.
+
+    Raises:
+        ConfigError: Neither exists.
+    """
+    for path in (folder / "lab" / f"{sensor}.yaml", folder / f"{sensor}.yaml"):
+        if path.exists():
+            return path
+    known = sorted(path.stem for path in folder.glob("*.yaml") if path.stem != "mock")
+    raise ConfigError(f"SENSOR: found {sensor!r}; known in {folder}/: {', '.join(known)}")
+
+
+def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
+    """`content` with what its `simulated` says in the place of `world`.
+
+    Raises:
+        ConfigError: It has none, or is no mock bench's.
+    """
+    if not content.get("mock") or not isinstance(content.get("simulated"), dict):
+        raise ConfigError(
+            f"{where}.simulated: missing, or on a lab bench; allowed with --world sim: a mock "
+            "bench with a simulated sensor"
+        )
+    return {**content, "world": {"kind": SimulatedSpec.KIND, **content["simulated"]}}
+
+
+def bench_from(content: dict[str, Any], where: str) -> Bench:
+    """The bench that a mapping (as read from YAML) describes.
+
+    Raises:
+        ConfigError: See `rig.core.config.build`.
+    """
+    return build(Bench, content, where)
+
+
+def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:
+    """A bench file, checked, and its content as read (stored in the session).
+
+    Raises:
+        ConfigError: See `rig.core.config`.
+    """
+    content = read_yaml(path)
+    return bench_from(content, str(path)), content
+
+
+def addressed(content: dict[str, Any], host: str, folder: Path) -> dict[str, Any]:
+    """`content` with `loopback` replaced by `host`, `runfolder` by `folder`, in every string."""
+
+    def replace(value: Any) -> Any:
+        if isinstance(value, str):
+            return value.replace(LOOPBACK, host).replace(RUN_FOLDER, str(folder))
+        if isinstance(value, dict):
+            return {key: replace(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [replace(item) for item in value]
+        return value
+
+    return {key: replace(value) for key, value in content.items()}

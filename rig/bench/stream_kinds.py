@@ -1,0 +1,164 @@
+"""What each kind of stream is: its driver, its columns on disk, its newest sample in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from recorder import StreamSpec, camera_spec, force_spec, pose_spec, taxels_spec
+from rig.bench.bench import Bench
+from rig.core.clock import Clock
+from rig.core.driver import Driver
+from rig.core.errors import ConfigError
+from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
+from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NidaqConfig
+
+
+@dataclass(frozen=True, slots=True)
+class StreamKind:
+    """One row of the table below."""
+
+    name: str
+    """Name of the stream, on disk and on screen."""
+    latest: np.dtype[Any]
+    """What is shown of its newest sample."""
+    record: Callable[[dict[str, Any], int], tuple[Any, ...]]
+    """That record from a sample's columns and its row (-1 while nothing is recorded)."""
+    columns: tuple[str, ...]
+    """Columns that are stored; a driver may give more, for the guard."""
+    averaged: bool
+    """Whether a mean of its values means something (a tare, a reference)."""
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        StreamKind(
+            "force",
+            FORCE_LATEST,
+            lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]),
+            ("value", "seq", "status", "t_ns"),
+            True,
+        ),
+        StreamKind(
+            "pose",
+            POSE_LATEST,
+            lambda sample, row: (
+                sample["t_ns"],
+                sample["device_t"],
+                sample["safety_status"],
+                sample["runtime_state"],
+                sample["speed_scaling"],
+                sample["value"],
+            ),
+            ("value", "device_t", "speed_scaling", "t_ns"),
+            False,
+        ),
+        StreamKind(
+            "camera",
+            CAMERA_LATEST,
+            lambda sample, row: (sample["t_ns"], row),
+            ("value", "device_t", "t_ns"),
+            False,
+        ),
+        StreamKind(
+            "taxels",
+            TAXELS_LATEST,
+            lambda sample, row: (sample["t_ns"], sample["value"]),
+            ("value", "device_t", "seq", "t_ns"),
+            True,
+        ),
+    )
+}
+
+
+def stream_names(bench: Bench) -> tuple[str, ...]:
+    """The streams a bench records, in the order they are shown."""
+    optional = (("camera", bench.camera), ("taxels", bench.taxels))
+    return ("force", "pose", *(name for name, config in optional if config is not None))
+
+
+def expected_rate(bench: Bench, name: str) -> float:
+    """The rate the bench file states for a stream [Hz]."""
+    configs: dict[str, Any] = {
+        "force": bench.force,
+        "pose": bench.arm,
+        "camera": bench.camera,
+        "taxels": bench.taxels,
+    }
+    return float(configs[name].rate_hz)
+
+
+def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
+    """The driver of one stream. Its vendor library is imported here and nowhere else.
+
+    Raises:
+        ConfigError: The library is not installed.
+    """
+    try:
+        if name == "force":
+            return _force_driver(bench.force, clock)
+        if name == "pose":
+            from rig.devices.arm.reader import RtdePoseDriver
+
+            return RtdePoseDriver(bench.arm.host, bench.arm.rate_hz, clock)
+        if name == "camera" and bench.camera is not None:
+            from rig.devices.camera.opencv import OpenCvDriver
+
+            return OpenCvDriver(bench.camera, clock)
+        if name == "taxels" and bench.taxels is not None:
+            from rig.devices.taxels.xela import XelaDriver
+
+            return XelaDriver(bench.taxels, clock)
+    except ImportError as error:
+        raise ConfigError(
+            f"{name}: {error.name} is not installed; install the extra: pip install -e '.[rig]'"
+        ) from None
+    raise ConfigError(f"stream: found {name!r}; known: {', '.join(KINDS)}")
+
+
+def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
+    if isinstance(config, NidaqConfig):
+        from rig.devices.force.nidaq import NidaqDriver
+
+        return NidaqDriver(config, clock)
+    if isinstance(config, AtiSerialConfig):
+        from rig.devices.force.ati_serial import AtiSerialDriver
+
+        return AtiSerialDriver(config, clock)
+    from rig.devices.force.netft import NetFtDriver
+
+    return NetFtDriver(config, clock)
+
+
+def stream_spec(
+    bench: Bench, name: str, facts: dict[str, Any], rate_hz: float, **attrs: Any
+) -> StreamSpec:
+    """How a stream is stored, from what its opened driver said of the device.
+
+    Args:
+        bench: The bench.
+        name: The stream.
+        facts: `Driver.describe()`.
+        rate_hz: Its measured rate.
+        **attrs: What else its attributes shall hold.
+    """
+    if name == "force":
+        return force_spec(rate_hz, device=facts, **attrs)
+    if name == "pose":
+        return pose_spec(rate_hz, device=facts, **attrs)
+    if name == "taxels":
+        return taxels_spec(rate_hz, device=facts, **attrs)
+    codec = "jpeg" if facts["jpeg_bytes_kept"] else "zstd"
+    return camera_spec(
+        rate_hz,
+        height=facts["height"],
+        width=facts["width"],
+        codec=codec,
+        device=facts,
+        device_clock=facts.get("device_clock", "none"),
+        **attrs,
+    )

@@ -1,1 +1,0 @@
-"""A day of sessions: many sensors and indenters, one after the other, resumed whenever it stops."""

@@ -1,0 +1,102 @@
+"""`python -m rig calibrate-latency`: tap, and see how late the camera shows it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder import Session
+from rig.acquire.calibration import store
+from rig.acquire.calibration.calibration import Calibration, LatencyCalibration
+from rig.cli.options import (
+    banner,
+    bench_options,
+    calibration_of,
+    calibration_options,
+    chosen_bench,
+    log_to,
+)
+from rig.core.clock import file_stamp
+from rig.core.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
+from rig.core.units import to_si
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "calibrate-latency",
+        parents=[bench_options()],
+        help="tap lightly and keep how late the camera (or the taxels) shows it",
+    )
+    parser.add_argument("--indenter", help="name of the indenter on the arm")
+    parser.add_argument("--taps", type=int, default=16, help="how many (%(default)s)")
+    parser.add_argument(
+        "--depth-mm", type=float, help="deepest tap [mm] (as deep as 1 N goes, 1.0 at most)"
+    )
+    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
+    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    calibration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Tap, correlate, store; the exit code.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
+    """
+    from rig.acquire.calibration import latency
+    from rig.acquire.request import Order, plan_of
+    from rig.cli.recording import record
+
+    path, bench, content = chosen_bench(options)
+    print(banner(bench.mock, path), flush=True)
+    indenter = options.indenter or bench.indenter
+    content = {**content, "indenter": indenter}
+    # The surface as measured, the signal as it comes: its old latency must not hide in the new.
+    home = Calibration(calibration_of(options, bench, indenter).home)
+    depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
+    plan = latency.plan_for(bench, depth=depth, count=options.taps)
+    stamp = file_stamp()
+    session_path = options.out or Path("sessions") / f"{bench.sensor}-latency-{stamp}.zarr"
+    order = Order(path=session_path, operator=options.operator, calibration=home)
+    plan_of(order, home.applied(bench), plan)
+    session_path.parent.mkdir(parents=True, exist_ok=True)
+    log_to(session_path.with_suffix(".log"))
+    code = record(path, content, order, plan, prepared=home.applied)
+    if code != EXIT_DONE:
+        print("calibrate-latency: not finished, nothing is stored")
+        return code
+    stream = latency.signal_of(bench)
+    session = Session(session_path)
+    try:
+        found = latency.evaluate(session, stream, latency.exposure_of(bench, stream))
+    except SafetyStop as error:
+        print(f"{error}; nothing is stored; the taps are in {session_path}")
+        return EXIT_SAFETY_STOP
+    print("\n".join(latency.lines_of(found, session)))
+    refused = latency.refusal(found)
+    if refused is not None:
+        print(f"calibrate-latency: refused, nothing is stored: {refused}")
+        return EXIT_SAFETY_STOP
+    measured = LatencyCalibration(
+        date_utc=store.now_utc(),
+        method=latency.METHOD,
+        mock=bench.mock,
+        bench_sha256=store.bench_hash(content),
+        stream=stream,
+        device=store.device_name(bench, stream),
+        latency=found.latency,
+        interval=(found.latency - found.half, found.latency + found.half),
+        exposure=found.exposure,
+        gel_lead=found.gel.value,
+        ratio=found.image.ratio,
+        taps=found.image.taps,
+    )
+    file = store.store(options.calibrations, bench.sensor, latency=measured)
+    print(f"calibrate-latency: stored in {file}")
+    return EXIT_DONE

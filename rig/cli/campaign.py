@@ -1,0 +1,91 @@
+"""`python -m rig campaign`: a day of sensors and indenters, resumed whenever it stops."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.options import calibration_options
+from rig.core.errors import EXIT_DONE, ConfigError
+
+if TYPE_CHECKING:
+    from rig.acquire.campaign import Item
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser("campaign", help="record what is left of a campaign file")
+    parser.add_argument("--file", type=Path, required=True, help="YAML, as campaigns/day.yaml")
+    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    parser.add_argument("--out", type=Path, help="folder of the sessions (default: the file's)")
+    parser.add_argument("--list", action="store_true", help="only print what is done and left")
+    parser.add_argument("--yes", action="store_true", help="mock benches: do not ask for swaps")
+    parser.add_argument(
+        "--keep-going",
+        action="store_true",
+        help="after a lost device or a safety stop go on with the next session",
+    )
+    calibration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """List, or record; the exit code.
+
+    Raises:
+        ConfigError: A campaign that cannot be run as it is.
+    """
+    import dataclasses
+
+    from rig.acquire.campaign import Settings, load_campaign, progress_of, run_campaign, table
+
+    campaign = load_campaign(options.file, options.benches)
+    if options.out is not None:
+        campaign = dataclasses.replace(campaign, out=options.out)
+    print("\n".join(table(progress_of(campaign))), flush=True)
+    if options.list:
+        return EXIT_DONE
+    lab = sorted({item.bench.sensor for item in campaign.items if not item.bench.mock})
+    if lab and options.yes:
+        raise ConfigError(f"--yes: {', '.join(lab)}: lab benches; allowed: mock benches only")
+    settings = Settings(options.benches, options.calibrations, options.keep_going)
+    ask = _agree if options.yes else _ask
+    return run_campaign(campaign, settings, ask, _say, _swap)
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _swap(item: Item) -> None:
+    """Wait until the gripper of the item's bench holds its indenter."""
+    from rig.core.clock import SystemClock
+    from rig.devices.gripper.robotiq import RobotiqDriver, swap_held
+
+    config = item.bench.gripper
+    if config is None:
+        raise ConfigError(f"{item.bench_path}.gripper: missing")
+    clock = SystemClock()
+    with RobotiqDriver(config, clock) as gripper:
+        gripper.open(item.bench.preflight.timeout)
+        swap_held(gripper, f"indenter {item.entry.indenter}", clock, _say)
+
+
+def _agree(question: str) -> bool:
+    print(question, flush=True)
+    return True
+
+
+def _ask(question: str) -> bool:
+    """Wait for Enter; False for q, at the end of the input and at Ctrl-C."""
+    if not sys.stdin.isatty():
+        raise ConfigError("campaign: no terminal to ask on; on mock benches --yes does not ask")
+    try:
+        answer = input(f"{question}; Enter when it is mounted, q to stop: ")
+    except (EOFError, KeyboardInterrupt):
+        print()
+        return False
+    return answer.strip().lower() != "q"

@@ -1,0 +1,92 @@
+"""`python -m rig collect`: record one session, or the rest of one."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.options import (
+    banner,
+    bench_options,
+    calibration_of,
+    calibration_options,
+    chosen_bench,
+    log_to,
+    opened_page,
+    source_options,
+    sources_of,
+    watch_options,
+)
+from rig.core.clock import file_stamp
+from rig.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "collect",
+        parents=[bench_options(), source_options()],
+        help="record one session along the bench's plan",
+    )
+    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
+    parser.add_argument(
+        "--resume", type=Path, help="continue this stopped session (its sensor is known)"
+    )
+    parser.add_argument("--targets", type=int, help="press only the first N targets")
+    parser.add_argument("--indenter", help="name of the indenter on the arm")
+    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    parser.add_argument("--truth", type=Path, help="mock bench: log the World's truth here")
+    watch_options(parser)
+    calibration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Collect; the exit code.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+    """
+    from rig.acquire.request import Order, plan_of
+    from rig.cli.recording import record
+
+    path, bench, content = chosen_bench(options)
+    print(banner(bench.mock, path), flush=True)
+    if options.indenter:
+        content = {**content, "indenter": options.indenter}
+    sources = sources_of(options)
+    if not bench.mock and (sources.facts() or options.truth):
+        raise ConfigError(f"{path}: CAMERA, TAXELS and truth are for a mock bench; mock: false")
+    if options.resume and (options.out or options.targets):
+        raise ConfigError("--resume: neither --out nor --targets go with it: the session has both")
+    session = options.resume or options.out
+    if session is None:
+        indenter = content.get("indenter", bench.indenter)
+        session = Path("sessions") / f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
+    calibration = calibration_of(options, bench, content.get("indenter", bench.indenter))
+    order = Order(
+        path=session,
+        resume=options.resume is not None,
+        targets=options.targets,
+        operator=options.operator,
+        mock_facts=sources.facts() if bench.mock else None,
+        calibration=calibration,
+    )
+    plan, total = plan_of(order, calibration.applied(bench))
+    session.parent.mkdir(parents=True, exist_ok=True)
+    log_to(session.with_suffix(".log"))
+    return record(
+        path,
+        content,
+        order,
+        plan,
+        total=total,
+        prepared=calibration.applied,
+        sources=sources,
+        truth=options.truth,
+        page=lambda ready, folder: opened_page(options, ready, folder, order, plan, total),
+    )

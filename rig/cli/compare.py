@@ -1,0 +1,26 @@
+"""`python -m rig compare`: a mock session beside the World's truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser("compare", help="hold a mock session against the World's truth")
+    parser.add_argument("--session", type=Path, required=True, help="a session")
+    parser.add_argument("--truth", type=Path, required=True, help="what collect --truth wrote")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compare and print."""
+    from rig.mock.world.compare import compare
+
+    print("\n".join(compare(options.session, options.truth)))
+    return 0

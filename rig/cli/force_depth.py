@@ -1,0 +1,67 @@
+"""`python -m rig force-depth`: press straight down and up again, a few times; table and curve."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.cli.options import (
+    banner,
+    bench_options,
+    calibration_of,
+    calibration_options,
+    chosen_bench,
+    log_to,
+)
+from rig.core.clock import file_stamp
+from rig.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "force-depth",
+        parents=[bench_options()],
+        help="record loading and unloading along the bench's force_depth, draw the curve",
+    )
+    parser.add_argument(
+        "--indenter", default="prism", help="name of the indenter on the arm (%(default)s)"
+    )
+    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
+    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    calibration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Press, print, draw; the exit code.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+    """
+    from rig.acquire.curve import show_curve
+    from rig.acquire.request import Order, plan_of
+    from rig.cli.recording import record
+
+    path, bench, content = chosen_bench(options)
+    print(banner(bench.mock, path), flush=True)
+    if bench.force_depth is None:
+        raise ConfigError(
+            f"{path}.force_depth: missing; allowed: depth_max_mm, repeats (see docs/bench-guide.md)"
+        )
+    plan = bench.force_depth
+    content = {**content, "indenter": options.indenter}
+    calibration = calibration_of(options, bench, options.indenter)
+    name = f"{bench.sensor}-{options.indenter}-force-depth-{file_stamp()}.zarr"
+    session = options.out or Path("sessions") / name
+    order = Order(path=session, operator=options.operator, calibration=calibration)
+    plan_of(order, calibration.applied(bench), plan)
+    session.parent.mkdir(parents=True, exist_ok=True)
+    log_to(session.with_suffix(".log"))
+    code = record(path, content, order, plan, prepared=calibration.applied)
+    show_curve(session)
+    return code

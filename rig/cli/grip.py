@@ -1,0 +1,53 @@
+"""`python -m rig grip`: activate the gripper, open it, close it on the indenter."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from rig.bench.bench import load_bench
+from rig.cli.options import banner, bench_options, bench_path
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+_OPENING = 5.0
+"""Activation opens and closes the fingers once; it takes one to two seconds [s]."""
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "grip", parents=[bench_options()], help="open the gripper, then close it on the indenter"
+    )
+    parser.add_argument("--open", action="store_true", help="open only; what it holds falls")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Activate, open or close; the exit code.
+
+    Raises:
+        ConfigError: The bench has no gripper, or is a mock bench.
+        DeviceLost: The gripper does not answer, or closed on nothing.
+    """
+    from rig.devices.gripper.robotiq import RobotiqDriver
+
+    path = bench_path(options)
+    bench, _ = load_bench(path)
+    if bench.gripper is None:
+        raise ConfigError(f"{path}.gripper: missing; allowed: {{kind: robotiq_2f, port: PORT}}")
+    if bench.mock:
+        raise ConfigError(f"{path}: a mock bench's gripper holds from the start; mock: true")
+    print(banner(bench.mock, path).replace("arm", "gripper"), flush=True)
+    with RobotiqDriver(bench.gripper, SystemClock()) as gripper:
+        gripper.open(bench.preflight.timeout)
+        print(f"gripper: {gripper.status().text}", flush=True)
+        gripper.activate(_OPENING)
+        status = gripper.open_fingers() if options.open else gripper.close_fingers()
+    print(f"gripper: {status.text}")
+    if not options.open and not status.holding:
+        raise DeviceLost("gripper: closed on nothing; put the indenter between the fingers")
+    return 0

@@ -1,0 +1,93 @@
+"""`python -m rig home`: find the surface by touch, and keep where it is."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder import Session
+from rig.acquire.calibration import store
+from rig.cli.options import banner, bench_options, calibration_options, chosen_bench, log_to
+from rig.core.clock import file_stamp
+from rig.core.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
+from rig.core.units import to_si
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "home",
+        parents=[bench_options()],
+        help="find the surface by touch (1 mm/s) and keep where it is",
+    )
+    parser.add_argument("--indenter", help="name of the indenter on the arm")
+    parser.add_argument("--repeats", type=int, default=4, help="approaches a point (%(default)s)")
+    parser.add_argument(
+        "--force-n", type=float, default=0.3, help="back off at this force [N] (%(default)s)"
+    )
+    parser.add_argument(
+        "--travel-mm",
+        type=float,
+        help="how far below the supposed surface to go [mm] (1.0, or the bench's depth limit)",
+    )
+    parser.add_argument(
+        "--width-mm",
+        type=float,
+        default=0.05,
+        help="refuse a 95 %% interval wider than this [mm] (%(default)s)",
+    )
+    parser.add_argument("--corners", action="store_true", help="touch four corners too, for tilt")
+    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
+    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    calibration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Touch, fit, store; the exit code.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
+    """
+    from rig.acquire.calibration import home
+    from rig.acquire.request import Order, plan_of
+    from rig.cli.recording import record
+
+    path, bench, content = chosen_bench(options)
+    print(banner(bench.mock, path), flush=True)
+    indenter = options.indenter or bench.indenter
+    content = {**content, "indenter": indenter}
+    points = (1, 2, 3, 4, 5) if options.corners else (1,)
+    travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
+    plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)
+    touching = home.touching_bench(bench, options.force_n)
+    session = options.out or home.default_path(bench.sensor, file_stamp())
+    order = Order(path=session, operator=options.operator)
+    # Held against the bench's own limits: the soft one is what ends each approach.
+    plan_of(order, bench, plan)
+    session.parent.mkdir(parents=True, exist_ok=True)
+    log_to(session.with_suffix(".log"))
+    code = record(
+        path,
+        content,
+        order,
+        plan,
+        prepared=lambda ready: home.touching_bench(ready, options.force_n),
+    )
+    if code != EXIT_DONE:
+        print("home: not finished, nothing is stored")
+        return code
+    try:
+        found = home.evaluate(Session(session), plan, width_max=to_si(options.width_mm, "mm"))
+    except SafetyStop as error:
+        print(f"{error}; nothing is stored; the approaches are in {session}")
+        return EXIT_SAFETY_STOP
+    print("\n".join(home.lines_of(found, bench)))
+    measured = home.calibration_from(found, touching, content)
+    file = store.store(options.calibrations, bench.sensor, home={indenter: measured})
+    print(f"home: stored in {file}")
+    return EXIT_DONE

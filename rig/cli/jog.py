@@ -1,0 +1,101 @@
+"""`python -m rig jog`: move the arm by a SpaceMouse and take the origin of the contact frame."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.bench.bench import bench_from
+from rig.cli.options import banner, bench_options, chosen_bench
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, SafetyStop
+from rig.mock.bench import MockBench
+
+if TYPE_CHECKING:
+    from rig.bench.bench import Bench
+    from rig.cli.options import Verbs
+
+logger = logging.getLogger(__name__)
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "jog",
+        parents=[bench_options()],
+        help="move the arm by a SpaceMouse; its first button takes the contact origin [mm]",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Follow the SpaceMouse until its first button takes the origin; the exit code.
+
+    Raises:
+        ConfigError: The bench has no `jog`.
+        DeviceLost, SafetyStop, Interrupted: What ended it; the arm stands still.
+    """
+    path, bench, content = chosen_bench(options)
+    if bench.jog is None:
+        raise ConfigError(f"{path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}")
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    print(banner(bench.mock, path), flush=True)
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
+        watch = None
+        if bench.mock:
+            mock = stack.enter_context(MockBench(content, str(path), folder))
+            bench, watch = bench_from(mock.content, str(path)), mock.check
+        print(_jogged(bench, folder, watch, stack), flush=True)
+    return 0
+
+
+def _jogged(
+    bench: Bench, folder: Path, watch: Callable[[], None] | None, stack: contextlib.ExitStack
+) -> str:
+    from rig.acquire.control import InterruptFlag
+    from rig.acquire.jog import Jog, origin_text, retract
+    from rig.acquire.preflight import check_devices, take_tare
+    from rig.acquire.streams import Streams
+    from rig.devices.arm.arm import Arm
+    from rig.devices.hid.spacemouse import SpaceMouseDriver
+
+    if bench.jog is None:
+        raise ConfigError("jog: missing")
+    clock = SystemClock()
+    interrupt = stack.enter_context(InterruptFlag())
+    mouse = SpaceMouseDriver(bench.jog, clock)
+    stack.callback(mouse.close)
+    mouse.open()
+    streams = stack.enter_context(Streams(bench, folder, clock, watch))
+    check_devices(bench, streams)
+    arm = Arm(
+        bench.arm,
+        bench.contact_frame,
+        bench.guard_limits,
+        force_path=folder / "force.latest",
+        pose_path=folder / "pose.latest",
+    )
+    arm.start(bench.preflight.timeout)
+    stack.callback(arm.close)
+    streams["force"].set_bias(take_tare(bench, streams).mean)
+    print(
+        f"x, y, z of the cap move the tip at up to {1e3 * bench.jog.speed_max:g} mm/s; the first "
+        "button takes the origin; Ctrl-C ends",
+        flush=True,
+    )
+    jog = Jog(bench, arm, streams, mouse, interrupt.check, clock, speed_max=bench.jog.speed_max)
+    try:
+        tip = jog.run()
+    except SafetyStop:
+        retract(arm)
+        raise
+    text = origin_text(bench, tip)
+    if not retract(arm):
+        text += "\nTHE ARM WAS NOT RETRACTED"
+    return text

@@ -1,0 +1,158 @@
+"""`python -m rig live`: forces while the sensor is touched, by a trained model."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.acquire.control import InterruptFlag
+from rig.cli.options import bench_options, chosen_bench
+from rig.core.clock import Clock, SystemClock
+from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, ConfigError, DeviceLost
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+    from rig.monitor.watched import Watched
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "live",
+        parents=[bench_options()],
+        help="forces of the sensor as it is touched, by a trained model; moves nothing",
+        description="Reads the sensor and says Fx, Fy, Fz for every frame; then how late forces "
+        "were. No arm moves; on a mock bench an emulated finger presses along its trajectory. "
+        "Start with the sensor untouched: its first frames are the reference.",
+    )
+    parser.add_argument(
+        "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"
+    )
+    parser.add_argument("--session", type=Path, help="replay this session in place of a bench")
+    parser.add_argument("--seconds", type=float, help="how long [s] (default: until Ctrl-C)")
+    parser.add_argument(
+        "--rate-hz", type=float, help="mock bench: frames a second (the bench file's)"
+    )
+    parser.add_argument(
+        "--runtime",
+        choices=("onnx", "openvino", "openvino-bf16", "torch"),
+        default="onnx",
+        help="what steps the model (%(default)s, which like openvino takes the exported one: "
+        "python -m learning export-onnx; openvino-bf16 is the fastest on CPUs that have it)",
+    )
+    parser.add_argument(
+        "--threads", type=int, default=0, help="of the model (default: what its runtime likes)"
+    )
+    parser.add_argument(
+        "--preset", metavar="NAME", help="how markers are found (what is meant for the sensor)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="CSV", help="write every force here; a new file"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Watch, print, summarise; the exit code.
+
+    Raises:
+        ConfigError, DeviceLost, SessionError: Before the first force.
+    """
+    from rig.monitor.forces import ForceLine, Seen, watch
+    from rig.monitor.predictor import open_predictor
+
+    _check(options)
+    clock = SystemClock()
+    lost: DeviceLost | None = None
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
+        stop = stack.enter_context(InterruptFlag())
+        # The model first: an emulator that waits for it would be late.
+        sensor = _sensor(options)
+        predictor = open_predictor(
+            options.model,
+            runtime=options.runtime,
+            sensor=sensor,
+            preset=options.preset,
+            threads=options.threads,
+        )
+        watched = stack.enter_context(_opened(options, folder, clock))
+        line = ForceLine(clock, sys.stdout)
+        seen = Seen()
+        try:
+            watch(
+                watched,
+                predictor,
+                clock,
+                stop,
+                seen=seen,
+                seconds=options.seconds,
+                told=line,
+                out=options.out,
+            )
+        except DeviceLost as error:
+            lost = error
+        finally:
+            line.close()
+        wrench = None
+        if watched.wrench is not None and seen.frames:
+            wrench = watched.wrench(np.array(seen.shown_ns, np.int64))
+        print("\n".join(seen.lines(wrench)), flush=True)
+        if options.out is not None:
+            print(f"{options.out}: {seen.frames:,} forces")
+    if lost is not None:
+        print(f"device lost: {lost}", file=sys.stderr)
+        return EXIT_DEVICE_LOST
+    return EXIT_DONE
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.session is not None and (options.sensor or options.bench or options.world):
+        raise ConfigError("--session: goes without --sensor, --bench and --world")
+    for name in ("seconds", "rate_hz"):
+        value = getattr(options, name)
+        if value is not None and not value > 0:
+            raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}; allowed: above 0")
+    if options.threads < 0:
+        raise ConfigError(f"--threads: found {options.threads}; allowed: 0 or more")
+    if options.out is not None and options.out.exists():
+        raise ConfigError(f"{options.out}: exists; allowed: a new file")
+
+
+def _sensor(options: argparse.Namespace) -> str:
+    """Name of the sensor that will be watched."""
+    from recorder import Session
+
+    if options.session is not None:
+        return str(Session(options.session).attrs.get("sensor", ""))
+    return chosen_bench(options)[1].sensor
+
+
+@contextlib.contextmanager
+def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator[Watched]:
+    """The sensor that was asked for, and a first line that says which."""
+    from rig.monitor.watched import lab_bench, mock_bench, replayed
+
+    if options.session is not None:
+        print(f"REPLAY of {options.session}: nothing moves", flush=True)
+        with replayed(options.session, folder, clock) as watched:
+            yield watched
+        return
+    path, bench, content = chosen_bench(options)
+    if bench.mock:
+        print(f"MOCK BENCH ({path}): an emulated finger presses an emulated sensor", flush=True)
+        with mock_bench(content, str(path), folder, clock, rate_hz=options.rate_hz) as watched:
+            yield watched
+        return
+    if options.rate_hz is not None:
+        raise ConfigError(f"--rate-hz: {path} is a lab bench; allowed: a mock bench")
+    print(f"LAB BENCH ({path}): nothing moves", flush=True)
+    with lab_bench(bench, clock) as watched:
+        yield watched

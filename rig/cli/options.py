@@ -1,0 +1,217 @@
+"""Options that several verbs have, and what they mean."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder import Session
+from rig.acquire.calibration import store
+from rig.acquire.calibration.calibration import Calibration
+from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world
+from rig.bench.worlds import SimulatedSpec
+from rig.core.errors import ConfigError
+from rig.mock.emulators import Sources
+from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, Gate, is_loopback
+
+if TYPE_CHECKING:
+    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+    from rig.acquire.request import Order
+    from rig.monitor.page.page import Page
+    from trajectories import Plan
+
+
+def bench_options() -> argparse.ArgumentParser:
+    """Which bench: --sensor or --bench, and --benches."""
+    parser = argparse.ArgumentParser(add_help=False)
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--sensor", help="name of a bench file: benches/lab/ first, then benches/")
+    chosen.add_argument("--bench", type=Path, help="path of a bench file")
+    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of them")
+    parser.add_argument(
+        "--world",
+        choices=("sim",),
+        help="mock bench: what the simulator says, in place of the bench file's world",
+    )
+    return parser
+
+
+def source_options() -> argparse.ArgumentParser:
+    """Real recordings for a mock bench to serve."""
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        help="mock bench: serve this folder of images or video file in place of the World's view",
+    )
+    parser.add_argument(
+        "--still",
+        action="store_true",
+        help="declare --camera a still scene: each image is held for seconds",
+    )
+    parser.add_argument("--taxels", type=Path, help="mock bench: serve this (T,48) .npy of counts")
+    return parser
+
+
+def bench_path(options: argparse.Namespace) -> Path:
+    """The bench file that --bench or --sensor names, or that a session to resume was made with.
+
+    Raises:
+        ConfigError: None is named, or the named one does not exist.
+        SessionError: The session to resume cannot be read.
+    """
+    if options.bench is not None:
+        path: Path = options.bench
+        return path
+    sensor = options.sensor
+    if sensor is None and getattr(options, "resume", None) is not None:
+        sensor = Session(options.resume).attrs["sensor"]
+    if sensor is None:
+        raise ConfigError("--sensor, --bench: both missing; allowed: one of them")
+    return find_bench(sensor, options.benches)
+
+
+def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, Any]]:
+    """File, bench and content of what `bench_path` finds, with the world that --world names.
+
+    A session to resume goes on in the world that it began in.
+
+    Raises:
+        ConfigError: See `rig.core.config`; or a bench that has no such world.
+        SessionError: The session to resume cannot be read.
+    """
+    path = bench_path(options)
+    bench, content = load_bench(path)
+    resumed = getattr(options, "resume", None)
+    if options.world is None and (resumed is None or not _began_simulated(resumed)):
+        return path, bench, content
+    content = with_simulated_world(content, str(path))
+    return path, bench_from(content, str(path)), content
+
+
+def _began_simulated(session: Path) -> bool:
+    world = Session(session).attrs["bench"].get("world") or {}
+    return bool(world.get("kind") == SimulatedSpec.KIND)
+
+
+def sources_of(options: argparse.Namespace) -> Sources:
+    """What --camera, --still and --taxels say.
+
+    Raises:
+        ConfigError: A path that is not there.
+    """
+    motion = "still" if options.still else "moving"
+    return Sources(camera=options.camera, camera_motion=motion, taxels=options.taxels)
+
+
+def banner(mock: bool, path: Path) -> str:
+    """The first line printed: nobody shall take a mock bench for the lab's, or the reverse."""
+    if mock:
+        return (
+            f"MOCK BENCH ({path}): every device is an emulator, no arm moves; "
+            "time limits are looser than a lab's"
+        )
+    return f"LAB BENCH ({path}): the arm WILL move"
+
+
+def log_to(path: Path) -> None:
+    """Everything from INFO on to the terminal and, with times, to `path`."""
+    terminal = logging.StreamHandler()
+    terminal.setFormatter(logging.Formatter("%(message)s"))
+    file = logging.FileHandler(path)
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[terminal, file])
+
+
+# Options of verbs that record with what was measured of the bench, and what they print of it.
+
+
+def calibration_options(parser: argparse.ArgumentParser) -> None:
+    """Where the calibrations lie."""
+    parser.add_argument(
+        "--calibrations",
+        type=Path,
+        default=store.FOLDER,
+        help="folder of what home and calibrate-latency measured (%(default)s)",
+    )
+
+
+def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> Calibration:
+    """What holds for this session: the file's, or of a session to resume what it began with.
+
+    Prints what it is, and warnings.
+
+    Args:
+        options: With `calibrations`, and perhaps `resume`.
+        bench: As its file describes it.
+        indenter: Name of the indenter on the arm.
+
+    Raises:
+        ConfigError: A calibration that cannot be used; see `rig.acquire.calibration.store.load`.
+        SessionError: The session to resume cannot be read.
+    """
+    resumed: Path | None = getattr(options, "resume", None)
+    warnings: list[str] = []
+    if resumed is not None:
+        facts = Session(resumed).attrs.get("calibration") or {}
+        calibration = Calibration.from_facts(facts)
+    else:
+        calibration, warnings = store.load(options.calibrations, bench, indenter)
+    for line in (*calibration.lines(), *(f"warning: {warning}" for warning in warnings)):
+        print(line, flush=True)
+    return calibration
+
+
+# The options of a page to watch a collection on, and the page they ask for.
+
+
+def watch_options(parser: argparse.ArgumentParser) -> None:
+    """Add --watch and --watch-host."""
+    parser.add_argument(
+        "--watch",
+        type=int,
+        nargs="?",
+        const=DEFAULT_PORT,
+        metavar="PORT",
+        help=f"serve a page to watch on (port {DEFAULT_PORT} unless given; 0: any free one)",
+    )
+    parser.add_argument(
+        "--watch-host",
+        default=LOOPBACK_HOST,
+        metavar="ADDRESS",
+        help="address the page is served on (default: %(default)s, this machine only; any other "
+        "asks whoever opens it for a token, which is printed)",
+    )
+
+
+@contextlib.contextmanager
+def opened_page(
+    options: argparse.Namespace, bench: Bench, folder: Path, order: Order, plan: Plan, total: int
+) -> Iterator[Page | None]:
+    """The page that was asked for, running; None without --watch.
+
+    Raises:
+        ConfigError: A port or an address that cannot be had.
+    """
+    if options.watch is None:
+        if options.watch_host != LOOPBACK_HOST:
+            raise ConfigError("--watch-host: goes with --watch only")
+        yield None
+        return
+    if not 0 <= options.watch <= 0xFFFF:
+        raise ConfigError(f"--watch: found {options.watch}; allowed: 0 to 65535")
+    from rig.monitor.page.messages import page_job
+    from rig.monitor.page.page import Page
+
+    gate = Gate(options.watch_host, options.watch)
+    with Page(page_job(gate, bench, folder, order, plan, total)) as page:
+        print(f"watch it at {page.url}", flush=True)
+        if not is_loopback(gate.host):
+            print(
+                "whoever has this address can see, pause and abort: the connection is not encrypted"
+            )
+        yield page

@@ -1,0 +1,32 @@
+"""`python -m rig preview`: the plan as a picture, checked against the bench's limits."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.bench.bench import load_bench
+from rig.cli.options import bench_options, bench_path
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "preview", parents=[bench_options()], help="draw the plan, check its limits"
+    )
+    parser.add_argument("--out", type=Path, help="PNG to write (default: in sessions/)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Draw and check; the exit code."""
+    from rig.acquire.preview import preview
+
+    bench, _ = load_bench(bench_path(options))
+    picture = options.out or Path("sessions") / f"{bench.sensor}-plan.png"
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    return preview(bench, picture)

@@ -1,0 +1,78 @@
+"""`python -m rig replay`: a recorded session through mock hardware, recorded again."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.core.clock import file_stamp
+
+if TYPE_CHECKING:
+    from rig.cli.options import Verbs
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "replay",
+        help="play a session through the emulators and record it again; nothing moves",
+        description="Play a session through the emulators, record it again with the real drivers, "
+        "and compare. Exit code 0: every stream has the same bytes; 1: it has not.",
+    )
+    parser.add_argument("--session", type=Path, required=True, help="the session to replay")
+    parser.add_argument(
+        "--speed",
+        type=_speed,
+        default=1.0,
+        help="times the recorded speed, or max: as fast as the drivers read (default: 1)",
+    )
+    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="STREAM",
+        help="leave out this stream, such as a camera whose images are stored as pixels",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Replay; the exit code.
+
+    Raises:
+        SessionError: The source cannot be replayed.
+        ConfigError, DeviceLost: Before anything was recorded.
+    """
+    from rig.cli.options import log_to
+    from rig.replay.replay import Replay, ReplayOrder
+
+    source: Path = options.session
+    out: Path | None = options.out
+    if out is None:
+        out = Path("sessions") / f"{source.stem}-replay-{file_stamp()}.zarr"
+    order = ReplayOrder(source, out, options.speed, tuple(options.without))
+    replay = Replay(order)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    log_to(out.with_suffix(".log"))
+    name = order.speed_name if order.speed == 0 else f"{order.speed:g} times the recorded speed"
+    print(f"REPLAY of {source} ({name}): every device is an emulator, nothing moves", flush=True)
+    return replay.run()
+
+
+def _speed(text: str) -> float:
+    """0 for max, else the number.
+
+    Raises:
+        argparse.ArgumentTypeError: Neither.
+    """
+    if text == "max":
+        return 0.0
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0.01 <= speed <= 1000:
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: 0.01 to 1000, or max")
+    return speed

@@ -1,0 +1,1 @@
+"""What knows no device: time, shared memory, the guard, configuration, geometry, emulation."""

@@ -1,0 +1,305 @@
+"""Decides when the arm must stop: force, place, stale data, safety state. Pure logic, no I/O.
+
+The UR's own limits cannot protect the sensor (their tolerance is 25 N; a Nano17 ends at 17 N), so
+the process that moves the arm asks this guard a few hundred times a second with the newest records.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.core.clock import SECOND_NS
+from rig.core.geometry import invert, matrix_from_vector, transform
+
+Mode = Literal["guarded", "retreat", "travel"]
+Kind = Literal[
+    "force_soft",
+    "force_hard",
+    "force_status",
+    "stale_force",
+    "stale_pose",
+    "box",
+    "protective_stop",
+    "emergency_stop",
+]
+
+AXES = (("Fx", "N"), ("Fy", "N"), ("Fz", "N"), ("Tx", "N m"), ("Ty", "N m"), ("Tz", "N m"))
+
+_SLOPE_WINDOW_NS = 12_000_000
+_SLOPE_SAMPLES = 4
+_SLOPE_SPAN_NS = 60_000_000
+# The slope of four samples 4 ms apart, 20 ms ahead, carries 2.2 times the noise of one sample; with
+# fewer it would be the noise that trips. A sensor so slow that four samples take longer than the
+# span says nothing about the next 20 ms.
+
+_GROWTH = 0.02
+"""In retreat the load counts as growing when it gains this share of the rating in `horizon`."""
+
+_EMERGENCY_BITS = 0x1E0
+_STOPPED_BITS = 0x614
+# RTDE safety_status_bits: 5, 6, 7 emergency stops, 8 violation; 2 protective, 4 safeguard (a door,
+# a light curtain), 9 fault, 10 stopped by any of them.
+
+
+@dataclass(frozen=True, slots=True)
+class GuardLimits:
+    """What the sensor, the F/T sensor and the bench can take."""
+
+    force_rating: tuple[float, ...]
+    """Largest load per axis (6,) in the F/T frame [N, N m]: the weaker of F/T sensor and sensor."""
+    box: tuple[tuple[float, float, float], tuple[float, float, float]]
+    """Lower and upper corner for the TCP in the contact frame [m]; minus lower z is the depth."""
+    soft_fraction: float = 0.85
+    """Of the rating: the press ends here, is marked force-limited, and work goes on."""
+    hard_fraction: float = 1.0
+    """Of the rating: stop, and let somebody look."""
+    horizon: float = 0.02
+    """The soft limit also trips when force plus slope times this would pass it [s]."""
+    stale_force: float = 0.05
+    """A force record older than this stops the arm [s]."""
+    stale_pose: float = 0.1
+    """A pose record older than this stops the arm [s]."""
+    force_status_mask: int = 0
+    """Status bits of the F/T sensor that mean its values cannot be trusted (saturation...)."""
+    combined_fraction: float | None = None
+    """Of the ratings, (Fxy and Tz) and (Fz and Txy) added up: ATI's rule says 1.05. None: off."""
+
+    def __post_init__(self) -> None:
+        """Refuse limits that would never trip, or always.
+
+        Raises:
+            ValueError: Names the field, what was found and what is allowed.
+        """
+        if len(self.force_rating) != 6 or not all(rating > 0 for rating in self.force_rating):
+            raise ValueError(f"force_rating: {self.force_rating}; allowed: 6 numbers above 0")
+        if not 0 < self.soft_fraction <= self.hard_fraction:
+            raise ValueError(
+                f"soft_fraction: {self.soft_fraction}; allowed: above 0, up to hard_fraction "
+                f"({self.hard_fraction})"
+            )
+        if not all(low < high for low, high in zip(*self.box, strict=True)):
+            raise ValueError(f"box: {self.box}; allowed: lower corner below the upper one")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Why the arm must stop."""
+
+    kind: Kind
+    reason: str
+    """For the technician: what was found, the limit, units."""
+
+
+def judge_safety(status: int) -> Verdict | None:
+    """What RTDE's safety_status_bits mean for us: None when the arm may move."""
+    if status & _EMERGENCY_BITS:
+        return Verdict(
+            "emergency_stop",
+            f"emergency stop or safety violation (status bits 0x{status:x}): make the bench safe, "
+            "then release it at the pendant",
+        )
+    if status & _STOPPED_BITS:
+        return Verdict(
+            "protective_stop",
+            f"the controller made a protective or safeguard stop (status bits 0x{status:x}): look "
+            "for the cause, then unlock it at the pendant; nothing is reset from here",
+        )
+    return None
+
+
+def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLike) -> str | None:
+    """Why a TCP position (3,) in the base frame [m] lies outside the box, or None.
+
+    Args:
+        limits: With the box in the contact frame.
+        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
+        position: Of the TCP.
+    """
+    return _box_reason(limits, transform(invert(contact_frame), position))
+
+
+def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
+    found = np.asarray(point, np.float64).tolist()
+    for name, value, low, high in zip("xyz", found, *limits.box, strict=True):
+        # Negated, so that a value that is not a number is outside too.
+        if not low <= value <= high:
+            return (
+                f"TCP outside the allowed box: {name} = {value * 1e3:.2f} mm in the contact frame, "
+                f"allowed {low * 1e3:.2f} to {high * 1e3:.2f} mm"
+            )
+    return None
+
+
+class Guard:
+    """Asks of each newest force and pose whether the arm may go on.
+
+    Modes: "guarded" checks everything. "travel" does too; contact is not expected, so a force that
+    trips is a surprise. "retreat" lets the arm leave whatever the state of the sensors: no soft
+    limit, no box, no stale data, and the hard limit only while the load still grows.
+
+    Args:
+        limits: What to hold.
+        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
+        watch_force: Without a force record the arm stops; False on a bench without F/T sensor.
+        watch_pose: Without a pose record the arm stops.
+    """
+
+    def __init__(
+        self,
+        limits: GuardLimits,
+        contact_frame: ArrayLike,
+        *,
+        watch_force: bool = True,
+        watch_pose: bool = True,
+    ) -> None:
+        self._limits = limits
+        to_contact = invert(contact_frame)
+        # Once: turning a rotation vector into a matrix is most of what a check would cost.
+        self._turn, self._shift = matrix_from_vector(to_contact[3:]), to_contact[:3]
+        self._watch_force = watch_force
+        self._watch_pose = watch_pose
+        self._history: deque[tuple[int, list[float]]] = deque(maxlen=64)
+
+    def check(
+        self,
+        now_ns: int,
+        force_record: Any | None,
+        pose_record: Any | None,
+        mode: Mode = "guarded",
+    ) -> Verdict | None:
+        """The most serious reason to stop now, or None.
+
+        Args:
+            now_ns: Time [ns].
+            force_record: Newest FORCE_LATEST record.
+            pose_record: Newest POSE_LATEST record.
+            mode: What the arm is doing.
+        """
+        safety = None if pose_record is None else judge_safety(int(pose_record["safety_status"]))
+        force = self._check_force(now_ns, force_record, mode)
+        if safety is not None or (force is not None and force.kind == "force_hard"):
+            return safety or force
+        # A stale force that stood above the soft limit is a lost sensor, not a finished press.
+        return (
+            self._check_age(now_ns, force_record, pose_record, mode)
+            or force
+            or self._check_box(pose_record, mode)
+        )
+
+    def _check_age(
+        self, now_ns: int, force: Any | None, pose: Any | None, mode: Mode
+    ) -> Verdict | None:
+        if mode == "retreat":
+            return None
+        for what, kind, watched, record, limit in (
+            ("force", "stale_force", self._watch_force, force, self._limits.stale_force),
+            ("pose", "stale_pose", self._watch_pose, pose, self._limits.stale_pose),
+        ):
+            if not watched:
+                continue
+            verdict: Kind = "stale_force" if kind == "stale_force" else "stale_pose"
+            if record is None:
+                return Verdict(verdict, f"no {what} has arrived yet: is its stream running?")
+            age_ns = now_ns - int(record["t_ns"])
+            if age_ns > round(limit * SECOND_NS):
+                return Verdict(
+                    verdict,
+                    f"newest {what} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: "
+                    f"check the {'F/T sensor' if what == 'force' else 'pose stream'} and its cable",
+                )
+        return None
+
+    def _check_box(self, pose: Any | None, mode: Mode) -> Verdict | None:
+        if pose is None or mode == "retreat":
+            return None
+        reason = _box_reason(self._limits, self._turn @ pose["value"][:3] + self._shift)
+        return Verdict("box", reason) if reason else None
+
+    def _check_force(self, now_ns: int, record: Any | None, mode: Mode) -> Verdict | None:
+        if record is None or not self._watch_force:
+            return None
+        limits = self._limits
+        t_ns, force = int(record["t_ns"]), [float(value) for value in record["value"]]
+        if not self._history or t_ns > self._history[-1][0]:
+            self._history.append((t_ns, force))
+        if mode == "retreat" and now_ns - t_ns > round(limits.stale_force * SECOND_NS):
+            # A sensor lost under load must not hold the arm there.
+            return None
+        status = int(record["status"]) & limits.force_status_mask
+        if mode != "retreat" and (status or not all(map(math.isfinite, force))):
+            return Verdict(
+                "force_status",
+                f"the F/T sensor says its values cannot be trusted (status 0x{status:x}): "
+                "overloaded, or a cable is loose",
+            )
+        ahead = self._predict()
+        loads = self._loads(force)
+        later = self._loads(ahead) if ahead is not None else loads
+        for (name, text, load), (_, _, load_later) in zip(loads, later, strict=True):
+            if load > limits.hard_fraction:
+                if mode == "retreat" and not load_later > load + _GROWTH:
+                    continue
+                return Verdict(
+                    "force_hard", f"{name}: {text}, the hard limit is {limits.hard_fraction:.0%}"
+                )
+        if mode == "retreat":
+            return None
+        for (name, text, load), (_, text_later, load_later) in zip(loads, later, strict=True):
+            if load > limits.soft_fraction:
+                return Verdict(
+                    "force_soft", f"{name}: {text}, the soft limit is {limits.soft_fraction:.0%}"
+                )
+            if load_later > limits.soft_fraction and load_later > load:
+                return Verdict(
+                    "force_soft",
+                    f"{name}: {text}, in {limits.horizon * 1e3:.0f} ms {text_later}, "
+                    f"the soft limit is {limits.soft_fraction:.0%}",
+                )
+        return None
+
+    def _loads(self, force: list[float]) -> list[tuple[str, str, float]]:
+        """Name, text and share of the rating of each axis, and of the combined loads if asked."""
+        rating = self._limits.force_rating
+        shares = [abs(value) / most for value, most in zip(force, rating, strict=True)]
+        loads = [
+            (name, f"{value:.3g} {unit} ({share:.0%} of {most:g} {unit})", share)
+            for (name, unit), value, most, share in zip(AXES, force, rating, shares, strict=True)
+        ]
+        if self._limits.combined_fraction is not None:
+            for name, total in (
+                ("Fxy and Tz together", math.hypot(shares[0], shares[1]) + shares[5]),
+                ("Fz and Txy together", shares[2] + math.hypot(shares[3], shares[4])),
+            ):
+                share = total / self._limits.combined_fraction
+                loads.append((name, f"{total:.0%} of their ratings", share))
+        return loads
+
+    def _predict(self) -> list[float] | None:
+        """The wrench `horizon` after the newest sample, None while there are too few samples.
+
+        An axis on its way to zero stays where it is: unloading fast is no reason to stop.
+        """
+        newest_ns, newest = self._history[-1]
+        recent = [
+            (t_ns, force)
+            for k, (t_ns, force) in enumerate(reversed(self._history))
+            if k < _SLOPE_SAMPLES or newest_ns - t_ns <= _SLOPE_WINDOW_NS
+        ]
+        span_ns = newest_ns - recent[-1][0]
+        if len(recent) < _SLOPE_SAMPLES or span_ns > _SLOPE_SPAN_NS:
+            return None
+        times = [(t_ns - newest_ns) / SECOND_NS for t_ns, _ in recent]
+        mean = sum(times) / len(times)
+        spread = sum((t - mean) ** 2 for t in times)
+        ahead = []
+        for axis, value in enumerate(newest):
+            centred = zip(times, (force[axis] for _, force in recent), strict=True)
+            slope = sum((t - mean) * f for t, f in centred) / spread
+            ahead.append(value + slope * self._limits.horizon if slope * value > 0 else value)
+        return ahead

@@ -1,0 +1,1 @@
+"""The UR arm: driver, its process, and an emulated controller."""

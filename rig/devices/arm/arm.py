@@ -1,0 +1,198 @@
+"""The arm as the recording process sees it: commands go to a supervised child, which may crash.
+
+What leaves the arm usable is a `MoveResult`; what does not is DeviceLost (the arm, or data the
+guard needs, is gone) or SafetyStop (a hard limit, or a safety stop of the controller).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.core.clock import Clock, SystemClock
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.guard import GuardLimits, Mode
+from rig.devices.arm.messages import Close, Halt, Move, Reply, Retract, Setup
+from rig.devices.arm.settings import ArmConfig
+from rig.devices.arm.supervisor import Child, HasFileno
+
+logger = logging.getLogger(__name__)
+
+_ANSWER = 10.0
+"""The child answers a move, or says how long it will take, within this [s]."""
+_STOP_ANSWER = 5.0
+"""The same for a halt, which may have to wait for a move to end [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MoveResult:
+    """How a move ended that leaves the arm usable."""
+
+    outcome: Literal["done", "force_limited", "stopped"]
+    """At the target; ended by the soft force limit; ended short of the target otherwise."""
+    start_ns: int
+    """When the move was commanded [ns]."""
+    end_ns: int
+    """When the arm stood still [ns]."""
+    reason: str = ""
+    """Why it ended short of its target, for people."""
+
+
+class Arm:
+    """Moves one UR e-Series arm under the guard.
+
+    Args:
+        config: Address, tool and speeds.
+        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad]; +z leaves the
+            sensor.
+        limits: What the guard holds.
+        force_path: FORCE_LATEST record the force stream publishes; None: no F/T sensor.
+        pose_path: POSE_LATEST record the pose stream publishes; None: the child's own link.
+        clock: For time limits.
+    """
+
+    def __init__(
+        self,
+        config: ArmConfig,
+        contact_frame: ArrayLike,
+        limits: GuardLimits,
+        *,
+        force_path: Path | None,
+        pose_path: Path | None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._config = config
+        setup = Setup(config, _floats(contact_frame), limits, force_path, pose_path)
+        self._child = Child(setup, clock or SystemClock())
+
+    def start(self, timeout: float) -> None:
+        """Start the child and wait until the arm obeys, at most `timeout` [s].
+
+        Raises:
+            DeviceLost: The controller does not answer, is off, in local control, or refuses.
+            SafetyStop: A safety stop is active.
+        """
+        if self._child.alive:
+            return
+        reply = self._child.start(timeout)
+        if reply.outcome != "done":
+            self._child.discard(reply.reason)
+            _raise_for(reply)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the child runs; False after a crash, whatever the reason."""
+        return self._child.alive
+
+    def move(
+        self,
+        pose: ArrayLike,
+        *,
+        speed: float | None = None,
+        acceleration: float | None = None,
+        mode: Mode = "guarded",
+        on_wait: Callable[[], None] | None = None,
+        wake: HasFileno | None = None,
+    ) -> MoveResult:
+        """Go straight to TCP pose (6,) in the base frame [m, rad] and wait until it has ended.
+
+        Args:
+            pose: Target.
+            speed: [m/s]; default: the configuration's, for travel or near contact by `mode`.
+            acceleration: [m/s^2]; default likewise.
+            mode: See `rig.core.guard.Guard`.
+            on_wait: Called about 20 times a second. What it raises (or Ctrl-C) leaves the arm
+                moving: call `halt`.
+            wake: When it can be read from, `on_wait` is called at once; that has to empty it.
+
+        Raises:
+            SafetyStop: A hard limit, the box, or a safety stop of the controller.
+            DeviceLost: The arm, or data the guard needs, is gone.
+        """
+        config, target = self._config, _floats(pose)
+        slow = mode == "guarded"
+        speed = speed or (config.speed if slow else config.travel_speed)
+        acceleration = acceleration or (config.acceleration if slow else config.travel_acceleration)
+        reply = self._child.ask(
+            lambda number: Move(number, target, speed, acceleration, mode), _ANSWER, on_wait, wake
+        )
+        if reply.outcome == "device_lost" or reply.outcome == "safety_stop":
+            _raise_for(reply)
+        return MoveResult(reply.outcome, reply.start_ns, reply.end_ns, reply.reason)
+
+    def halt(self) -> None:
+        """Stop and wait for standstill; a `move` in another thread ends as "stopped".
+
+        Raises:
+            SafetyStop: The controller stands in a safety stop already.
+            DeviceLost: Child or controller are gone; the controller's watchdog stops the arm.
+        """
+        reply = self._child.ask(Halt, _STOP_ANSWER)
+        if reply.outcome != "done":
+            _raise_for(reply)
+
+    def retract(self) -> bool:
+        """Halt, then leave along +z of the contact frame; False when the arm could not.
+
+        Raises nothing for the arm's sake: it is what one does on the way out.
+        """
+        try:
+            reply = self._child.ask(Retract, _STOP_ANSWER)
+        except DeviceLost as error:
+            logger.warning("no retract: %s", error)
+            return False
+        if reply.outcome != "done":
+            logger.warning("no retract: %s", reply.reason)
+        return reply.outcome == "done"
+
+    def recover_and_retract(self, timeout: float = 20.0) -> bool:
+        """After the child was lost: a fresh one, whose first act is to retract.
+
+        False when the controller does not answer or stands in a safety stop, which a person has to
+        look at first.
+        """
+        try:
+            self.start(timeout)
+        except (DeviceLost, SafetyStop) as error:
+            logger.warning("no recovery: %s", error)
+            return False
+        return self.retract()
+
+    def check(self) -> None:
+        """See whether the guard found something while no command was running.
+
+        Raises:
+            SafetyStop: A hard limit or a safety stop.
+            DeviceLost: The child, the arm, or data the guard needs, is gone.
+        """
+        self._child.poll()
+        alarm, self._child.alarm = self._child.alarm, None
+        if alarm is not None:
+            lost = alarm.kind in ("stale_force", "stale_pose")
+            raise (DeviceLost if lost else SafetyStop)(alarm.reason)
+
+    def close(self) -> None:
+        """Stop the arm where it is and end the child; safe twice."""
+        if self._child.alive:
+            try:
+                self._child.ask(Close, _STOP_ANSWER)
+                self._child.join()
+            except DeviceLost as error:
+                logger.warning("arm not closed in order: %s", error)
+        self._child.discard()
+
+
+def _floats(values: ArrayLike) -> tuple[float, ...]:
+    return tuple(np.asarray(values, np.float64).tolist())
+
+
+def _raise_for(reply: Reply) -> NoReturn:
+    if reply.outcome == "device_lost":
+        raise DeviceLost(reply.reason)
+    raise SafetyStop(reply.reason)

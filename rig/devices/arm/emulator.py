@@ -1,0 +1,491 @@
+"""A UR5e controller on a loopback address, for the unmodified ur_rtde and for our pose reader.
+
+    python -m rig.devices.arm.emulator --host 127.0.0.5 --state run/arm --world run/world
+
+Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999) and on
+31000 for faults to inject: see rig.devices.arm.emulator_faults. ur_rtde's constructors hold the GIL
+while they wait for an answer, so this must not run in the process of a client that uses ur_rtde.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import re
+import selectors
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rig.core.clock import SECOND_NS, Clock, SystemClock
+from rig.core.emulation import SharedWorld, add_arguments, serve
+from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.core.geometry import compose
+from rig.core.samples import ARM_TRUTH
+from rig.core.shared_memory import LatestRecord
+from rig.devices.arm import dashboard, emulator_faults, rtde
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_answer
+
+# The connections of an emulated controller: RTDE, script upload, and lines of text.
+#
+# Nothing blocks: each client keeps what has arrived and what could not be sent yet.
+
+logger = logging.getLogger(__name__)
+
+_UNSENT_LIMIT = 1 << 20
+"""A client that lets this much pile up is dropped, as the controller does [bytes]."""
+
+_POSES = ("actual_TCP_pose", "target_TCP_pose")
+"""Sent in mm and thousandths of a radian by a controller with the wrong units."""
+
+_PROGRAM_END = re.compile(r"^end\s*\n", re.MULTILINE)
+
+
+class Client(Protocol):
+    """What the emulator's loop needs of a connection."""
+
+    peer: socket.socket
+
+    def receive(self) -> bool:
+        """Take what has arrived; False when the connection is over."""
+
+
+def _take(peer: socket.socket) -> bytes | None:
+    """What has arrived, empty when nothing has, None when the connection is over."""
+    try:
+        return peer.recv(1 << 16) or None
+    except BlockingIOError:
+        return b""
+    except OSError:
+        return None
+
+
+class LineClient:
+    """A text protocol: each line received is answered by one line.
+
+    Args:
+        peer: The connection.
+        answer: Answers a line, both without line end.
+        banner: Sent on connecting.
+    """
+
+    def __init__(self, peer: socket.socket, answer: Callable[[str], str], banner: str = "") -> None:
+        self.peer = peer
+        self._answer = answer
+        self._buffer = b""
+        if banner:
+            self.peer.send(banner.encode())
+
+    def receive(self) -> bool:
+        """Take what has arrived; False when the connection is over."""
+        received = _take(self.peer)
+        if received is None:
+            return False
+        *lines, self._buffer = (self._buffer + received).split(b"\n")
+        try:
+            for line in lines:
+                self.peer.send(self._answer(line.decode(errors="replace")).encode() + b"\n")
+        except OSError:
+            return False
+        return True
+
+
+class ScriptClient:
+    """Receives URScript; a program is complete at a line `end` that is not indented.
+
+    Args:
+        peer: The connection.
+        start: Called with each complete program.
+    """
+
+    def __init__(self, peer: socket.socket, start: Callable[[str], None]) -> None:
+        self.peer = peer
+        self._start = start
+        self._text = ""
+
+    def receive(self) -> bool:
+        """Take what has arrived; False when the connection is over."""
+        received = _take(self.peer)
+        if received is None:
+            return False
+        self._text += received.decode(errors="replace")
+        while found := _PROGRAM_END.search(self._text):
+            program, self._text = self._text[: found.end()], self._text[found.end() :]
+            self._start(program)
+        return True
+
+
+class RtdeClient:
+    """One RTDE connection: its recipes, and the inputs it owns.
+
+    Args:
+        peer: The connection.
+        controller: Where values come from and go to.
+        owners: Which client may write an input; shared by all clients of a controller.
+        line: What is wrong with the line that its data packages take.
+    """
+
+    def __init__(
+        self,
+        peer: socket.socket,
+        controller: Controller,
+        owners: dict[str, RtdeClient],
+        line: Disturbance[bytes],
+    ) -> None:
+        self.peer = peer
+        self._controller = controller
+        self._owners = owners
+        self.line = line
+        self._poses: list[int] = []
+        self._buffer = bytearray()
+        self._unsent = b""
+        self._started = False
+        self._every = 1
+        self._output_types: tuple[str, ...] = ()
+        self._sources: list[Callable[[], rtde.Value]] = []
+        # ur_rtde relies on input recipes being numbered 1, 2, 3... in the order it asks for them.
+        self._inputs: list[tuple[list[str], tuple[str, ...]]] = []
+
+    def receive(self) -> bool:
+        """Take what has arrived; False when the connection is over."""
+        received = _take(self.peer)
+        if received is None:
+            return False
+        self._buffer += received
+        try:
+            for kind, payload in rtde.split_messages(self._buffer):
+                self._handle(kind, payload)
+        except (ValueError, IndexError) as error:
+            logger.warning("arm emulator: RTDE client dropped: %s", error)
+            return False
+        return True
+
+    def _handle(self, kind: int, payload: bytes) -> None:
+        if kind == rtde.Kind.DATA:
+            self._take_inputs(payload)
+        elif kind == rtde.Kind.PROTOCOL:
+            self._send(kind, bytes([int.from_bytes(payload, "big") == rtde.PROTOCOL]))
+        elif kind == rtde.Kind.CONTROLLER:
+            self._send(kind, b"".join(part.to_bytes(4, "big") for part in VERSION))
+        elif kind == rtde.Kind.OUTPUTS:
+            self._send(kind, self._set_outputs(payload))
+        elif kind == rtde.Kind.INPUTS:
+            self._send(kind, self._add_inputs(payload))
+        elif kind in (rtde.Kind.START, rtde.Kind.PAUSE):
+            self._started = kind == rtde.Kind.START
+            self._send(kind, b"\x01")
+        else:
+            logger.warning("arm emulator: RTDE message type %d ignored", kind)
+
+    def _set_outputs(self, payload: bytes) -> bytes:
+        rate_hz, names = rtde.unpack_output_request(payload)
+        types = [rtde.OUTPUTS.get(name, "NOT_FOUND") for name in names]
+        known = [name for name in names if name in rtde.OUTPUTS]
+        self._every = max(1, round(rtde.CONTROLLER_RATE_HZ / rate_hz))
+        self._output_types = tuple(rtde.OUTPUTS[name] for name in known)
+        self._poses = [place for place, name in enumerate(known) if name in _POSES]
+        self._sources = [self._controller.source(name) for name in known]
+        return rtde.pack_recipe(1, types)
+
+    def _add_inputs(self, payload: bytes) -> bytes:
+        names = rtde.unpack_names(payload)
+        types = [
+            rtde.INPUTS.get(name, "NOT_FOUND") if self._owners.get(name, self) is self else "IN_USE"
+            for name in names
+        ]
+        self._inputs.append((names, tuple(types)))
+        if {"NOT_FOUND", "IN_USE"} & set(types):
+            return rtde.pack_recipe(0, types)
+        self._owners.update(dict.fromkeys(names, self))
+        return rtde.pack_recipe(len(self._inputs), types)
+
+    def _take_inputs(self, payload: bytes) -> None:
+        names, types = self._inputs[payload[0] - 1]
+        try:
+            self._controller.write_inputs(names, rtde.unpack_values(types, payload[1:]))
+        except ValueError as error:
+            # The controller ignores such a package; ur_rtde has calls that send one.
+            logger.warning("arm emulator: input recipe %d: %s", payload[0], error)
+
+    def publish(self) -> None:
+        """Send this cycle's data package if the client's rate says so."""
+        if self._started and self._controller.tick % self._every == 0:
+            values = [source() for source in self._sources]
+            if not self.line.on:
+                self._send(rtde.Kind.DATA, b"\x01" + rtde.pack_values(self._output_types, values))
+                return
+            if self.line.wrong_units:
+                for place in self._poses:
+                    values[place] = tuple(1e3 * part for part in values[place])  # type: ignore[union-attr]
+            payload = b"\x01" + rtde.pack_values(self._output_types, values)
+            for sent in self.line.passed(payload):
+                self._send(rtde.Kind.DATA, sent)
+
+    def _send(self, kind: int, payload: bytes) -> None:
+        self._unsent += rtde.pack_message(kind, payload)
+        try:
+            sent = self.peer.send(self._unsent)
+            self._unsent = self._unsent[sent:]
+            if len(self._unsent) > _UNSENT_LIMIT:
+                self.peer.shutdown(socket.SHUT_RDWR)
+        except BlockingIOError:
+            pass
+        except OSError:
+            # Reading finds the connection closed and takes the client off the list.
+            self._started = False
+
+
+SCRIPT_PORTS = (30001, 30002, 30003)
+_CYCLE_NS = round(CYCLE * SECOND_NS)
+_LATE_CYCLES = 25
+# Up to 50 ms of host delay is caught up, as packages of a real controller would arrive together;
+# beyond that the emulated controller's clock stands still for the time lost, and that is counted.
+
+
+class ArmEmulator:
+    """Serves a `Controller` at 500 Hz against absolute deadlines, in one thread of its own.
+
+    Args:
+        host: Loopback address to listen on.
+        controller: What to serve.
+        clock: Paces the cycles.
+        state: ARM_TRUTH record to publish each cycle's pose in.
+        world: Where the contact force comes from.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        controller: Controller,
+        clock: Clock,
+        *,
+        state: LatestRecord | None = None,
+        world: SharedWorld | None = None,
+    ) -> None:
+        self._host = host
+        self._controller = controller
+        self._clock = clock
+        self._state = state
+        self._world = world
+        self._world_count = 0
+        self._clients: list[RtdeClient] = []
+        self._peers: set[socket.socket] = set()
+        self._owners: dict[str, RtdeClient] = {}
+        # select(2) waits to the microsecond; epoll, in Python, rounds up to the millisecond.
+        self._selector = selectors.SelectSelector()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._frozen_until_ns = 0
+        # Of the plug, and of clients to come; each client's packages have a line of their own.
+        self._line = Disturbance[bytes](clock, spoil=spoilt_bytes, on_change=self._on_plug)
+        self.missed = 0
+        """Cycles of host time in which the emulated controller's clock stood still."""
+
+    @property
+    def address(self) -> str:
+        """The host it listens on."""
+        return self._host
+
+    def start(self) -> None:
+        """Listen on all ports and run; returns when clients can connect.
+
+        Raises:
+            OSError: A port is taken.
+        """
+        try:
+            self._listen(rtde.PORT, self._new_rtde)
+            self._listen(dashboard.PORT, self._new_dashboard)
+            self._listen(emulator_faults.PORT, self._new_faults)
+            for port in SCRIPT_PORTS:
+                self._listen(port, lambda peer: ScriptClient(peer, self._controller.start_program))
+        except OSError:
+            self._close_sockets()
+            raise
+        self._thread = threading.Thread(target=self._run, name="arm emulator", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop and close every connection; safe twice."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._close_sockets()
+
+    def _close_sockets(self) -> None:
+        for key in list((self._selector.get_map() or {}).values()):
+            key.fileobj.close()  # type: ignore[union-attr]
+        self._selector.close()
+
+    def _listen(self, port: int, make: Callable[[socket.socket], Client]) -> None:
+        server = socket.socket()
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._selector.register(server, selectors.EVENT_READ, lambda: self._accept(server, make))
+        server.setblocking(False)
+        server.bind((self._host, port))
+        server.listen(8)
+
+    def _accept(self, server: socket.socket, make: Callable[[socket.socket], Client]) -> None:
+        try:
+            peer, _ = server.accept()
+        except OSError:
+            return
+        if self._line.unplugged and make != self._new_faults:
+            peer.close()
+            return
+        peer.setblocking(False)
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = make(peer)
+        if make != self._new_faults:
+            self._peers.add(peer)
+        self._selector.register(peer, selectors.EVENT_READ, lambda: self._serve(peer, client))
+
+    def _serve(self, peer: socket.socket, client: Client) -> None:
+        if client.receive():
+            return
+        self._selector.unregister(peer)
+        self._peers.discard(peer)
+        peer.close()
+        if isinstance(client, RtdeClient):
+            self._clients.remove(client)
+            self._owners = {k: owner for k, owner in self._owners.items() if owner is not client}
+
+    def _new_rtde(self, peer: socket.socket) -> Client:
+        line = Disturbance[bytes](self._clock, spoil=spoilt_bytes)
+        client = RtdeClient(peer, self._controller, self._owners, line)
+        self._clients.append(client)
+        return client
+
+    def _new_dashboard(self, peer: socket.socket) -> Client:
+        # The banner must come at once: ur_rtde waits 2 s for it and then gives up.
+        return LineClient(
+            peer, lambda line: dashboard_answer(self._controller, line), dashboard.BANNER
+        )
+
+    def _new_faults(self, peer: socket.socket) -> Client:
+        return LineClient(peer, lambda line: emulator_faults.answer(self._controller, self, line))
+
+    def drop(self) -> None:
+        """Close every RTDE connection."""
+        _shut(client.peer for client in self._clients)
+
+    def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Put a fault into the line of every RTDE client; see `rig.core.fault_injection`."""
+        reply = self._line.inject(fault, **values)
+        for client in self._clients:
+            client.line.inject(fault, **values)
+        return reply | {"touched": sum(client.line.touched for client in self._clients)}
+
+    def _on_plug(self) -> None:
+        if self._line.unplugged:
+            _shut(self._peers)
+
+    def freeze(self, seconds: float) -> None:
+        """Neither send nor read RTDE for so long [s]; connections stay, the arm goes on."""
+        self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
+
+    def _run(self) -> None:
+        due_ns = self._clock.now_ns() + _CYCLE_NS
+        while not self._stopping.is_set():
+            wait = (due_ns - self._clock.now_ns()) / SECOND_NS
+            for key, _ in self._selector.select(max(wait, 0.0)):
+                if self._clock.now_ns() < self._frozen_until_ns and self._is_rtde(key.fileobj):
+                    continue
+                key.data()
+            now_ns = self._clock.now_ns()
+            if now_ns < due_ns:
+                continue
+            self._cycle(due_ns, now_ns)
+            due_ns += _CYCLE_NS
+            late = (now_ns - due_ns) // _CYCLE_NS
+            if late > _LATE_CYCLES:
+                self.missed += late
+                due_ns += late * _CYCLE_NS
+
+    def _is_rtde(self, fileobj: Any) -> bool:
+        return any(client.peer is fileobj for client in self._clients)
+
+    def _cycle(self, due_ns: int, now_ns: int) -> None:
+        controller = self._controller
+        # The World answers at a few hundred Hz at most: looking every fifth cycle is enough.
+        if self._world is not None and controller.tick % 5 == 0:
+            count, state = self._world.state()
+            if count != self._world_count:
+                self._world_count = count
+                controller.wrench = np.array(state["wrench"])
+        controller.cycle()
+        if self._state is not None:
+            self._state.write((due_ns, controller.robot.pose, controller.robot.speed))
+        if now_ns >= self._frozen_until_ns:
+            for client in self._clients:
+                client.publish()
+
+
+def _shut(peers: Iterable[socket.socket]) -> None:
+    for peer in peers:
+        try:
+            peer.shutdown(socket.SHUT_RDWR)
+        except OSError as error:
+            logger.debug("client already gone: %s", error)
+
+
+def _plain(word: str) -> str:
+    """`word`; a negative exponent number written out, since argparse takes -1e-16 for an option."""
+    if not re.fullmatch(r"-[\d.]+[eE][-+]?\d+", word):
+        return word
+    return f"{float(word):.17f}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one emulated arm until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m rig.devices.arm.emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--state", type=Path, metavar="PATH", help="file to publish the pose in")
+    parser.add_argument(
+        "--pose",
+        type=float,
+        nargs=6,
+        metavar="N",
+        help="TCP pose at start: x y z [m] rx ry rz [rad], base frame (default: tool down)",
+    )
+    parser.add_argument(
+        "--tcp",
+        type=float,
+        nargs=6,
+        metavar="N",
+        default=[0.0] * 6,
+        help="TCP in the flange frame at start, as in the installation (default: the flange)",
+    )
+    parser.add_argument(
+        "--force-limit",
+        type=float,
+        default=150.0,
+        metavar="N",
+        help="contact force that makes a protective stop [N] (%(default)s)",
+    )
+    arguments = parser.parse_args([_plain(word) for word in argv or sys.argv[1:]])
+    tcp = np.array(arguments.tcp)
+    pose = arguments.pose or compose(flange_pose(np.array(POSTURE)), tcp)
+    try:
+        controller = Controller(np.array(pose), tcp, force_limit=arguments.force_limit)
+    except ValueError as error:
+        parser.error(str(error))
+    state = LatestRecord.publish(arguments.state, ARM_TRUTH) if arguments.state else None
+    world = SharedWorld(arguments.world)
+    emulator = ArmEmulator(arguments.host, controller, SystemClock(), state=state, world=world)
+    try:
+        return serve("arm", emulator, until_stdin_closes=arguments.until_stdin_closes)
+    finally:
+        world.close()
+        if state is not None:
+            state.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,223 @@
+"""The process that moves the arm: owns ur_rtde, watches the guard, obeys the pipe.
+
+ur_rtde crashes its process when the connection drops (SIGSEGV), so it lives here, under the
+supervision of `rig.devices.arm.supervisor`. When the pipe closes, the one who recorded is gone: the
+arm halts, retracts and this process ends. After a protective or emergency stop nothing is
+commanded.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from multiprocessing.connection import Connection
+from typing import NoReturn
+
+from rig.core.clock import Clock, SystemClock
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.guard import Kind
+from rig.devices.arm.messages import (
+    START,
+    Alarm,
+    Close,
+    Command,
+    Halt,
+    Move,
+    Outcome,
+    Reply,
+    Report,
+    Retract,
+    Setup,
+    Started,
+)
+from rig.devices.arm.mover import Mover, Watch
+from rig.devices.arm.reader import RtdeLink
+from rig.devices.arm.vendor import UrControl, check_ready
+
+logger = logging.getLogger(__name__)
+
+_LINK_HZ = 250.0
+_CONNECT = 2.0
+"""For each connection, and for the first pose, at start [s]."""
+_LEAVING = 20
+"""Without a parent: halted, retracted and ended by then, or ended by an alarm [s]."""
+
+
+class _ParentGoneError(Exception):
+    """The pipe is closed, or we were told to end: nobody will command this arm again."""
+
+
+def run(setup: Setup, pipe: Connection) -> NoReturn:
+    """Entry of the child process: serve `pipe` until told to close, then leave without clean-up."""
+    threading.Thread(target=_outlive_briefly, name="parent", daemon=True).start()
+    # Ctrl-C in the terminal reaches the whole group; only the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # ur_rtde prints to stdout, which belongs to the parent's results.
+    os.dup2(2, 1)
+    code = 1
+    try:
+        code = _serve(setup, pipe)
+    except DeviceLost as error:
+        logger.error("%s", error)
+    except BaseException:
+        logger.exception("the process that moves the arm failed")
+    finally:
+        # Not sys.exit: destructors of a control interface whose robot is gone can hang or crash.
+        os._exit(code)
+
+
+def _outlive_briefly() -> None:
+    """See to it that this process does not outlive the one that started it for long.
+
+    A command sent to a controller that has gone as well hangs inside ur_rtde for up to 300 s, where
+    no Python code of ours gets a turn; the alarm's default action needs none.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        signal.alarm(_LEAVING)
+
+
+def _serve(setup: Setup, pipe: Connection) -> int:
+    clock = SystemClock()
+    host = setup.config.host
+    start_ns = clock.now_ns()
+    try:
+        check_ready(host, _CONNECT)
+        link = RtdeLink(host, min(setup.config.rate_hz, _LINK_HZ), clock)
+        link.open(_CONNECT)
+        control = UrControl(setup.config)
+    except (DeviceLost, SafetyStop) as error:
+        outcome: Outcome = "device_lost" if isinstance(error, DeviceLost) else "safety_stop"
+        pipe.send(Reply(START, outcome, start_ns, clock.now_ns(), str(error)))
+        return 1
+    motion = Motion(setup, pipe, control, link, clock)
+    signal.signal(signal.SIGTERM, lambda *_: motion.end())
+    return motion.serve()
+
+
+class Motion:
+    """One connected arm and the pipe its commands come from.
+
+    Args:
+        setup: What to hold.
+        pipe: Commands in, reports out.
+        control: The running control program.
+        link: Pose stream of our own: tells standstill, safety status, and that the arm is there.
+        clock: Paces the loop and stamps the replies.
+    """
+
+    def __init__(
+        self, setup: Setup, pipe: Connection, control: UrControl, link: RtdeLink, clock: Clock
+    ) -> None:
+        self._pipe: Connection | None = pipe
+        self._control = control
+        self._clock = clock
+        self._watch = Watch(setup, link, clock)
+        self._mover = Mover(setup, control, self._watch, clock, self._command_waits)
+        self._ending = False
+
+    def end(self) -> None:
+        """Treat the parent as gone at the next look at the pipe (SIGTERM)."""
+        self._ending = True
+
+    def serve(self) -> int:
+        """Obey until closed; returns the exit code.
+
+        Raises:
+            DeviceLost: The arm was lost while nobody was there to be told.
+        """
+        number = START
+        try:
+            self._mover.wait_for_pose(_CONNECT)
+            self._reply(START, "done", self._clock.now_ns())
+            while True:
+                command = self._next_command()
+                number = command.number
+                self._obey(command)
+                if isinstance(command, Close):
+                    return 0
+        except _ParentGoneError:
+            self._leave()
+            return 0
+        except DeviceLost as error:
+            self._reply(number, "device_lost", self._clock.now_ns(), str(error))
+            return 1
+
+    def _leave(self) -> None:
+        """The last act without a parent: halt and retract, unless a safety stop forbids it."""
+        self._ending = False
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+        self._mover.halt()
+        if self._mover.latched is None:
+            reply = self._mover.move(self._mover.retract_command(0), lambda limit: None)
+            logger.warning("the recording process is gone: retract %s", reply.outcome)
+        self._control.close()
+
+    def _obey(self, command: Command) -> None:
+        start_ns = self._clock.now_ns()
+        if not isinstance(command, Move):
+            self._mover.halt()
+        latched = self._mover.latched
+        if isinstance(command, Close):
+            self._control.close()
+            self._reply(command.number, "done", start_ns)
+        elif latched is not None:
+            self._reply(command.number, "safety_stop", start_ns, latched.reason, latched.kind)
+        elif isinstance(command, Halt):
+            self._reply(command.number, "done", start_ns)
+        elif isinstance(command, Retract):
+            self._move(self._mover.retract_command(command.number))
+        else:
+            self._move(command)
+
+    def _move(self, move: Move) -> None:
+        self._send(self._mover.move(move, lambda limit: self._send(Started(move.number, limit))))
+
+    def _next_command(self) -> Command:
+        """Wait for a command; what the guard finds meanwhile is told once."""
+        told: set[Kind] = {"force_soft", "box"}  # Resting in contact or outside is no alarm.
+        while not self._command_waits():
+            verdict = self._mover.step("guarded")
+            if verdict is not None and self._watch.armed and verdict.kind not in told:
+                told.add(verdict.kind)
+                self._send(Alarm(verdict.kind, verdict.reason))
+        try:
+            if self._pipe is None:
+                raise _ParentGoneError
+            command: Command = self._pipe.recv()
+            return command
+        except (EOFError, OSError) as error:
+            raise _ParentGoneError from error
+
+    def _command_waits(self) -> bool:
+        """Whether the pipe has something to read, its end included; it is left there."""
+        if self._ending:
+            raise _ParentGoneError
+        try:
+            return self._pipe is not None and self._pipe.poll(0)
+        except OSError as error:
+            raise _ParentGoneError from error
+
+    def _reply(
+        self,
+        number: int,
+        outcome: Outcome,
+        start_ns: int,
+        reason: str = "",
+        kind: Kind | None = None,
+    ) -> None:
+        self._send(Reply(number, outcome, start_ns, self._clock.now_ns(), reason, kind))
+
+    def _send(self, report: Report) -> None:
+        try:
+            if self._pipe is not None:
+                self._pipe.send(report)
+        except OSError:
+            # The parent is gone: acted upon where commands are read.
+            self._ending = True

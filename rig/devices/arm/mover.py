@@ -1,0 +1,375 @@
+"""What the arm's process sees: its own pose link, the shared force and pose, the guard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.clock import SECOND_NS, Clock, Pacer
+from rig.core.errors import DeviceLost
+from rig.core.geometry import Array, invert, rotation_between, transform
+from rig.core.guard import Guard, Kind, Mode, Verdict, judge_safety, outside_box
+from rig.core.samples import FORCE_LATEST, POSE_LATEST
+from rig.core.shared_memory import LatestRecord
+from rig.devices.arm.messages import Move, Outcome, Reply, Setup
+from rig.devices.arm.reader import RtdeLink
+from rig.devices.arm.vendor import UrControl
+
+_FRESH = 0.1
+"""A pose of our own link older than this: do not talk to ur_rtde, it may hang [s]."""
+_STILL, _STILL_TURN = 1e-3, 1e-2
+"""At rest [m/s, rad/s]: above the noise of the controller's own speed estimate."""
+
+
+class SharedValue:
+    """The newest record another process publishes, in a file that may appear later.
+
+    Args:
+        path: The file; None: never anything.
+        dtype: Of its records.
+    """
+
+    def __init__(self, path: Path | None, dtype: np.dtype[Any]) -> None:
+        self._path = path
+        self._dtype = dtype
+        self._record: LatestRecord | None = None
+
+    def read(self) -> np.void | None:
+        """The newest record, None before the first."""
+        if self._record is None:
+            if self._path is None or not self._path.exists():
+                return None
+            self._record = LatestRecord.attach(self._path, self._dtype)
+        return self._record.read()
+
+
+class Watch:
+    """Everything the arm's process knows of the world, renewed by `look`.
+
+    Args:
+        setup: Limits, contact frame, and where force and pose are shared.
+        link: Open pose link.
+        clock: Tells the age of records.
+    """
+
+    def __init__(self, setup: Setup, link: RtdeLink, clock: Clock) -> None:
+        self._host = setup.config.host
+        self._settle_ns = round(setup.config.settle * SECOND_NS)
+        self._link = link
+        self._clock = clock
+        self._force = SharedValue(setup.force_path, FORCE_LATEST)
+        self._shared_pose = setup.pose_path is not None
+        self._pose = SharedValue(setup.pose_path, POSE_LATEST)
+        self._guard = Guard(
+            setup.limits, setup.contact_frame, watch_force=setup.force_path is not None
+        )
+        self._sample: dict[str, Any] | None = None
+        self._moved_ns = clock.now_ns()
+        self.speed_fraction = 1.0
+        """Speed slider, 0..1."""
+        self.armed = False
+        """Whether the streams were needed once: before, their absence is no news."""
+
+    @property
+    def pose(self) -> Array | None:
+        """TCP pose (6,) in the base frame, of our own link [m, rad]; None before the first."""
+        return None if self._sample is None else np.array(self._sample["value"])
+
+    def look(self, mode: Mode) -> Verdict | None:
+        """Take in what has arrived and ask the guard.
+
+        Raises:
+            DeviceLost: The controller closed the link or is silent.
+        """
+        for sample in self._link.receive(0.0):
+            self._take(sample)
+        newest = self._sample
+        if newest is not None:
+            safety = judge_safety(newest["safety_status"])
+            if safety is not None:
+                return safety
+        pose = self._pose.read() if self._shared_pose else newest
+        return self._guard.check(self._clock.now_ns(), self._force.read(), pose, mode)
+
+    def look_again(self, timeout: float) -> Verdict | None:
+        """The safety status after waiting up to `timeout` [s] for it to change from normal."""
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        while self._clock.now_ns() < deadline_ns:
+            for sample in self._link.receive(0.01):
+                self._take(sample)
+                verdict = judge_safety(sample["safety_status"])
+                if verdict is not None:
+                    return verdict
+        return None
+
+    def _take(self, sample: dict[str, Any]) -> None:
+        self._sample = sample
+        self.speed_fraction = float(sample["speed_fraction"])
+        speed = sample["speed"]
+        if max(map(abs, speed[:3])) > _STILL or max(map(abs, speed[3:])) > _STILL_TURN:
+            self._moved_ns = sample["t_ns"]
+
+    def fresh(self) -> bool:
+        """Whether the controller has been heard from just now."""
+        if self._sample is None:
+            return False
+        age_ns: int = self._clock.now_ns() - self._sample["t_ns"]
+        return age_ns <= round(_FRESH * SECOND_NS)
+
+    def require_fresh(self) -> None:
+        """See that it is safe to call ur_rtde.
+
+        Raises:
+            DeviceLost: The controller has not been heard from just now.
+        """
+        if not self.fresh() and not self._heard_after_waiting():
+            raise DeviceLost(
+                f"arm at {self._host}: silent; is the controller on and its network cable in?"
+            )
+
+    def _heard_after_waiting(self) -> bool:
+        # Our own process may have been held up: what waits in the socket counts.
+        for sample in self._link.receive(_FRESH):
+            self._take(sample)
+        return self.fresh()
+
+    def still(self) -> bool:
+        """Whether the TCP has been at rest for the settling time."""
+        return self.fresh() and self._clock.now_ns() - self._moved_ns > self._settle_ns
+
+    def distance(self, goal: Array) -> float:
+        """From the TCP to pose (6,) `goal` [m]."""
+        pose = self.pose
+        return 0.0 if pose is None else float(np.linalg.norm(goal[:3] - pose[:3]))
+
+    def near(self, goal: Array, distance: float, angle: float) -> bool:
+        """Whether the TCP is at pose (6,) `goal` within `distance` [m] and `angle` [rad]."""
+        pose = self.pose
+        if pose is None or self.distance(goal) > distance:
+            return False
+        return float(np.linalg.norm(rotation_between(pose, goal))) <= angle
+
+
+# One command at a time, to its end: move, halt, retract, each under the guard's eyes.
+#
+# All movements are asynchronous, so that the watchdog is kicked and the guard asked while they
+# last. A move has ended when the controller's operation word says so, the TCP is at rest and at the
+# target; each of these waits is limited.
+
+_LOOP_HZ = 250.0
+_KICK_TICKS = 10
+# 25 kicks a second: one may be late before a watchdog of 10 Hz stops the arm.
+_AT_TARGET, _AT_ANGLE = 2e-4, 2e-3
+"""What counts as arrived [m, rad]: several times the arm's repeatability (0.03 mm)."""
+_ARRIVING = 1.0
+"""After the controller calls a move finished it has this long to be at rest at the target [s]."""
+_STOPPING = 3.0
+"""A stop takes at most this long [s]: from 50 mm/s at 2 m/s^2 it takes 25 ms."""
+_STEEPEST = 0.5
+"""A turn of 1 rad may take as long as this many metres [m/rad]."""
+_SAFETY: tuple[Kind, ...] = ("protective_stop", "emergency_stop")
+_LOST: tuple[Kind, ...] = ("stale_force", "stale_pose")
+
+
+class Mover:
+    """A connected arm that carries out one command after the other.
+
+    Args:
+        setup: What to hold.
+        control: The running control program.
+        watch: What is known of the arm and the sensors.
+        clock: Paces the loop.
+        interrupted: Asked in every turn of a move: True ends it by a halt. What it raises is
+            passed on with the arm still moving.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        control: UrControl,
+        watch: Watch,
+        clock: Clock,
+        interrupted: Callable[[], bool],
+    ) -> None:
+        self._setup = setup
+        self._config = setup.config
+        self._control = control
+        self._watch = watch
+        self._clock = clock
+        self._interrupted = interrupted
+        self._pacer = Pacer(clock, _LOOP_HZ)
+        self._tick = 0
+        self.latched: Verdict | None = None
+        """The safety stop after which nothing is commanded any more."""
+
+    def wait_for_pose(self, timeout: float) -> None:
+        """Turn the loop until the first pose has arrived.
+
+        Raises:
+            DeviceLost: None within `timeout` [s].
+        """
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        while self._watch.pose is None:
+            self.step("retreat")
+            if self._clock.now_ns() > deadline_ns:
+                raise DeviceLost(f"arm at {self._config.host}: no pose for {timeout} s")
+
+    def step(self, mode: Mode) -> Verdict | None:
+        """One turn of the loop: wait, look at poses and forces, kick the watchdog.
+
+        Raises:
+            DeviceLost: The controller is silent, or no longer runs our program.
+        """
+        self._pacer.wait()
+        verdict = self._watch.look(mode)
+        if verdict is not None and verdict.kind in _SAFETY:
+            self.latched = verdict
+        self._tick += 1
+        # Nothing is sent to a controller that has fallen silent: the call could hang for 300 s.
+        due = self._tick % _KICK_TICKS == 0 and self.latched is None and self._watch.fresh()
+        if due and not (self._control.connected() and self._control.kick()):
+            # The safety status may reach us one package after the program's end.
+            verdict = self._watch.look_again(0.1)
+            if verdict is None:
+                raise DeviceLost(
+                    f"arm at {self._config.host}: the control program stopped on the controller: "
+                    "stopped at the pendant, or commands came too slowly "
+                    f"(watchdog {self._config.watchdog_hz:g} Hz)"
+                )
+            self.latched = verdict
+        return verdict
+
+    def halt(self) -> None:
+        """Stop and wait for standstill; nothing after a safety stop, which stops by itself.
+
+        Raises:
+            DeviceLost: The controller is silent, or the arm did not stop in time.
+        """
+        if self.latched is not None:
+            return
+        self._watch.require_fresh()
+        before, _ = self._control.operation()
+        self._control.start_stop(self._config.stop_deceleration)
+        deadline_ns = self._clock.now_ns() + round(_STOPPING * SECOND_NS)
+        while self.latched is None:
+            self.step("retreat")
+            operation, running = self._control.operation()
+            if operation != before and not running and self._watch.still():
+                return
+            if self._clock.now_ns() > deadline_ns:
+                raise DeviceLost(f"arm at {self._config.host}: did not stop in {_STOPPING} s")
+
+    def retract_command(self, number: int) -> Move:
+        """The move that leaves along +z of the contact frame, up to the top of the box."""
+        config = self._config
+        pose = self._watch.pose
+        if pose is None:
+            raise DeviceLost(f"arm at {config.host}: no pose yet")
+        frame = np.array(self._setup.contact_frame)
+        place = transform(invert(frame), pose[:3])
+        room = max(0.0, self._setup.limits.box[1][2] - float(place[2]))
+        place[2] += min(config.retract, room)
+        goal = (*transform(frame, place).tolist(), *pose[3:].tolist())
+        return Move(number, goal, config.travel_speed, config.travel_acceleration, "retreat")
+
+    def move(self, command: Move, on_start: Callable[[float], None]) -> Reply:
+        """Carry out a move and say how it ended.
+
+        Args:
+            command: The move.
+            on_start: Called as it begins with the longest it can take [s].
+
+        Raises:
+            DeviceLost: The controller is silent, or no longer runs our program.
+        """
+        start_ns = self._clock.now_ns()
+        goal = np.array(command.pose)
+        if command.mode != "retreat":
+            self._watch.armed = True
+            reason = outside_box(self._setup.limits, self._setup.contact_frame, goal[:3])
+            if reason is not None:
+                return self._reply(command, "safety_stop", start_ns, f"target: {reason}", "box")
+        verdict = self.step(command.mode)
+        if verdict is not None:
+            return self._judged(command, start_ns, verdict)
+        self._watch.require_fresh()
+        if not self._control.reaches(goal.tolist()):
+            return self._refused(command, start_ns, "finds the target out of reach")
+        limit = self._time_limit(command, goal)
+        on_start(limit + _STOPPING + 1.0)
+        before, _ = self._control.operation()
+        start_ns = self._clock.now_ns()
+        if not self._control.start_move(goal.tolist(), command.speed, command.acceleration):
+            return self._refused(command, start_ns, "refused the move")
+        return self._follow(command, goal, before, start_ns, limit)
+
+    def _refused(self, command: Move, start_ns: int, what: str) -> Reply:
+        # A command also fails when a safety stop has just ended the program: then that is why.
+        verdict = self._watch.look_again(0.05) or self.step(command.mode)
+        if verdict is not None:
+            return self._judged(command, start_ns, verdict)
+        return self._reply(command, "stopped", start_ns, f"the controller {what}")
+
+    def _follow(
+        self, command: Move, goal: Array, before: int, start_ns: int, limit: float
+    ) -> Reply:
+        """Watch a move that has begun until it has ended."""
+        deadline_ns = start_ns + round(limit * SECOND_NS)
+        finished_ns: int | None = None
+        while True:
+            verdict = self.step(command.mode)
+            if verdict is not None:
+                self.halt()
+                return self._judged(command, start_ns, verdict)
+            if self._interrupted():
+                self.halt()
+                return self._reply(command, "stopped", start_ns, "halted by the operator")
+            now_ns = self._clock.now_ns()
+            operation, running = self._control.operation()
+            # Only another number than before the call belongs to it: see UrControl.operation.
+            if operation != before and not running:
+                finished_ns = finished_ns or now_ns
+                if self._watch.still() and self._watch.near(goal, _AT_TARGET, _AT_ANGLE):
+                    return self._reply(command, "done", start_ns)
+                if now_ns - finished_ns > round(_ARRIVING * SECOND_NS):
+                    away = self._watch.distance(goal) * 1e3
+                    why = f"came to rest {away:.2f} mm off its target"
+                    return self._reply(command, "stopped", start_ns, why)
+            elif now_ns > deadline_ns:
+                self.halt()
+                why = (
+                    f"took longer than {limit:.1f} s: is the speed slider low, or the program "
+                    "paused at the pendant?"
+                )
+                return self._reply(command, "stopped", start_ns, why)
+
+    def _judged(self, command: Move, start_ns: int, verdict: Verdict) -> Reply:
+        if verdict.kind in _SAFETY:
+            self.latched = verdict
+        outcome: Outcome = "safety_stop"
+        if verdict.kind == "force_soft":
+            outcome = "force_limited"
+        elif verdict.kind in _LOST:
+            outcome = "device_lost"
+        return self._reply(command, outcome, start_ns, verdict.reason, verdict.kind)
+
+    def _reply(
+        self,
+        command: Move,
+        outcome: Outcome,
+        start_ns: int,
+        reason: str = "",
+        kind: Kind | None = None,
+    ) -> Reply:
+        return Reply(command.number, outcome, start_ns, self._clock.now_ns(), reason, kind)
+
+    def _time_limit(self, command: Move, goal: Array) -> float:
+        """Half as long again as the move should take at the present slider, plus 2 s [s]."""
+        pose = self._watch.pose
+        angle = 0.0 if pose is None else float(np.linalg.norm(rotation_between(pose, goal)))
+        length = max(self._watch.distance(goal), angle * _STEEPEST)
+        ideal = length / command.speed + command.speed / command.acceleration
+        return 2.0 + 1.5 * ideal / max(self._watch.speed_fraction, 0.05)

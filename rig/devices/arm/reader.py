@@ -1,0 +1,300 @@
+"""The arm's pose stream: our own RTDE client on port 30004, beside ur_rtde's.
+
+ur_rtde's receive interface hands out only the newest package, skips those that arrive together and
+repeats the last one for ever when the controller falls silent. This client keeps every package,
+counts the missing ones by the controller's own clock and says when the stream is over.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.driver import Inbox, Receiver
+from rig.core.errors import DeviceLost
+from rig.devices.arm import rtde
+
+VARIABLES = (
+    "timestamp",
+    "actual_TCP_pose",
+    "actual_TCP_speed",
+    "speed_scaling",
+    "target_speed_fraction",
+    "runtime_state",
+    "safety_status_bits",
+    "robot_mode",
+)
+COLUMNS = (
+    "device_t",
+    "value",
+    "speed",
+    "speed_scaling",
+    "speed_fraction",
+    "runtime_state",
+    "safety_status",
+    "robot_mode",
+)
+"""Names of a sample's columns, in the order of VARIABLES; `t_ns` comes on top."""
+
+SILENCE = 1.0
+"""Without a package for this long the controller counts as lost [s]."""
+
+_LATE = 0.5
+"""A package older than the newest by less than this is late; by more: a restart [s]."""
+_REACH = 3.0
+"""No UR arm reaches so far: a pose beyond is not in metres [m]."""
+_TURN = 4 * math.pi
+"""No rotation vector is longer: a pose beyond is not in radians [rad]."""
+
+_CHECK = "is the controller on, its network cable in, and no firewall between?"
+
+
+class RtdeLink:
+    """One RTDE connection that streams poses; no thread of its own.
+
+    A sample is a dict: `t_ns` host arrival, `device_t` controller clock [s], `value` TCP pose (6,)
+    in the base frame [m, rad], `speed` (6,) [m/s, rad/s], `speed_scaling` and `speed_fraction` (the
+    slider) in 0..1, `runtime_state`, `safety_status` (bits), `robot_mode`.
+
+    Args:
+        host: Controller address.
+        rate_hz: Packages per second; the controller rounds to 500 Hz over a whole number.
+        clock: Stamps the arrivals.
+    """
+
+    def __init__(self, host: str, rate_hz: float, clock: Clock) -> None:
+        self._host = host
+        self._clock = clock
+        self._period = 1 / rate_hz
+        self._rate_hz = rate_hz
+        self._socket: socket.socket | None = None
+        self._buffer = bytearray()
+        self._types: tuple[str, ...] = ()
+        self._recipe = 0
+        self._device_t: float | None = None
+        self._heard_ns = 0
+        self._failure: DeviceLost | None = None
+        self.dropped = 0
+        """Packages missing between two that came, by the controller's clock."""
+        self.duplicates = 0
+        """Packages that came twice; only the first counts."""
+        self.late = 0
+        """Packages that came after a later one; they are among `dropped`."""
+        self.version: tuple[int, ...] = ()
+        """Controller software: major, minor, bugfix, build."""
+
+    @property
+    def _where(self) -> str:
+        return f"arm at {self._host}:{rtde.PORT} (RTDE)"
+
+    def open(self, timeout: float) -> None:
+        """Connect, agree on the variables and start the stream within `timeout` [s].
+
+        Raises:
+            DeviceLost: Refused, mute, or not an RTDE server that knows our variables.
+        """
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        try:
+            self._socket = socket.create_connection((self._host, rtde.PORT), timeout)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            protocol = rtde.PROTOCOL.to_bytes(2, "big")
+            if self._ask(rtde.Kind.PROTOCOL, protocol, deadline_ns) != b"\x01":
+                raise ValueError("RTDE protocol version 2 refused")
+            version = self._ask(rtde.Kind.CONTROLLER, b"", deadline_ns)
+            self.version = tuple(
+                int.from_bytes(version[k : k + 4], "big") for k in range(0, len(version), 4)
+            )
+            request = rtde.pack_output_request(self._rate_hz, VARIABLES)
+            reply = self._ask(rtde.Kind.OUTPUTS, request, deadline_ns)
+            self._recipe, types = rtde.unpack_recipe(reply)
+            self._types = tuple(types)
+            rtde.layout(self._types)
+            if len(self._types) != len(VARIABLES):
+                raise ValueError(f"{len(types)} types for {len(VARIABLES)} variables")
+            if self._ask(rtde.Kind.START, b"", deadline_ns) != b"\x01":
+                raise ValueError("the controller refused to start the stream")
+        except OSError as error:
+            self.close()
+            raise DeviceLost(f"{self._where}: no connection ({error}); {_CHECK}") from error
+        except ValueError as error:
+            self.close()
+            raise DeviceLost(f"{self._where}: {error}; is this a UR controller?") from error
+        except DeviceLost:
+            self.close()
+            raise
+        self._device_t = self._failure = None
+        self._heard_ns = self._clock.now_ns()
+
+    def _ask(self, kind: rtde.Kind, payload: bytes, deadline_ns: int) -> bytes:
+        """Send a message and return the payload of the reply of the same type."""
+        if self._socket is None:
+            raise DeviceLost(f"{self._where}: not open")
+        self._socket.sendall(rtde.pack_message(kind, payload))
+        while True:
+            for got, answer in rtde.split_messages(self._buffer):
+                if got == kind:
+                    return answer
+            wait = (deadline_ns - self._clock.now_ns()) / SECOND_NS
+            if wait <= 0:
+                raise DeviceLost(f"{self._where}: connected but mute; restart the controller?")
+            self._fill(wait)
+
+    def _fill(self, timeout: float) -> bool:
+        """Add what has arrived to the buffer; False when nothing came in `timeout` [s]."""
+        if self._socket is None:
+            raise DeviceLost(f"{self._where}: not open")
+        try:
+            if not select.select([self._socket], [], [], max(timeout, 0.0))[0]:
+                return False
+            received = self._socket.recv(1 << 16)
+        except OSError as error:
+            raise DeviceLost(f"{self._where}: connection lost ({error}); {_CHECK}") from error
+        if not received:
+            raise DeviceLost(f"{self._where}: the controller closed the connection; {_CHECK}")
+        self._buffer += received
+        return True
+
+    def receive(self, timeout: float) -> list[dict[str, Any]]:
+        """Every sample that has arrived, waiting up to `timeout` [s] for one.
+
+        Raises:
+            DeviceLost: Closed, silent for SILENCE, garbage, or a controller that restarted; the
+                samples before it come out first.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if not self._fill(timeout):
+            silent = (self._clock.now_ns() - self._heard_ns) / SECOND_NS
+            if silent > SILENCE:
+                raise DeviceLost(f"{self._where}: no package for {silent:.1f} s; {_CHECK}")
+            return []
+        t_ns = self._clock.now_ns()
+        samples: list[dict[str, Any]] = []
+        try:
+            for kind, payload in rtde.split_messages(self._buffer):
+                sample = self._sample(t_ns, payload) if kind == rtde.Kind.DATA else None
+                if sample is not None:
+                    samples.append(sample)
+        except ValueError as error:
+            self._failure = DeviceLost(f"{self._where}: {error}; is this a UR controller?")
+            if not samples:
+                raise self._failure from error
+        if samples:
+            self._heard_ns = t_ns
+        return samples
+
+    def _sample(self, t_ns: int, payload: bytes) -> dict[str, Any] | None:
+        """The sample of a package; None for one that came before or comes late."""
+        if not payload or payload[0] != self._recipe:
+            raise ValueError(f"RTDE package of a recipe that is not ours ({payload[:1].hex()})")
+        sample = dict(zip(COLUMNS, rtde.unpack_values(self._types, payload[1:]), strict=True))
+        device_t = float(sample["device_t"])  # type: ignore[arg-type]
+        _require_plausible(sample["value"])  # type: ignore[arg-type]
+        if self._device_t is not None:
+            if not self._device_t - _LATE < device_t:
+                raise ValueError(
+                    f"controller clock went from {self._device_t:.3f} to {device_t:.3f} s"
+                )
+            steps = round((device_t - self._device_t) / self._period)
+            if steps < 1:
+                if steps == 0:
+                    self.duplicates += 1
+                else:
+                    self.late += 1
+                return None
+            self.dropped += steps - 1
+        self._device_t = device_t
+        return {"t_ns": t_ns, **sample}
+
+    def close(self) -> None:
+        """Close the connection; safe twice."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        self._buffer.clear()
+
+
+def _require_plausible(pose: tuple[float, ...]) -> None:
+    # Negated, so that what is not a number fails too.
+    far, turned = math.hypot(*pose[:3]), math.hypot(*pose[3:])
+    if not (far <= _REACH and turned <= _TURN):
+        raise ValueError(
+            f"a TCP {far:.6g} m away, turned by {turned:.6g} rad; allowed: {_REACH:g} m, "
+            f"{_TURN:.3g} rad; are its units m and rad?"
+        )
+
+
+class RtdePoseDriver:
+    """The pose stream of a recording: `RtdeLink` received by a thread that does nothing else.
+
+    Args:
+        host: Controller address.
+        rate_hz: Packages per second.
+        clock: Stamps the arrivals.
+        capacity: Samples kept for a consumer that is late.
+    """
+
+    def __init__(self, host: str, rate_hz: float, clock: Clock, *, capacity: int = 10_000) -> None:
+        self._host = host
+        self._rate_hz = rate_hz
+        self._link = RtdeLink(host, rate_hz, clock)
+        self._new_inbox: Callable[[], Inbox] = lambda: Inbox(clock, capacity)
+        self._inbox: Inbox | None = None
+        self._receiver: Receiver | None = None
+
+    @property
+    def dropped(self) -> int:
+        """Packages missing by the controller's clock, and those nobody took in time."""
+        return self._link.dropped + (self._inbox.overflowed if self._inbox else 0)
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Packages that came and were left out, by reason."""
+        return {"repeated": self._link.duplicates, "late": self._link.late}
+
+    def open(self, timeout: float) -> None:
+        """Connect and start the stream within `timeout` [s].
+
+        Raises:
+            DeviceLost: Refused, mute, or not an RTDE server that knows our variables.
+        """
+        self._link.open(timeout)
+        inbox = self._inbox = self._new_inbox()
+
+        def receive() -> None:
+            for sample in self._link.receive(0.1):
+                inbox.put(sample, sample["t_ns"])
+
+        self._receiver = Receiver(f"pose {self._host}", receive, inbox)
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Every sample since the last call, waiting up to `timeout` [s] for one.
+
+        Columns as in `RtdeLink`. Empty when none came in time.
+
+        Raises:
+            DeviceLost: The stream is over and everything received has been read.
+        """
+        if self._inbox is None:
+            raise DeviceLost(f"arm at {self._host}: the pose stream is not open")
+        return self._inbox.take(timeout)
+
+    def describe(self) -> dict[str, Any]:
+        """What the controller said about itself when opened."""
+        return {
+            "model": "UR e-Series, RTDE",
+            "address": self._host,
+            "controller_version": ".".join(map(str, self._link.version)),
+            "rate_hz": self._rate_hz,
+        }
+
+    def close(self) -> None:
+        """Stop receiving and close the connection; safe twice."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+        self._link.close()

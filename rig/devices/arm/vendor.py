@@ -1,0 +1,117 @@
+"""ur_rtde's control interface behind the few calls we make, its exceptions translated.
+
+Only the supervised child process may use this: the library crashes its process when the connection
+drops, and holds the GIL while it connects.
+
+Every movement and stop is asynchronous. A synchronous stopL executes stopj until the first
+asynchronous stop was made, and nothing can kick the watchdog during a synchronous move.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from typing import TypeVar
+
+from rtde_control import RTDEControlInterface
+
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.devices.arm import dashboard, rtde
+from rig.devices.arm.settings import ArmConfig
+
+_PORTS = {rtde.PORT: "RTDE", 30003: "scripts", dashboard.PORT: "dashboard"}
+_RATE_HZ = 250.0
+"""Of ur_rtde's own package stream: half the default, since its thread costs more than ours."""
+_T = TypeVar("_T")
+
+
+def check_ready(host: str, timeout: float) -> None:
+    """See that the controller listens and may be moved, before ur_rtde is let near it.
+
+    Raises:
+        DeviceLost: A port does not answer; powered off; not in remote control.
+        SafetyStop: A safety stop is active.
+    """
+    for port, what in _PORTS.items():
+        try:
+            socket.create_connection((host, port), timeout).close()
+        except OSError as error:
+            raise DeviceLost(
+                f"arm at {host}:{port} ({what}): {error}; is the controller on and its network "
+                "cable in?"
+            ) from error
+    mode, safety, remote = dashboard.ask(
+        host, ["robotmode", "safetystatus", "is in remote control"], timeout
+    )
+    if not safety.endswith((" NORMAL", " REDUCED")):
+        raise SafetyStop(
+            f"arm at {host}: {safety}; look for the cause, then release it at the pendant"
+        )
+    if not mode.endswith(" RUNNING"):
+        raise DeviceLost(f"arm at {host}: {mode}; power it on, brakes off, at the pendant")
+    if remote != "true":
+        raise DeviceLost(f"arm at {host}: in local control; switch to Remote at the pendant")
+
+
+class UrControl:
+    """The program of ur_rtde running on the controller, its watchdog armed.
+
+    Args:
+        config: Address, TCP, payload, watchdog.
+
+    Raises:
+        DeviceLost: The controller does not run the program or refuses TCP or payload.
+    """
+
+    def __init__(self, config: ArmConfig) -> None:
+        self._host = config.host
+        self._control = self._call(lambda: RTDEControlInterface(config.host, _RATE_HZ))
+        tcp, cog = list(config.tcp), list(config.payload_cog)
+        self._require("TCP", lambda: self._control.setTcp(tcp))
+        self._require("payload", lambda: self._control.setPayload(config.payload, cog))
+        self._require("watchdog", lambda: self._control.setWatchdog(config.watchdog_hz))
+
+    def _call(self, action: Callable[[], _T]) -> _T:
+        try:
+            return action()
+        except Exception as error:
+            raise DeviceLost(f"arm at {self._host}: ur_rtde: {error}") from error
+
+    def _require(self, what: str, action: Callable[[], bool]) -> None:
+        if not self._call(action):
+            raise DeviceLost(f"arm at {self._host}: the controller did not take the {what}")
+
+    def kick(self) -> bool:
+        """Tell the watchdog we live; False when the program no longer runs."""
+        return bool(self._call(self._control.kickWatchdog))
+
+    def reaches(self, pose: list[float]) -> bool:
+        """Whether the controller finds TCP pose (6,) reachable and within its safety planes."""
+        return bool(self._call(lambda: self._control.isPoseWithinSafetyLimits(pose)))
+
+    def start_move(self, pose: list[float], speed: float, acceleration: float) -> bool:
+        """Begin to go straight to TCP pose (6,) [m, rad, m/s, m/s^2]; False when refused."""
+        return bool(self._call(lambda: self._control.moveL(pose, speed, acceleration, True)))
+
+    def start_stop(self, deceleration: float) -> None:
+        """Begin to stop [m/s^2]."""
+        self._call(lambda: self._control.stopL(deceleration, True))
+
+    def operation(self) -> tuple[int, bool]:
+        """Number of the newest asynchronous operation (7 bits) and whether it runs.
+
+        Only a number that differs from the one before the call belongs to the call: the word may
+        still be the previous one when an asynchronous call returns.
+        """
+        status = self._call(self._control.getAsyncOperationProgressEx)
+        return int(status.operationId()), bool(status.isAsyncOperationRunning())
+
+    def connected(self) -> bool:
+        """Whether ur_rtde still has its connection; without, a command can hang for 300 s."""
+        return bool(self._call(self._control.isConnected))
+
+    def close(self) -> None:
+        """End the program on the controller; the connection ends with this process."""
+        # No disconnect(): it sleeps half a second, and the process leaves without destructors.
+        if self.connected():
+            self._call(self._control.stopScript)

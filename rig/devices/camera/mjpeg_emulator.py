@@ -1,0 +1,451 @@
+"""Emulated network camera: MJPEG over HTTP, of the World, a folder of images, or a video.
+
+    python -m rig.devices.camera.mjpeg_emulator --host 127.0.0.7 --port 8090 --world PATH --view
+    FILE.json python -m rig.devices.camera.mjpeg_emulator --source images/ --motion moving --fps 60
+
+Each JPEG carries a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number,
+and the time of the World's state it shows (of the tick, when it shows no World). A slow client
+gets the newest frame when it is ready for one; the numbers in between are skipped, never queued.
+Faults come in through rig.core.fault_injection; `wrong_units` films at half the size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import itertools
+import logging
+import queue
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from recorder.strict_yaml import natural_key
+from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
+from rig.core.emulation import NamelessServer, SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.fault_injection import Disturbance
+from rig.core.realtime import CAMERA_PRIORITY
+from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, torn
+
+# Where the emulated camera's pictures come from: the World, a folder of images, a video.
+
+Image = npt.NDArray[np.uint8]
+SIZE = (640, 480)
+"""Width and height of every picture [px]."""
+QUALITY_RENDERED = 92
+"""About what a webcam delivers."""
+QUALITY_CONVERTED = 95
+_SUFFIXES_IMAGE = (".png", ".jpg", ".jpeg")
+_MJPG = cv2.VideoWriter.fourcc(*"MJPG")
+
+
+class FrameSource(Protocol):
+    """One JPEG file per tick of the camera."""
+
+    def jpeg(self, state: np.void) -> bytes:
+        """The picture of a WORLD_STATE record, `SIZE` large."""
+
+
+class WorldSource:
+    """Pictures of the World.
+
+    Args:
+        view: Gives the RGB picture (480, 640, 3) of a WORLD_STATE record.
+    """
+
+    def __init__(self, view: Callable[[np.void], Image]) -> None:
+        self._view = view
+
+    def jpeg(self, state: np.void) -> bytes:
+        """The picture of `state`."""
+        return _encoded(cv2.cvtColor(self._view(state), cv2.COLOR_RGB2BGR), QUALITY_RENDERED)
+
+
+class LoopSource:
+    """Pictures of a folder or a video, over and over, whatever the World does.
+
+    Args:
+        path: A folder of images, taken in natural order, or a video file.
+        hold: Ticks for which each picture stays.
+
+    Raises:
+        ValueError: There is no picture in `path`.
+    """
+
+    def __init__(self, path: Path, *, hold: int = 1) -> None:
+        self._frames = _looped(path)
+        self._hold = max(hold, 1)
+        self._left = self._hold
+        try:
+            self._shown = next(self._frames)
+        except StopIteration:
+            raise ValueError(f"{path}: no images and no video") from None
+
+    def jpeg(self, state: np.void) -> bytes:
+        """The picture of this tick; `state` plays no part."""
+        if self._left == 0:
+            self._shown, self._left = next(self._frames), self._hold
+        self._left -= 1
+        return self._shown
+
+
+def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The image scaled to fit `SIZE`, its proportions kept, black around it."""
+    height, width = image.shape[:2]
+    if (width, height) == SIZE:
+        return image
+    factor = min(SIZE[0] / width, SIZE[1] / height)
+    scaled = cv2.resize(
+        image,
+        (round(width * factor), round(height * factor)),
+        interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR,
+    )
+    canvas = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+    top, left = (SIZE[1] - scaled.shape[0]) // 2, (SIZE[0] - scaled.shape[1]) // 2
+    canvas[top : top + scaled.shape[0], left : left + scaled.shape[1]] = scaled
+    return canvas
+
+
+def halved(jpeg: bytes) -> bytes:
+    """The picture at half its width and height.
+
+    Raises:
+        ValueError: It cannot be decoded.
+    """
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ValueError("no picture")
+    return _encoded(cv2.resize(image, None, fx=0.5, fy=0.5), QUALITY_RENDERED)
+
+
+def _encoded(image: npt.NDArray[Any], quality: int) -> bytes:
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise ValueError(f"image of shape {image.shape} cannot be encoded")
+    return data.tobytes()
+
+
+def _looped(path: Path) -> Iterator[bytes]:
+    once = _folder if path.is_dir() else _video
+    for _ in itertools.count():
+        empty = True
+        for jpeg in once(path):
+            empty = False
+            yield jpeg
+        if empty:
+            return
+
+
+def _folder(path: Path) -> Iterator[bytes]:
+    names = (p.name for p in path.iterdir() if p.suffix.lower() in _SUFFIXES_IMAGE)
+    for name in sorted(names, key=natural_key):
+        yield _image(path / name)
+
+
+@functools.lru_cache(maxsize=256)
+def _image(path: Path) -> bytes:
+    # Kept: converting takes 10 ms a picture, too long for every tick of a fast camera.
+    content = path.read_bytes()
+    if _serves_as_it_is(content):
+        return content
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ValueError(f"{path}: cannot be decoded")
+    return _encoded(letterboxed(image), QUALITY_CONVERTED)
+
+
+def _video(path: Path) -> Iterator[bytes]:
+    if not path.is_file():
+        return
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        # Motion JPEG is a row of JPEG files; anything else must be decoded.
+        size = (capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        raw = int(capture.get(cv2.CAP_PROP_FOURCC)) == _MJPG and size == SIZE
+        if raw:
+            capture.set(cv2.CAP_PROP_FORMAT, -1)
+        while True:
+            arrived, frame = capture.read()
+            if not arrived:
+                return
+            if not raw:
+                yield _encoded(letterboxed(frame), QUALITY_CONVERTED)
+            elif _serves_as_it_is(jpeg := frame.tobytes()):
+                yield jpeg
+    finally:
+        capture.release()
+
+
+def _serves_as_it_is(content: bytes) -> bool:
+    return is_whole(content) and jpeg_size(content) == SIZE
+
+
+logger = logging.getLogger(__name__)
+
+_BOUNDARY = "tactile-rig-frame"
+_STILL = 2.0
+# How long each image of a still source is shown [s].
+_SEND_BUFFER = 1 << 17
+# About two frames: what a slow client finds waiting is not old.
+
+
+@dataclass(frozen=True, slots=True)
+class MjpegEmulatorConfig:
+    """Where the emulated camera listens and how fast it films."""
+
+    host: str = "127.0.0.1"
+    port: int = 8090
+    rate_hz: float = 30.0
+    delay: float = 0.0
+    """Between the moment a frame shows and its delivery [s]; 0: as soon as it is drawn."""
+
+
+class MjpegEmulator:
+    """The emulated camera; one thread films, one per client sends the newest frame.
+
+    Args:
+        config: Address and rate.
+        source: Gives the picture of each tick.
+        world: Gives the state the picture shows; None: frames carry the time of their tick.
+        clock: Paces the frames.
+    """
+
+    def __init__(
+        self, config: MjpegEmulatorConfig, source: FrameSource, world: World | None, clock: Clock
+    ) -> None:
+        self._config = config
+        self._source = source
+        self._world = world
+        self._untouched = SharedWorld(None).state()[1]
+        self._clock = clock
+        self._ending = threading.Event()
+        self._changed = threading.Condition()
+        self._parts: tuple[bytes, ...] = ()
+        self._number = 0
+        self._missed = 0
+        self.disturbance = Disturbance[bytes](
+            clock, spoil=torn, mistake=_halved, on_change=self._on_plug
+        )
+        self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
+        self._server: _Server | None = None
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def address(self) -> str:
+        """The stream's URL."""
+        return f"http://{self._config.host}:{self._config.port}/"
+
+    @property
+    def missed(self) -> int:
+        """Frames not filmed because their time had passed."""
+        return self._missed
+
+    def start(self) -> None:
+        """Listen and serve.
+
+        Raises:
+            OSError: The address cannot be had.
+        """
+        self._server = _Server((self._config.host, self._config.port), self)
+        self._threads = [
+            threading.Thread(target=self._film, name="mjpeg-emulator"),
+            threading.Thread(target=self._deliver, name="mjpeg-emulator-delay"),
+            threading.Thread(
+                target=self._server.serve_forever, args=(0.05,), name="mjpeg-emulator-accept"
+            ),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+        self._ending.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self._server is not None:
+            self._server.shutdown()
+            self._server.disconnect_all()
+            self._server.server_close()
+            self._server = None
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+
+    def parts(self, jpeg: bytes) -> Iterable[bytes]:
+        """The parts sent for one frame: where faults and tests spoil frames."""
+        return tuple(_part(frame) for frame in self.disturbance.passed(jpeg))
+
+    def _on_plug(self) -> None:
+        if self.disturbance.unplugged and self._server is not None:
+            self._server.disconnect_all()
+
+    def next_parts(self, sent: int) -> tuple[int, tuple[bytes, ...]] | None:
+        """Number and parts of the newest frame once it is newer than `sent`; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
+            return None if self._ending.is_set() else (self._number, self._parts)
+
+    @property
+    def number(self) -> int:
+        """Frames filmed so far."""
+        return self._number
+
+    def _film(self) -> None:
+        pacer = Pacer(self._clock, self._config.rate_hz)
+        delay_ns = round(self._config.delay * SECOND_NS)
+        filmed = 0
+        while not self._ending.is_set():
+            t_ns = pacer.wait()
+            self._missed = pacer.missed
+            state = self._untouched
+            if self._world is not None:
+                _, state = self._world.state()
+                t_ns = int(state["t_ns"])
+            filmed += 1
+            parts = tuple(self.parts(stamped(self._source.jpeg(state), filmed, t_ns)))
+            if delay_ns:
+                self._late.put((t_ns + delay_ns, parts))
+            else:
+                self._publish(parts)
+        self._late.put(None)
+
+    def _deliver(self) -> None:
+        while (late := self._late.get()) is not None:
+            self._clock.sleep_until(late[0])
+            self._publish(late[1])
+
+    def _publish(self, parts: tuple[bytes, ...]) -> None:
+        with self._changed:
+            self._number += 1
+            self._parts = parts
+            self._changed.notify_all()
+
+
+def _part(jpeg: bytes) -> bytes:
+    head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"
+
+
+def _halved(jpeg: bytes) -> bytes:
+    """The frame at half the size, with its stamp."""
+    stamp = frame_stamp(jpeg)
+    small = halved(jpeg)
+    return small if stamp is None else stamped(small, *stamp)
+
+
+class _Server(ThreadingHTTPServer, NamelessServer):
+    daemon_threads = False
+
+    def __init__(self, address: tuple[str, int], emulator: MjpegEmulator) -> None:
+        self.emulator = emulator
+        self._clients: set[socket.socket] = set()
+        self._lock = threading.Lock()
+        super().__init__(address, _Handler)
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Nobody gets through to a camera that is unplugged."""
+        return not self.emulator.disturbance.unplugged
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept a client, with a send buffer that holds few frames."""
+        client, address = super().get_request()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with self._lock:
+            self._clients.add(client)
+        return client, address
+
+    def shutdown_request(self, request: Any) -> None:
+        """Forget a client that is done."""
+        with self._lock:
+            self._clients.discard(request)
+        super().shutdown_request(request)
+
+    def disconnect_all(self) -> None:
+        """Wake every thread that is sending."""
+        with self._lock:
+            for client in self._clients:
+                try:
+                    client.shutdown(socket.SHUT_RDWR)
+                except OSError as error:
+                    logger.debug("client already gone: %s", error)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that goes in the middle of a frame is no error."""
+        logger.debug("client %s: %s", client_address, sys.exception())
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+
+    def do_GET(self) -> None:
+        emulator = self.server.emulator
+        self.send_response(200)
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        sent = emulator.number
+        while (newest := emulator.next_parts(sent)) is not None:
+            sent, parts = newest
+            for part in parts:
+                self.wfile.write(part)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: stdout belongs to the ready line."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="rig.devices.camera.mjpeg_emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--port", type=int, default=8090, help="(%(default)s)")
+    parser.add_argument("--fps", type=float, default=30.0, help="frames per second (%(default)s)")
+    pictures = parser.add_mutually_exclusive_group(required=True)
+    pictures.add_argument("--view", type=Path, help="JSON file of the view onto the World")
+    pictures.add_argument("--source", type=Path, help="folder of images or video, not the World")
+    parser.add_argument(
+        "--motion", choices=("still", "moving"), default="moving",
+        help="one source frame per tick, or each for 2 s (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--delay-ms", type=float, default=0.0,
+        help="deliver each frame so long after the moment it shows [ms] (%(default)s)",
+    )  # fmt: skip
+    args = parser.parse_args(argv)
+    world = SharedWorld(args.world)
+    source: FrameSource
+    try:
+        if args.source is None:
+            from rig.mock.world import load_view
+
+            source = WorldSource(load_view(args.view))
+        else:
+            hold = round(_STILL * args.fps) if args.motion == "still" else 1
+            source = LoopSource(args.source, hold=hold)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    config = MjpegEmulatorConfig(args.host, args.port, args.fps, 1e-3 * args.delay_ms)
+    emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
+    try:
+        return serve(
+            "camera",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            priority=CAMERA_PRIORITY,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
+    finally:
+        world.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

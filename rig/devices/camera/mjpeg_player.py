@@ -1,0 +1,94 @@
+"""An emulated network camera that plays recorded JPEG files: see rig/mock/player.py.
+
+OpenCV reads one frame to open the stream and drops it, and the driver looks at a second one before
+it records. Both get the first recorded picture. The recorded files then go out as they are.
+"""
+
+from __future__ import annotations
+
+import socket
+
+from recorder import SessionError
+from rig.devices.playback import Listener, Tape
+
+PORT = 8081
+_BOUNDARY = "tactile-rig-frame"
+_LEAD_IN = 2
+_REQUEST_BYTES_MAX = 1 << 16
+_TORN = b"\xff\xd8"
+
+
+class MjpegOutlet:
+    """MJPEG over HTTP.
+
+    Args:
+        tape: A camera stream that holds JPEG files.
+        host: Address to listen on.
+    """
+
+    window = 32
+    """The driver keeps 120 frames for a recorder that is late."""
+
+    def __init__(self, tape: Tape, host: str) -> None:
+        self._tape = tape
+        self._listener = Listener(host, PORT, self._greet)
+
+    @property
+    def address(self) -> str:
+        """The stream's URL."""
+        return f"http://{self._listener.host}:{PORT}/"
+
+    def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OSError: The address cannot be had.
+        """
+        self._listener.start()
+
+    def send(self, place: int) -> None:
+        """One frame, its bytes as recorded.
+
+        Raises:
+            OSError: The client is gone.
+        """
+        self._listener.send(_part(self._jpeg(self._tape.rows[place])))
+
+    def idle(self) -> None:
+        """A camera has nothing to say without a frame."""
+
+    def wake(self) -> None:
+        """A torn frame: OpenCV returns from its wait, and the driver drops it."""
+        if self._listener.connected:
+            self._listener.send(_part(_TORN))
+
+    def close(self) -> None:
+        """Disconnect; safe twice."""
+        self._listener.close()
+
+    def _jpeg(self, row: int) -> bytes:
+        jpeg = self._tape.stream.jpeg(row)
+        if jpeg is None:
+            raise SessionError("streams/camera: stored as pixels, not as JPEG")
+        return jpeg
+
+    def _greet(self, client: socket.socket) -> bool:
+        request = b""
+        while b"\r\n\r\n" not in request:
+            received = client.recv(4096)
+            if not received or len(request) > _REQUEST_BYTES_MAX:
+                return False
+            request += received
+        client.sendall(
+            b"HTTP/1.0 200 OK\r\nCache-Control: no-store\r\n"
+            b"Content-Type: multipart/x-mixed-replace; boundary=" + _BOUNDARY.encode() + b"\r\n\r\n"
+        )
+        first = min(self._tape.rows.start, len(self._tape.stream) - 1)
+        for _ in range(_LEAD_IN):
+            client.sendall(_part(self._jpeg(first)))
+        return True
+
+
+def _part(jpeg: bytes) -> bytes:
+    head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"

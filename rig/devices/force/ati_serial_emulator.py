@@ -1,0 +1,245 @@
+"""Emulated ATI stand-alone F/T controller on a pty, serving the World's wrench as counts.
+
+    python -m rig.devices.force.ati_serial_emulator --link /tmp/force --world PATH
+
+A pty knows no baud rate: the emulator sends no faster than the line would carry. As on a line
+without handshake, what nobody takes in time is lost, in the middle of a record if need be. Faults
+come in through rig.core.fault_injection; `unplug` is the RS-232 cable: the port stays, and is
+silent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import select
+import sys
+import threading
+import tty
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rig.core.clock import Clock, Pacer, SystemClock
+from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.devices.force.ati_serial_wire import PROMPT, Record, emit
+from rig.devices.force.settings import RECORD_BYTES
+
+logger = logging.getLogger(__name__)
+
+_NOISE_ROWS = 8192
+_TORQUE_NOISE = 0.005
+# N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
+_COUNTS_MAX = 32767
+_SATURATED = 1
+# What the error field says when a count is at its end.
+_LINE_MAX = 80
+_FORMS = {"CD A": "ascii", "CD B": "binary"}
+
+
+@dataclass(frozen=True, slots=True)
+class AtiSerialEmulatorConfig:
+    """Where the emulated controller is found and how it counts."""
+
+    link: Path
+    """Made: a link to the pty."""
+    counts_per_n: float = 1280.0
+    """A Nano17's, roughly: 17 N stay within 16 bits."""
+    counts_per_n_mm: float = 256.0
+    baud: int = 38400
+    rate_hz: float = 200.0
+    """Records per second, if the line carries them."""
+    noise: float = 0.0
+    """Standard deviation of the force components [N]."""
+    seed: int = 0
+
+
+class AtiSerialEmulator:
+    """The emulated controller; one thread takes commands and sends records."""
+
+    def __init__(self, config: AtiSerialEmulatorConfig, world: World, clock: Clock) -> None:
+        self._config = config
+        self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=config.seed)
+        self._world = world
+        self._clock = clock
+        scale = np.repeat([config.counts_per_n, config.counts_per_n_mm * 1e3], 3)
+        noise = np.random.default_rng(config.seed).normal(0.0, config.noise, (_NOISE_ROWS, 6))
+        noise[:, 3:] *= _TORQUE_NOISE
+        self._scale, self._noise = scale, noise * scale
+        self._row = 0
+        self._missed = 0
+        self._form = "ascii"
+        self._typed = b""
+        self._streaming = False
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._ours = self._theirs = -1
+
+    @property
+    def address(self) -> str:
+        """The link a driver opens."""
+        return str(self._config.link)
+
+    @property
+    def missed(self) -> int:
+        """Records not sent because their time had passed."""
+        return self._missed
+
+    @property
+    def rate_hz(self) -> float:
+        """Records per second in the form that is set: no more than the line carries."""
+        carried = self._config.baud / 10 / RECORD_BYTES[self._form]
+        return min(self._config.rate_hz, carried)
+
+    def start(self) -> None:
+        """Make the pty and the link to it, and serve.
+
+        Raises:
+            OSError: No pty can be had, or the link cannot be made.
+        """
+        # The other end stays open here too, so that a client may come and go.
+        self._ours, self._theirs = os.openpty()
+        for end in (self._ours, self._theirs):
+            tty.setraw(end)
+        os.set_blocking(self._ours, False)
+        link = self._config.link
+        if link.is_symlink():
+            link.unlink()
+        try:
+            link.symlink_to(os.ttyname(self._theirs))
+        except OSError:
+            self._close_pty()
+            raise
+        self._thread = threading.Thread(target=self._serve, name="ati-serial-emulator")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving, as if unplugged; safe twice."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+            self._config.link.unlink(missing_ok=True)
+        self._close_pty()
+
+    def _close_pty(self) -> None:
+        for end in (self._ours, self._theirs):
+            if end >= 0:
+                os.close(end)
+        self._ours = self._theirs = -1
+
+    def records(self, content: bytes) -> Iterable[bytes]:
+        """What leaves for one record of a stream: where faults and tests lose and spoil bytes."""
+        return self.disturbance.passed(content)
+
+    def answer(self, command: str) -> bytes:
+        """What a command is answered, between its echo and the prompt: where tests refuse."""
+        if command in _FORMS:
+            self._form = _FORMS[command]
+        elif command == "QR":
+            return emit(self._record(), self._form)
+        return b""
+
+    def _serve(self) -> None:
+        pacer: Pacer | None = None
+        while not self._ending.is_set():
+            if not self._streaming:
+                pacer = None
+                self._take_commands(0.05)
+                continue
+            if pacer is None:
+                pacer, missed = Pacer(self._clock, self.rate_hz), self._missed
+            pacer.wait()
+            self._missed = missed + pacer.missed
+            self._take_commands(0.0)
+            if self._streaming:
+                for content in self.records(emit(self._record(), self._form)):
+                    self._send(content)
+
+    def _record(self) -> Record:
+        _, state = self._world.state()
+        self._row = (self._row + 1) % _NOISE_ROWS
+        counts = np.rint(np.array(state["wrench"]) * self._scale + self._noise[self._row])
+        error = _SATURATED if np.abs(counts).max() > _COUNTS_MAX else 0
+        shown = counts.clip(-_COUNTS_MAX, _COUNTS_MAX).astype(int).tolist()
+        return Record(error, tuple(shown))
+
+    def _take_commands(self, timeout: float) -> None:
+        if not select.select([self._ours], [], [], timeout)[0]:
+            return
+        typed = os.read(self._ours, 256)
+        if self.disturbance.unplugged:
+            return
+        *lines, rest = (self._typed + typed).split(b"\r")
+        self._typed = rest[-_LINE_MAX:]
+        for line in lines:
+            command = line.decode("ascii", "replace").strip()
+            if self._streaming:
+                # Any CR ends the stream; what stands before it is not looked at.
+                self._streaming = False
+                self._send(PROMPT)
+            elif command == "QS":
+                self._send(b"QS\r\n")
+                self._streaming = True
+            else:
+                self._send(command.encode() + b"\r\n" + self.answer(command) + PROMPT)
+
+    def _send(self, content: bytes) -> None:
+        try:
+            os.write(self._ours, content)
+        except BlockingIOError:
+            # Nobody takes it: the line has no handshake, the bytes are gone.
+            logger.debug("%d bytes lost: nobody reads", len(content))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="rig.devices.force.ati_serial_emulator", description=__doc__
+    )
+    add_arguments(parser)
+    defaults = AtiSerialEmulatorConfig(Path())
+    parser.add_argument("--link", type=Path, required=True, help="link to the pty, to be made")
+    parser.add_argument(
+        "--counts-per-n", type=float, default=defaults.counts_per_n, help="(%(default)s)"
+    )
+    parser.add_argument(
+        "--counts-per-n-mm", type=float, default=defaults.counts_per_n_mm, help="(%(default)s)"
+    )
+    parser.add_argument("--baud", type=int, default=defaults.baud, help="(%(default)s)")
+    parser.add_argument(
+        "--rate-hz", type=float, default=defaults.rate_hz, help="records per second (%(default)s)"
+    )
+    parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
+    args = parser.parse_args(argv)
+    for name in ("counts_per_n", "counts_per_n_mm", "baud", "rate_hz"):
+        if not getattr(args, name) > 0:
+            parser.error(f"{name}: found {getattr(args, name)}; allowed: above 0")
+    config = AtiSerialEmulatorConfig(
+        args.link,
+        args.counts_per_n,
+        args.counts_per_n_mm,
+        args.baud,
+        args.rate_hz,
+        args.noise,
+        args.seed,
+    )
+    world = SharedWorld(args.world)
+    try:
+        emulator = AtiSerialEmulator(config, world, SystemClock())
+        return serve(
+            "ati_serial",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
+    finally:
+        world.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

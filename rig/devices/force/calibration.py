@@ -1,0 +1,318 @@
+"""What turns the gauge voltages of an ATI transducer into its wrench, in SI, and back.
+
+The map is linear, so
+
+    wrench = matrix @ (volts - bias volts) = matrix @ volts - bias wrench
+
+and a tare in newton is the same as one in volts.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from rig.core.errors import ConfigError
+from rig.devices.force.settings import ToolTransform
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What turns the voltages of one transducer into its wrench."""
+
+    serial: str
+    """Serial number of the transducer, FT and five digits."""
+    part: str
+    """Which of its calibrations: SI-12-0.12 and the like."""
+    matrix: Array
+    """(6, 6): N per V in the upper rows, N m per V in the lower."""
+    rated: tuple[float, ...]
+    """Rated range of each axis (6,) [N, N m]: beyond it, accuracy is not promised."""
+    volts_range: tuple[float, float] = (-10.0, 10.0)
+    """What the gauges' amplifier can put out [V]."""
+
+    def wrench(self, volts: npt.ArrayLike) -> Array:
+        """Force and torque (..., 6) [N, N m] in the transducer's frame, from volts (..., 6)."""
+        found: Array = np.asarray(volts, np.float64) @ self.matrix.T
+        return found
+
+    def volts(self, wrench: npt.ArrayLike) -> Array:
+        """Gauge voltages (..., 6) [V] that a wrench (..., 6) [N, N m] would give, unclipped."""
+        found: Array = np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
+        return found
+
+    def saturated(self, volts: npt.ArrayLike, fraction: float = 0.999) -> npt.NDArray[np.bool_]:
+        """Whether any gauge of volts (..., 6) is at the end of its output: the wrench is wrong.
+
+        Args:
+            volts: Gauge voltages [V].
+            fraction: Of the output range, from where a gauge counts as being at its end.
+        """
+        low, high = self.volts_range
+        middle, half = (high + low) / 2, (high - low) / 2
+        ends = np.abs(np.asarray(volts, np.float64) - middle) >= fraction * half
+        return np.asarray(ends.any(axis=-1))
+
+    def beyond_rating(self, wrench: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Whether any axis of a wrench (..., 6) [N, N m] is beyond its rated range."""
+        beyond = np.abs(np.asarray(wrench, np.float64)) > np.array(self.rated)
+        return np.asarray(beyond.any(axis=-1))
+
+    def moved(self, tool: ToolTransform) -> Calibration:
+        """The same transducer read in a tool's frame.
+
+        The tool's origin is d from the transducer's, in the transducer's axes; the axes are then
+        turned: F' = R F, T' = R (T - d x F). The rated ranges stay those of the transducer.
+        """
+        x, y, z = tool.displacement
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn = _turn(tool.rotation)
+        force = turn @ self.matrix[:3]
+        torque = turn @ (self.matrix[3:] - cross @ self.matrix[:3])
+        return replace(self, matrix=np.vstack([force, torque]))
+
+
+def _turn(rotation: tuple[float, float, float]) -> Array:
+    """Coordinates in axes turned about x, then y, then z of the axes as turned so far [rad]."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(rotation), np.sin(rotation)
+    about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
+    about_z = np.array([[cz, sz, 0], [-sz, cz, 0], [0, 0, 1]])
+    turn: Array = about_z @ about_y @ about_x
+    return turn
+
+
+# An ATI calibration file (`.cal`): XML, one `FTSensor` with one `Calibration` in it.
+#
+# As the file's own header says, the matrix to use is the `UserAxis` rows, in `ForceUnits` and
+# `TorqueUnits` per volt, with the rated range of each axis in `max`; the `Axis` rows are the
+# factory's, before its own transform.
+
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+"""Names of the rows, in the order of a wrench."""
+
+_POUND_FORCE = 4.4482216152605
+FORCE_UNITS = {
+    "N": 1.0,
+    "kN": 1e3,
+    "lb": _POUND_FORCE,
+    "lbf": _POUND_FORCE,
+    "klb": 1e3 * _POUND_FORCE,
+    "klbf": 1e3 * _POUND_FORCE,
+    "kg": 9.80665,
+    "kgf": 9.80665,
+    "g": 9.80665e-3,
+    "gf": 9.80665e-3,
+}
+"""Newton per unit (standard gravity and the international pound), by the names ATI uses."""
+
+_INCH = 0.0254
+_TORQUE_UNITS = {
+    ("N-m", "Nm"): 1.0,
+    ("N-mm", "Nmm"): 1e-3,
+    ("kN-m", "kNm"): 1e3,
+    ("in-lb", "lb-in", "in-lbf", "lbf-in"): _POUND_FORCE * _INCH,
+    ("ft-lb", "lb-ft", "ft-lbf", "lbf-ft"): _POUND_FORCE * 12 * _INCH,
+    ("kg-cm", "kgcm", "kgf-cm"): 9.80665e-2,
+}
+TORQUE_UNITS = {name: value for names, value in _TORQUE_UNITS.items() for name in names}
+"""Newton metre per unit, by the names ATI uses."""
+
+_OUTPUT_RANGE = "20"
+# Volts from end to end where a file does not say: an ATI DAQ F/T puts out -10 V to +10 V.
+_BYTES_MAX = 1 << 20
+_CONDITION_MAX = 1e6
+# Of the matrix in rated loads per volt. A real one has a few tens; a row written twice, infinity.
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration in a `.cal` file.
+
+    Raises:
+        ConfigError: No such file, or see `parse_calibration`.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(_BYTES_MAX + 1)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: {error.strerror or error}; allowed: the .cal file on the CD or USB stick of "
+            "the transducer, as a path from the folder this is run in"
+        ) from None
+    return parse_calibration(content, str(path))
+
+
+def parse_calibration(content: bytes, where: str) -> Calibration:
+    """The calibration that the content of a `.cal` file holds.
+
+    Args:
+        content: The file.
+        where: Its name, for errors.
+
+    Raises:
+        ConfigError: No XML or no FTSensor, more than 1 MB, a document type (nothing is expanded
+            or fetched), other than one calibration of six gauges, an axis missing, twice or without
+            its six finite values, a unit that is not in the tables, or a matrix without inverse.
+    """
+    root = _root(content, where)
+    gauges = _attribute(root, "NumGages", f"{where}.FTSensor")
+    if gauges.strip() != "6":
+        raise ConfigError(f"{where}.FTSensor.NumGages: found {gauges!r}; allowed: '6'")
+    elements = root.findall("Calibration")
+    if len(elements) != 1:
+        raise ConfigError(f"{where}.Calibration: found {len(elements)}; allowed: 1")
+    (element,) = elements
+    where = f"{where}.Calibration"
+    scale = np.repeat(
+        [
+            _unit(element, "ForceUnits", FORCE_UNITS, where),
+            _unit(element, "TorqueUnits", TORQUE_UNITS, where),
+        ],
+        3,
+    )
+    rows = _rows(element, where)
+    matrix = np.array([rows[axis][0] for axis in AXES]) * scale[:, np.newaxis]
+    rated = np.array([rows[axis][1] for axis in AXES]) * scale
+    with np.errstate(all="ignore"):
+        condition = np.linalg.cond(matrix / rated[:, np.newaxis])
+    if not condition < _CONDITION_MAX:
+        raise ConfigError(
+            f"{where}.UserAxis: the six rows do not determine six components (condition number "
+            f"{condition:.3g}); allowed: below {_CONDITION_MAX:.0e}; is the file damaged?"
+        )
+    span = _number(element.get("OutputRange", _OUTPUT_RANGE), f"{where}.OutputRange")
+    if span <= 0:
+        raise ConfigError(f"{where}.OutputRange: found {span:g}; allowed: above 0 V")
+    bipolar = element.get("OutputBipolar", "True").strip().lower()
+    if bipolar not in ("true", "false"):
+        raise ConfigError(f"{where}.OutputBipolar: found {bipolar!r}; allowed: True, False")
+    return Calibration(
+        serial=_attribute(root, "Serial", where),
+        part=element.get("PartNumber", ""),
+        matrix=matrix,
+        rated=tuple(rated.tolist()),
+        volts_range=(-span / 2, span / 2) if bipolar == "true" else (0.0, span),
+    )
+
+
+def emit_calibration(
+    calibration: Calibration,
+    *,
+    body: str = "Nano17",
+    force_unit: str = "N",
+    torque_unit: str = "N-mm",
+    comment: str = "",
+) -> bytes:
+    """A `.cal` file that says `calibration`: `parse_calibration` gives it back.
+
+    Args:
+        calibration: With a bipolar output.
+        body: Model of the transducer.
+        force_unit: A key of `FORCE_UNITS`.
+        torque_unit: A key of `TORQUE_UNITS`.
+        comment: Put at the top of the file.
+    """
+    scale = np.repeat([FORCE_UNITS[force_unit], TORQUE_UNITS[torque_unit]], 3)
+    matrix = calibration.matrix / scale[:, np.newaxis]
+    rated = np.array(calibration.rated) / scale
+    root = ET.Element("FTSensor", Serial=calibration.serial, BodyStyle=body, Family="DAQ")
+    root.set("NumGages", "6")
+    if comment:
+        root.append(ET.Comment(f" {comment} "))
+    low, high = calibration.volts_range
+    element = ET.SubElement(
+        root,
+        "Calibration",
+        PartNumber=calibration.part,
+        CalDate="1/1/2000",
+        ForceUnits=force_unit,
+        TorqueUnits=torque_unit,
+        DistUnits="m",
+        OutputMode="Ground Referenced Differential",
+        OutputRange=f"{high - low:g}",
+        OutputBipolar="True",
+        HWTempComp="True",
+        GainMultiplier="1",
+    )
+    for kind in ("Axis", "UserAxis"):
+        for axis, row, most in zip(AXES, matrix, rated, strict=True):
+            values = " ".join(f"{value:.12g}" for value in row)
+            ET.SubElement(element, kind, Name=axis, values=values, max=f"{most:.12g}")
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+class _NoDoctype(ET.TreeBuilder):
+    """A document type is where entities are declared: without one none is expanded or fetched."""
+
+    def doctype(self, name: str, pubid: str, system: str) -> None:
+        raise ConfigError(f"has a document type ({name})")
+
+
+def _root(content: bytes, where: str) -> ET.Element:
+    allowed = "allowed: the XML of an ATI .cal file"
+    if len(content) > _BYTES_MAX:
+        raise ConfigError(f"{where}: more than {_BYTES_MAX} bytes; {allowed}")
+    parser = ET.XMLParser(target=_NoDoctype())
+    try:
+        parser.feed(content)
+        root: ET.Element = parser.close()
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}; {allowed}, which has none") from None
+    except (ET.ParseError, LookupError, ValueError) as error:
+        raise ConfigError(f"{where}: no XML: {error}; {allowed}") from None
+    if root.tag != "FTSensor":
+        raise ConfigError(f"{where}: found <{root.tag}>; allowed: <FTSensor>")
+    return root
+
+
+def _rows(element: ET.Element, where: str) -> dict[str, tuple[list[float], float]]:
+    """Values and rated range of each axis, in the file's units."""
+    found: dict[str, tuple[list[float], float]] = {}
+    for row in element.findall("UserAxis"):
+        name = _attribute(row, "Name", f"{where}.UserAxis")
+        place = f"{where}.UserAxis[{name}]"
+        if name not in AXES or name in found:
+            raise ConfigError(f"{place}: found {name!r}; allowed: each of {', '.join(AXES)} once")
+        words = _attribute(row, "values", place).split()
+        if len(words) != 6:
+            raise ConfigError(f"{place}.values: found {len(words)}; allowed: 6, one a gauge")
+        values = [_number(word, f"{place}.values") for word in words]
+        most = _number(_attribute(row, "max", place), f"{place}.max")
+        if most <= 0:
+            raise ConfigError(f"{place}.max: found {most:g}; allowed: above 0")
+        found[name] = values, most
+    if missing := [axis for axis in AXES if axis not in found]:
+        raise ConfigError(f"{where}.UserAxis: missing {missing}; allowed: {', '.join(AXES)}")
+    return found
+
+
+def _unit(element: ET.Element, name: str, table: dict[str, float], where: str) -> float:
+    unit = _attribute(element, name, where).strip()
+    if unit not in table:
+        raise ConfigError(f"{where}.{name}: found {unit!r}; allowed: {', '.join(sorted(table))}")
+    return table[unit]
+
+
+def _attribute(element: ET.Element, name: str, where: str) -> str:
+    text = element.get(name)
+    if text is None:
+        raise ConfigError(f"{where}: missing '{name}'; found {sorted(element.keys())}")
+    return text
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{where}: found {text!r}; allowed: a finite number")
+    return value

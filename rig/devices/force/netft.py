@@ -1,0 +1,395 @@
+"""ATI Net F/T driver: settings by HTTP, records by UDP.
+
+The wire format is rig/devices/force/netft_wire.py.
+
+The box streams to one client: whoever starts a stream last gets it, and the client before sees
+silence. The box's own bias is volatile and global, so it is left alone; tare on the host.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import logging
+import socket
+import struct
+import threading
+import urllib.request
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rig.core.clock import SECOND_NS, Clock, ClockAnchor
+from rig.core.driver import Inbox, Receiver
+from rig.core.errors import ConfigError, DeviceLost
+from rig.devices.force.netft_wire import (
+    COMMAND_REALTIME,
+    COMMAND_STOP,
+    ERROR_MASK,
+    RECORD,
+    Page,
+    emit_request,
+    parse_page,
+    status_text,
+)
+from rig.devices.force.settings import NetFtConfig
+
+# When a UDP packet arrived, told by the kernel.
+#
+# A thread that waits for the interpreter's lock takes a packet some milliseconds after it came (in
+# a busy process 7 ms in the median, 37 ms at worst, measured at 1 kHz). The kernel stamps each
+# packet as it comes, on the UTC clock; that is carried over to the monotonic clock here.
+
+_SO_TIMESTAMPNS = 35
+# Linux' number; the socket module does not name it before Python 3.14.
+_TIMESPEC = struct.Struct("@ll")
+_ANCHOR_NS = SECOND_NS // 10
+# UTC is stepped and slewed: the tie between the clocks is never older than this.
+_AGE_MAX_NS = 10 * SECOND_NS
+
+
+class StampedSocket:
+    """A UDP socket whose packets come with their time of arrival.
+
+    Args:
+        udp: The socket; its time-out holds.
+        clock: Gives the time of a packet that the kernel did not stamp, or whose stamp lies ahead
+            or more than 10 s behind because UTC was set.
+    """
+
+    def __init__(self, udp: socket.socket, clock: Clock) -> None:
+        self._udp = udp
+        self._clock = clock
+        self._anchor = ClockAnchor.take()
+        if hasattr(socket, "SO_PRIORITY"):  # Linux
+            with contextlib.suppress(OSError):
+                udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+    def receive(self, size: int) -> tuple[bytes, int]:
+        """The next packet and its arrival [ns].
+
+        Raises:
+            OSError: As `socket.recv`, TimeoutError included.
+        """
+        packet, ancillary, _, _ = self._udp.recvmsg(size, 64)
+        now_ns = self._clock.now_ns()
+        if not 0 <= now_ns - self._anchor.t0_ns < _ANCHOR_NS:
+            self._anchor = ClockAnchor.take()
+        for level, kind, data in ancillary:
+            if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS):
+                seconds, nanoseconds = _TIMESPEC.unpack(data)
+                utc_ns = seconds * SECOND_NS + nanoseconds
+                t_ns = utc_ns - self._anchor.utc_ns + self._anchor.t0_ns
+                if now_ns - _AGE_MAX_NS < t_ns <= now_ns:
+                    return packet, t_ns
+        return packet, now_ns
+
+
+# Watches that a Net F/T box keeps the settings its stream was opened with.
+#
+# Nothing in an RDT record says its units. Whoever changes them on the box's web page while it
+# streams changes the meaning of every count from then on, so the page is read again about once a
+# second.
+
+logger = logging.getLogger(__name__)
+
+_PERIOD = 1.0
+# The box's web server is slow, and shares the processor that makes the records [s].
+
+
+class PageWatch:
+    """A thread that reads the page until it is closed or the settings differ.
+
+    Args:
+        opened: The settings the stream was opened with.
+        read: Reads the page; DeviceLost when it cannot be had, ConfigError when its units are
+            unknown.
+        changed: Called once with what is different.
+        clock: Tells when the settings were last seen as they were.
+    """
+
+    def __init__(
+        self, opened: Page, read: Callable[[], Page], changed: Callable[[str], None], clock: Clock
+    ) -> None:
+        self._opened = opened
+        self._read = read
+        self._changed = changed
+        self._clock = clock
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="netft-page", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop after the reading in progress; safe twice."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        reachable = True
+        seen_ns = self._clock.now_ns()
+        while not self._stopping.wait(_PERIOD):
+            asked_ns = self._clock.now_ns()
+            try:
+                difference = _difference(self._opened, self._read())
+                reachable = True
+            except ConfigError as error:
+                difference = str(error)
+            except DeviceLost as error:
+                # The records tell whether the box lives; a busy web server is no reason to stop.
+                if reachable:
+                    logger.warning("settings not read again: %s", error)
+                reachable = False
+                continue
+            if difference:
+                self._changed(
+                    f"its settings were changed while it streamed ({difference}); values after "
+                    f"t_ns = {seen_ns} are not to be trusted; set the box right, then resume"
+                )
+                return
+            seen_ns = asked_ns
+
+
+def _difference(opened: Page, found: Page) -> str:
+    names = ("counts_per_force", "counts_per_torque", "force_unit", "torque_unit", "rate_hz")
+    return ", ".join(
+        f"{name} from {getattr(opened, name)} to {getattr(found, name)}"
+        for name in names
+        if getattr(opened, name) != getattr(found, name)
+    )
+
+
+_POLL = 0.1
+_CAPACITY = 60_000
+_RESTART = 1000
+# A packet this many places late is no reordering: the box has begun a new stream.
+_AHEAD = 10.0
+# A packet this far ahead is none of this stream: silence ends it long before [s].
+_STRANGE_IN_A_ROW = 10
+_PAGE_TIMEOUT = 1.0
+
+
+class NetFtDriver:
+    """The stream of a Net F/T box.
+
+    Columns: value (6,) float64 [N, N m], seq int64 (rdt_sequence, unwrapped), status int64, t_ns.
+    """
+
+    def __init__(self, config: NetFtConfig, clock: Clock) -> None:
+        self._config = config
+        self._clock = clock
+        self._socket: socket.socket | None = None
+        self._stamped: StampedSocket | None = None
+        self._receiver: Receiver | None = None
+        self._inbox = Inbox(clock, _CAPACITY)
+        self._page: Page | None = None
+        self._page_watch: PageWatch | None = None
+        self._scale = np.ones(6)
+        self._sequence = -1
+        self._idle = 0
+        self._gaps = 0
+        self.late = 0
+        """Packets that came after a later one; they are among `dropped`."""
+        self.duplicates = 0
+        """Packets that came twice; only the first counts."""
+        self.corrupt = 0
+        """Packets of the wrong length, or with a number that is none of this stream."""
+        self._strange_in_a_row = 0
+
+    @property
+    def dropped(self) -> int:
+        """Records that never reached `read`: lost on the way, late, or not taken in time."""
+        return self._gaps + self._inbox.overflowed
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Packets that came and were left out, by reason."""
+        return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
+
+    def open(self, timeout: float) -> None:
+        """Read the settings, set the rate, start the stream and wait for its first record.
+
+        Raises:
+            DeviceLost: No answer within `timeout` [s], or the box reports an error.
+            ConfigError: The box has units that are not known, or refuses the rate.
+        """
+        self.close()
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        inbox = self._inbox = Inbox(self._clock, _CAPACITY)
+        self._sequence = -1
+        self._strange_in_a_row = 0
+        self._page = self._settled_page(deadline_ns)
+        self._scale = np.repeat(self._page.scale(), 3)
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+            udp.connect((self._config.host, self._config.udp_port))
+            udp.send(emit_request(COMMAND_REALTIME))
+            udp.settimeout(self._left(deadline_ns))
+            stamped = StampedSocket(udp, self._clock)
+            self._sort(*stamped.receive(64))
+        except OSError as error:
+            udp.close()
+            raise DeviceLost(
+                f"{self._address()}: no RDT records ({error}); check that RDT is enabled on the "
+                "box's Communications page and that no firewall blocks UDP"
+            ) from error
+        udp.settimeout(_POLL)
+        self._socket, self._stamped = udp, stamped
+        self._idle = 0
+        self._receiver = Receiver(f"netft-{self._config.host}", self._receive, self._inbox)
+        self._page_watch = PageWatch(
+            self._page,
+            lambda: self._read_page(self._clock.now_ns() + round(_PAGE_TIMEOUT * SECOND_NS)),
+            lambda what: inbox.fail(f"{self._address()}: {what}"),
+            self._clock,
+        )
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Records since the last call; see `rig.core.driver.Driver.read`.
+
+        Raises:
+            DeviceLost: The box has been silent for longer than `NetFtConfig.silence`.
+        """
+        if self._receiver is None:
+            raise DeviceLost(f"{self._address()}: not open")
+        return self._inbox.take(timeout)
+
+    def describe(self) -> dict[str, Any]:
+        """Units, counts per unit, rate and product as the box states them."""
+        if self._page is None:
+            raise DeviceLost(f"{self._address()}: not open")
+        return {
+            "device": "ATI Net F/T",
+            "address": self._address(),
+            "product": self._page.product,
+            "serial": self._page.serial,
+            "rate_hz": float(self._page.rate_hz),
+            "force_unit": self._page.force_unit,
+            "torque_unit": self._page.torque_unit,
+            "counts_per_force": self._page.counts_per_force,
+            "counts_per_torque": self._page.counts_per_torque,
+            "status": status_text(self._page.runstat),
+        }
+
+    def close(self) -> None:
+        """Stop the stream and let go of the socket; safe twice."""
+        if self._page_watch is not None:
+            self._page_watch.close()
+            self._page_watch = None
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+        if self._socket is not None:
+            try:
+                self._socket.send(emit_request(COMMAND_STOP))
+            except OSError as error:
+                logger.debug("%s: stop not sent: %s", self._address(), error)
+            self._socket.close()
+            self._socket = self._stamped = None
+
+    def _address(self) -> str:
+        return f"{self._config.host}:{self._config.udp_port}"
+
+    def _left(self, deadline_ns: int) -> float:
+        return max((deadline_ns - self._clock.now_ns()) / SECOND_NS, 0.01)
+
+    def _get(self, path: str, deadline_ns: int) -> bytes:
+        url = f"http://{self._config.host}:{self._config.http_port}/{path}"
+        # A box on the bench is never behind a proxy, whatever the environment says.
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        try:
+            with opener.open(url, timeout=self._left(deadline_ns)) as response:
+                return bytes(response.read(1 << 20))
+        except (OSError, http.client.HTTPException) as error:
+            raise DeviceLost(
+                f"{url}: {error}; check the box's power, cable and IP address"
+            ) from error
+
+    def _read_page(self, deadline_ns: int) -> Page:
+        content = self._get("netftapi2.xml", deadline_ns)
+        try:
+            page = parse_page(content)
+        except ValueError as error:
+            raise DeviceLost(
+                f"{self._config.host}: netftapi2.xml: {error}; check that it is a Net F/T box"
+            ) from error
+        try:
+            page.scale()
+        except ConfigError as error:
+            raise ConfigError(f"{self._config.host}: netftapi2.xml: {error}") from error
+        return page
+
+    def _settled_page(self, deadline_ns: int) -> Page:
+        page = self._read_page(deadline_ns)
+        if page.runstat & ERROR_MASK:
+            raise DeviceLost(
+                f"{self._config.host}: the box reports 0x{page.runstat:08x}: "
+                f"{status_text(page.runstat)}; check the transducer's cable, then power-cycle"
+            )
+        asked = round(self._config.rate_hz)
+        if page.rate_hz != asked:
+            self._get(f"comm.cgi?comrdtrate={asked}", deadline_ns)
+            page = self._read_page(deadline_ns)
+        if abs(page.rate_hz - self._config.rate_hz) > 0.01 * self._config.rate_hz:
+            raise ConfigError(
+                f"{self._config.host}: comrdtrate: asked {self._config.rate_hz:g} Hz, got "
+                f"{page.rate_hz} Hz; allowed: what the box's Communications page accepts"
+            )
+        return page
+
+    def _receive(self) -> None:
+        if self._stamped is None:
+            raise DeviceLost(f"{self._address()}: not open")
+        try:
+            packet, t_ns = self._stamped.receive(64)
+        except TimeoutError:
+            # Counted waits rather than the clock: after this process itself was suspended, what
+            # waits in the socket is received before anything counts as silence.
+            self._idle += 1
+            if self._idle * _POLL >= self._config.silence:
+                raise DeviceLost(
+                    f"{self._address()}: no record for {self._config.silence:g} s; check the box's "
+                    "power and cable, and that no other client has started a stream (the box "
+                    "serves only the latest one)"
+                ) from None
+            return
+        except OSError as error:
+            raise DeviceLost(f"{self._address()}: {error}; check the box's power") from error
+        self._idle = 0
+        self._sort(packet, t_ns)
+
+    def _sort(self, packet: bytes, t_ns: int) -> None:
+        if len(packet) != RECORD.size:
+            self._strange(f"packets of {len(packet)} bytes; a record has {RECORD.size}")
+            return
+        rdt_sequence, _, status, *counts = RECORD.unpack(packet)
+        if self._sequence < 0:
+            self._sequence = rdt_sequence - 1
+        step = (rdt_sequence - self._sequence) & 0xFFFFFFFF
+        step -= (step & 0x80000000) << 1
+        if not -_RESTART <= step <= _AHEAD * max(self._config.rate_hz, _RESTART):
+            went = "went back" if step < 0 else "jumped"
+            self._strange(
+                f"the sequence {went} from {self._sequence} to {rdt_sequence}; the box was "
+                "restarted, another client started a stream, or the packets are garbage"
+            )
+            return
+        self._strange_in_a_row = 0
+        if step <= 0:
+            if step == 0:
+                self.duplicates += 1
+            else:
+                self.late += 1
+            return
+        self._gaps += step - 1
+        self._sequence += step
+        value = np.array(counts, np.float64) * self._scale
+        self._inbox.put({"value": value, "seq": self._sequence, "status": status}, t_ns)
+
+    def _strange(self, why: str) -> None:
+        """Leave out a packet that is none of this stream; too many in a row end it."""
+        self.corrupt += 1
+        self._strange_in_a_row += 1
+        if self._strange_in_a_row >= _STRANGE_IN_A_ROW:
+            raise DeviceLost(f"{self._address()}: {why} ({self._strange_in_a_row} in a row)")

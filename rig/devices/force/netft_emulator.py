@@ -1,0 +1,294 @@
+"""Emulated ATI Net F/T box: RDT by UDP and the settings pages by HTTP, serving the World's wrench.
+
+    python -m rig.devices.force.netft_emulator --host 127.0.0.5 --http-port 8080 --world PATH
+
+As the box does, it streams only to the client that asked last. Its bias (0x42) lasts until the
+process ends. `wrong_units` of rig.core.fault_injection: somebody sets pound-force on its web page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import select
+import socket
+import sys
+import threading
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import numpy.typing as npt
+
+from rig.core.clock import Clock, Pacer, SystemClock
+from rig.core.emulation import NamelessServer, SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.errors import ConfigError
+from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.devices.force.netft_wire import (
+    COMMAND_BIAS,
+    COMMAND_REALTIME,
+    COMMAND_STOP,
+    RECORD,
+    Page,
+    emit_page,
+    parse_request,
+)
+
+logger = logging.getLogger(__name__)
+
+_NOISE_ROWS = 8192
+_TORQUE_NOISE = 0.005
+# N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
+_INTERNAL_HZ = 7000
+_WRONG_UNITS = ("lbf", "lbf-in")
+
+
+@dataclass(frozen=True, slots=True)
+class NetFtEmulatorConfig:
+    """Where the emulated box listens and what its settings are."""
+
+    host: str = "127.0.0.1"
+    http_port: int = 8080
+    udp_port: int = 49152
+    page: Page = field(default_factory=lambda: Page(product="Net F/T emulator", serial="FT00000"))
+    """What netftapi2.xml says; its rate changes by comm.cgi."""
+    noise: float = 0.0
+    """Standard deviation of the force components [N]."""
+    seed: int = 0
+
+
+class NetFtEmulator:
+    """The emulated box; one thread paces records and takes commands, others answer HTTP."""
+
+    def __init__(self, config: NetFtEmulatorConfig, world: World, clock: Clock) -> None:
+        self.page = config.page
+        self._config = config
+        self._scale = np.repeat(config.page.scale(), 3)
+        self.disturbance = Disturbance[bytes](
+            clock, spoil=spoilt_bytes, on_change=self._on_disturbance, seed=config.seed
+        )
+        self._world = world
+        self._clock = clock
+        self._rng = np.random.default_rng(config.seed)
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._udp: socket.socket | None = None
+        self._http: ThreadingHTTPServer | None = None
+        self._peer: tuple[str, int] | None = None
+        self._left = 0
+        self._rdt_sequence = 0
+        self._ft_sequence = 0
+        self._missed = 0
+        self._bias = np.zeros(6)
+
+    @property
+    def address(self) -> str:
+        """Host and UDP port, and the HTTP port."""
+        c = self._config
+        return f"{c.host}:{c.udp_port} http://{c.host}:{c.http_port}"
+
+    @property
+    def missed(self) -> int:
+        """Records not sent because their time had passed."""
+        return self._missed
+
+    def start(self) -> None:
+        """Listen and serve.
+
+        Raises:
+            OSError: The address or a port cannot be had.
+        """
+        self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._udp.bind((self._config.host, self._config.udp_port))
+            self._udp.setblocking(False)
+            self._http = _HttpServer((self._config.host, self._config.http_port), self)
+        except OSError:
+            self._udp.close()
+            raise
+        self._threads = [
+            threading.Thread(target=self._stream, args=(self._udp,), name="netft-emulator"),
+            threading.Thread(
+                target=self._http.serve_forever, args=(0.05,), name="netft-emulator-http"
+            ),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+        self._ending.set()
+        if self._http is not None:
+            self._http.shutdown()
+            self._http.server_close()
+            self._http = None
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+        if self._udp is not None:
+            self._udp.close()
+            self._udp = None
+
+    def packets(self, packet: bytes) -> Iterable[bytes]:
+        """What leaves the box for one record: where faults and tests spoil packets."""
+        return self.disturbance.passed(packet)
+
+    def _on_disturbance(self) -> None:
+        wrong, own = self.disturbance.wrong_units, self._config.page
+        units = _WRONG_UNITS if wrong else (own.force_unit, own.torque_unit)
+        self.page = replace(self.page, force_unit=units[0], torque_unit=units[1])
+        self._scale = np.repeat(self.page.scale(), 3)
+
+    def set_rate(self, rate_hz: int) -> None:
+        """What comm.cgi?comrdtrate= does: rates the box does not know leave it as it was."""
+        if 1 <= rate_hz <= _INTERNAL_HZ:
+            self.page = replace(self.page, rate_hz=rate_hz)
+
+    def _stream(self, udp: socket.socket) -> None:
+        noise = self._rng.normal(0.0, self._config.noise, (_NOISE_ROWS, 6))
+        noise[:, 3:] *= _TORQUE_NOISE
+        noise /= self._scale
+        number, counts, scale = -1, np.zeros(6), self._scale
+        while not self._ending.is_set():
+            if self._peer is None:
+                select.select([udp], [], [], 0.05)
+                self._take_commands(udp, counts)
+                pacer, rate_hz = None, 0
+                continue
+            if pacer is None or rate_hz != self.page.rate_hz:
+                rate_hz = self.page.rate_hz
+                pacer = Pacer(self._clock, rate_hz)
+                stride = round(_INTERNAL_HZ / rate_hz)
+                missed = self._missed
+            pacer.wait()
+            self._missed = missed + pacer.missed
+            newest, state = self._world.state()
+            if newest != number or self._scale is not scale:
+                number, scale, counts = newest, self._scale, self._counts(state)
+            self._take_commands(udp, counts)
+            if self._peer is None:
+                continue
+            self._rdt_sequence = (self._rdt_sequence + 1) & 0xFFFFFFFF
+            self._ft_sequence = (self._ft_sequence + stride) & 0xFFFFFFFF
+            row = noise[self._ft_sequence % _NOISE_ROWS]
+            shown = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
+            packet = RECORD.pack(
+                self._rdt_sequence, self._ft_sequence, self.page.runstat, *shown.tolist()
+            )
+            for sent in self.packets(packet):
+                try:
+                    udp.sendto(sent, self._peer)
+                except OSError:
+                    # The client has gone; like the box, go on sending to nobody.
+                    continue
+            self._left -= 1
+            if self._left == 0:
+                self._peer = None
+
+    def _counts(self, state: np.void) -> npt.NDArray[np.float64]:
+        counts: npt.NDArray[np.float64] = state["wrench"] / self._scale
+        return counts
+
+    def _take_commands(self, udp: socket.socket, counts: npt.NDArray[np.float64]) -> None:
+        while True:
+            try:
+                packet, peer = udp.recvfrom(64)
+            except OSError:
+                return
+            request = parse_request(packet)
+            if request is None or self.disturbance.unplugged:
+                continue
+            command, samples = request
+            if command == COMMAND_REALTIME:
+                self._peer, self._left, self._rdt_sequence = peer, samples, 0
+            elif command == COMMAND_STOP:
+                self._peer = None
+            elif command == COMMAND_BIAS:
+                self._bias = counts
+
+
+class _HttpServer(ThreadingHTTPServer, NamelessServer):
+    """The box's web server: netftapi2.xml and comm.cgi."""
+
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], emulator: NetFtEmulator) -> None:
+        self.emulator = emulator
+        super().__init__(address, _Handler)
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Nobody gets through to a box that is unplugged."""
+        return not self.emulator.disturbance.unplugged
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that goes before it is answered is no error."""
+        logger.debug("client %s: %s", client_address, sys.exception())
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _HttpServer
+    timeout = 5.0
+
+    def do_GET(self) -> None:
+        url = urlsplit(self.path)
+        if url.path == "/netftapi2.xml":
+            self._answer(emit_page(self.server.emulator.page), "text/xml")
+        elif url.path == "/comm.cgi":
+            for text in parse_qs(url.query).get("comrdtrate", []):
+                if text.isdecimal():
+                    self.server.emulator.set_rate(int(text))
+            self._answer(b"<html>ok</html>", "text/html")
+        else:
+            self.send_error(404)
+
+    def _answer(self, content: bytes, kind: str) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: stdout belongs to the ready line."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="rig.devices.force.netft_emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--http-port", type=int, default=8080, help="(%(default)s)")
+    parser.add_argument("--udp-port", type=int, default=49152, help="(%(default)s)")
+    parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
+    parser.add_argument("--force-unit", default="N", help="the box's unit (%(default)s)")
+    parser.add_argument("--torque-unit", default="N-mm", help="the box's unit (%(default)s)")
+    args = parser.parse_args(argv)
+    page = Page(
+        product="Net F/T emulator",
+        serial="FT00000",
+        force_unit=args.force_unit,
+        torque_unit=args.torque_unit,
+    )
+    config = NetFtEmulatorConfig(
+        args.host, args.http_port, args.udp_port, page, args.noise, args.seed
+    )
+    world = SharedWorld(args.world)
+    try:
+        emulator = NetFtEmulator(config, world, SystemClock())
+    except ConfigError as error:
+        parser.error(str(error))
+    try:
+        return serve(
+            "netft",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
+    finally:
+        world.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

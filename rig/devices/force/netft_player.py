@@ -1,0 +1,156 @@
+"""An emulated Net F/T box that plays a recorded force stream: see rig/mock/player.py.
+
+The driver needs one record to open. It gets the first row's, numbered one less, and keeps counting
+from there; the recorded rows then come under their recorded numbers.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from rig.core.emulation import NamelessServer
+from rig.devices.force.netft_wire import (
+    COMMAND_REALTIME,
+    COMMAND_STOP,
+    RECORD,
+    emit_page,
+    parse_request,
+)
+from rig.devices.playback import Tape, force_bias, force_counts, force_page
+
+HTTP_PORT, UDP_PORT = 8080, 49152
+_POLL = 0.1
+
+
+class NetFtOutlet:
+    """The box's settings page and its records.
+
+    Args:
+        tape: A force stream.
+        host: Address to listen on.
+    """
+
+    window = 128
+    """A socket of the default size holds 250 packets."""
+
+    def __init__(self, tape: Tape, host: str) -> None:
+        self._host = host
+        self._page = emit_page(force_page(tape.stream))
+        rows = slice(tape.rows.start, tape.rows.stop)
+        value = tape.stream.array("value")[rows]
+        counts = force_counts(value, force_bias(tape.stream), force_page(tape.stream))
+        self._counts = counts if len(counts) else np.zeros((1, 6), np.int64)
+        self._seq = (tape.stream.array("seq")[rows] & 0xFFFFFFFF).tolist() or [1]
+        self._status = tape.stream.array("status")[rows].tolist() or [0]
+        self._udp: socket.socket | None = None
+        self._http: HTTPServer | None = None
+        self._peer: tuple[str, int] | None = None
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def address(self) -> str:
+        """Host and UDP port."""
+        return f"{self._host}:{UDP_PORT}"
+
+    def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OSError: The address or a port cannot be had.
+        """
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            udp.bind((self._host, UDP_PORT))
+            udp.settimeout(_POLL)
+            self._http = _PageServer((self._host, HTTP_PORT), self._page)
+        except OSError:
+            udp.close()
+            raise
+        self._udp = udp
+        self._threads = [
+            threading.Thread(target=self._take_commands, args=(udp,), name="netft-player"),
+            threading.Thread(
+                target=self._http.serve_forever, args=(0.05,), name="netft-player-http"
+            ),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def send(self, place: int) -> None:
+        """One record, as it was recorded.
+
+        Raises:
+            OSError: Nobody has asked for records.
+        """
+        if self._udp is None or self._peer is None:
+            raise OSError("no client asked for records")
+        self._udp.sendto(self._packet(self._seq[place], place), self._peer)
+
+    def idle(self) -> None:
+        """A box has nothing to say without a record."""
+
+    def wake(self) -> None:
+        """The driver's waits are short."""
+
+    def close(self) -> None:
+        """Stop; safe twice."""
+        self._ending.set()
+        if self._http is not None:
+            self._http.shutdown()
+            self._http.server_close()
+            self._http = None
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+        if self._udp is not None:
+            self._udp.close()
+            self._udp = None
+
+    def _packet(self, seq: int, place: int) -> bytes:
+        counts = self._counts[place].tolist()
+        return RECORD.pack(seq, seq, self._status[place], *counts)
+
+    def _take_commands(self, udp: socket.socket) -> None:
+        while not self._ending.is_set():
+            try:
+                packet, peer = udp.recvfrom(64)
+            except OSError:
+                continue
+            command, _ = parse_request(packet) or (None, 0)
+            if command == COMMAND_REALTIME:
+                udp.sendto(self._packet((self._seq[0] - 1) & 0xFFFFFFFF, 0), peer)
+                self._peer = peer
+            elif command == COMMAND_STOP:
+                self._peer = None
+
+
+class _PageServer(NamelessServer):
+    """netftapi2.xml, the same for every request that asks for it."""
+
+    def __init__(self, address: tuple[str, int], page: bytes) -> None:
+        self.page = page
+        super().__init__(address, _PageHandler)
+
+
+class _PageHandler(BaseHTTPRequestHandler):
+    server: _PageServer
+    timeout = 5.0
+
+    def do_GET(self) -> None:
+        if urlsplit(self.path).path != "/netftapi2.xml":
+            self.send_error(404)
+            return
+        self.send_response(200)
+        self.send_header("Content-Type", "text/xml")
+        self.send_header("Content-Length", str(len(self.server.page)))
+        self.end_headers()
+        self.wfile.write(self.server.page)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: stdout belongs to the ready line."""

@@ -1,0 +1,242 @@
+"""Wire format of the ATI Net F/T box: RDT over UDP, and the XML page of its web server.
+
+A request is 8 bytes, a record 36, both big-endian:
+
+    request  uint16 0x1234 | uint16 command | uint32 samples (0: until stopped)
+    record   uint32 rdt_sequence | uint32 ft_sequence | uint32 status | int32 Fx Fy Fz Tx Ty Tz
+
+Counts become units through `cfgcpf` and `cfgcpt` (counts per unit) and `scfgfu` and `scfgtu`
+(names of the units) of `http://host/netftapi2.xml`.
+"""
+
+from __future__ import annotations
+
+import struct
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rig.core.errors import ConfigError
+
+HEADER = 0x1234
+COMMAND_STOP = 0
+COMMAND_REALTIME = 2
+COMMAND_BIAS = 0x42
+
+REQUEST = struct.Struct(">HHI")
+RECORD = struct.Struct(">III6i")
+
+FORCE_UNITS = {
+    "N": 1.0,
+    "kN": 1e3,
+    "lbf": 4.4482216152605,
+    "klbf": 4448.2216152605,
+    "kgf": 9.80665,
+    "kg": 9.80665,
+    "gf": 9.80665e-3,
+    "g": 9.80665e-3,
+}
+"""Newton per unit, by the names the box uses."""
+
+TORQUE_UNITS = {
+    "N-m": 1.0,
+    "N-mm": 1e-3,
+    "kN-m": 1e3,
+    "lbf-in": 0.1129848290276167,
+    "lbf-ft": 1.3558179483314004,
+    "kgf-cm": 9.80665e-2,
+    "kg-cm": 9.80665e-2,
+}
+"""Newton metre per unit, by the names the box uses."""
+
+_STATUS_BITS = {
+    30: "CPU or RAM error",
+    29: "digital board error",
+    28: "analog board error",
+    27: "serial link error",
+    26: "program memory error",
+    25: "halted by configuration errors",
+    24: "settings validation error",
+    23: "configuration does not fit the calibration",
+    22: "network error",
+    21: "CAN bus error",
+    20: "RDT error",
+    19: "EtherNet/IP error",
+    18: "DeviceNet error",
+    17: "saturation or A/D error",
+    16: "monitor condition latched",
+    14: "watchdog error",
+    13: "stack error",
+    12: "serial EEPROM error",
+    11: "serial flash error",
+    10: "analog watchdog error",
+    9: "excitation too high",
+    8: "excitation too low",
+    7: "artificial analog ground out of range",
+    6: "power supply too high",
+    5: "power supply too low",
+    4: "serial link data error",
+    3: "reference voltage error",
+    2: "temperature error",
+    1: "HTTP error",
+}
+
+SATURATION_MASK = 1 << 17
+"""A gauge or the converter is at its end: the load is beyond what can be measured."""
+
+# Not among the errors: 31 only says that another bit is set, 16 is a user's threshold, and the
+# field buses and the web server have no part in an RDT record.
+_NO_ERROR_BITS = (31, 22, 21, 19, 18, 17, 16, 1)
+ERROR_MASK = sum(1 << bit for bit in _STATUS_BITS if bit not in _NO_ERROR_BITS)
+"""Bits with which a record's wrench must not be trusted."""
+
+
+class Record(NamedTuple):
+    """One RDT record; wrench in counts."""
+
+    rdt_sequence: int
+    """Position in this stream; its gaps are lost packets. Wraps at 2**32."""
+    ft_sequence: int
+    """Number of the box's internal sample."""
+    status: int
+    """System status, see `status_text`."""
+    counts: tuple[int, int, int, int, int, int]
+    """Fx Fy Fz Tx Ty Tz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What of netftapi2.xml a client needs."""
+
+    product: str = "Net F/T"
+    """prodname"""
+    serial: str = ""
+    """calsn: serial number of the calibrated transducer."""
+    runstat: int = 0
+    """System status."""
+    counts_per_force: float = 1e6
+    """cfgcpf: counts per `force_unit`."""
+    counts_per_torque: float = 1e6
+    """cfgcpt: counts per `torque_unit`."""
+    force_unit: str = "N"
+    """scfgfu"""
+    torque_unit: str = "N-mm"
+    """scfgtu"""
+    rate_hz: int = 1000
+    """comrdtrate: records per second."""
+
+    def scale(self) -> tuple[float, float]:
+        """Newton per count and newton metre per count.
+
+        Raises:
+            ConfigError: A unit is not in the tables, or counts per unit are not positive.
+        """
+        if self.force_unit not in FORCE_UNITS:
+            raise ConfigError(f"scfgfu: {self.force_unit!r}; known: {sorted(FORCE_UNITS)}")
+        if self.torque_unit not in TORQUE_UNITS:
+            raise ConfigError(f"scfgtu: {self.torque_unit!r}; known: {sorted(TORQUE_UNITS)}")
+        if not (self.counts_per_force > 0 and self.counts_per_torque > 0):
+            raise ConfigError(
+                f"cfgcpf: {self.counts_per_force!r}, cfgcpt: {self.counts_per_torque!r}; "
+                "allowed: above 0"
+            )
+        return (
+            FORCE_UNITS[self.force_unit] / self.counts_per_force,
+            TORQUE_UNITS[self.torque_unit] / self.counts_per_torque,
+        )
+
+
+def emit_request(command: int, samples: int = 0) -> bytes:
+    """The packet that asks for `command`."""
+    return REQUEST.pack(HEADER, command, samples)
+
+
+def parse_request(packet: bytes) -> tuple[int, int] | None:
+    """Command and number of samples, or None when the packet is no request."""
+    if len(packet) != REQUEST.size:
+        return None
+    header, command, samples = REQUEST.unpack(packet)
+    return (command, samples) if header == HEADER else None
+
+
+def emit_record(record: Record) -> bytes:
+    """The packet that carries `record`."""
+    return RECORD.pack(*record[:3], *record.counts)
+
+
+def parse_record(packet: bytes) -> Record | None:
+    """The record of a packet, or None when the packet is none."""
+    if len(packet) != RECORD.size:
+        return None
+    rdt_sequence, ft_sequence, status, *counts = RECORD.unpack(packet)
+    return Record(rdt_sequence, ft_sequence, status, tuple(counts))
+
+
+_TAGS = {
+    "prodname": "product",
+    "calsn": "serial",
+    "runstat": "runstat",
+    "cfgcpf": "counts_per_force",
+    "cfgcpt": "counts_per_torque",
+    "scfgfu": "force_unit",
+    "scfgtu": "torque_unit",
+    "comrdtrate": "rate_hz",
+}
+_OPTIONAL = ("prodname", "calsn")
+
+
+def emit_page(page: Page) -> bytes:
+    """The XML page that says `page`."""
+    root = ET.Element("netFTApi")
+    for tag, name in _TAGS.items():
+        value = getattr(page, name)
+        text = (
+            f"0x{value:08x}"
+            if tag == "runstat"
+            else f"{value:.17g}"
+            if tag
+            in (
+                "cfgcpf",
+                "cfgcpt",
+            )
+            else str(value)
+        )
+        ET.SubElement(root, tag).text = text
+    ET.SubElement(root, "comrdte").text = "1"
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def parse_page(content: bytes) -> Page:
+    """What netftapi2.xml says.
+
+    Raises:
+        ValueError: It is no such page: no XML, a tag missing, or not a number where one belongs.
+    """
+    try:
+        root = ET.fromstring(content)
+    except ET.ParseError as error:
+        raise ValueError(f"no XML: {error}") from error
+    found = {tag: (root.findtext(f".//{tag}") or "").strip() for tag in _TAGS}
+    missing = [tag for tag, text in found.items() if not text and tag not in _OPTIONAL]
+    if missing:
+        raise ValueError(f"missing {missing}")
+    return Page(
+        product=found["prodname"],
+        serial=found["calsn"],
+        runstat=int(found["runstat"], 16),
+        counts_per_force=float(found["cfgcpf"]),
+        counts_per_torque=float(found["cfgcpt"]),
+        force_unit=found["scfgfu"],
+        torque_unit=found["scfgtu"],
+        rate_hz=int(found["comrdtrate"]),
+    )
+
+
+def status_text(status: int) -> str:
+    """What the bits of a status word say, in words; "ok" when none is set."""
+    status &= 0xFFFFFFFF
+    texts = [text for bit, text in _STATUS_BITS.items() if status >> bit & 1]
+    known = sum(1 << bit for bit in _STATUS_BITS) | 1 << 31
+    if status & ~known:
+        texts.append(f"unknown bits 0x{status & ~known:08x}")
+    return "; ".join(texts) or ("unspecified error" if status else "ok")

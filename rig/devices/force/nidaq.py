@@ -1,0 +1,218 @@
+"""ATI DAQ F/T on an NI card: six gauge voltages by NI-DAQmx, the wrench by the `.cal` file.
+
+The card's own clock takes the samples, so sample k was taken at k / rate of the card's time; when
+that was on the host's clock, rig/devices/force/sample_clock.py says. The bias is the rig's tare, in
+newton: the map is linear, so that is the bias of the volts (rig/devices/force/calibration.py).
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rig.core.clock import Clock, Pacer
+from rig.core.driver import Inbox, Receiver
+from rig.core.errors import ConfigError, DeviceLost
+from rig.devices.force.calibration import Calibration, read_calibration
+from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED, SampleTimeline
+from rig.devices.force.settings import NidaqConfig
+
+if TYPE_CHECKING:
+    from rig.devices.force.nidaq_task import AnalogTask
+
+logger = logging.getLogger(__name__)
+
+_POLL_HZ = 100.0
+# How often the card is asked what it has: a block is 10 ms long, well inside the guard's 50 ms.
+_CAPACITY = 60_000
+_BLOCK_MAX = 2000
+_STANDSTILL = 0.1
+# Without a new sample for so long, or for five periods of a slow clock, the clock stood still [s].
+
+
+class NidaqDriver:
+    """The stream of an ATI DAQ F/T transducer on an NI card.
+
+    Columns: value (6,) float64 [N, N m] untared, seq int64 (sample of the card's clock; what was
+    lost leaves a gap), status int64 (rig/devices/force/sample_clock.py), t_ns.
+    """
+
+    def __init__(self, config: NidaqConfig, clock: Clock) -> None:
+        self._config = config
+        self._clock = clock
+        self._inbox = Inbox(clock, _CAPACITY)
+        self._receiver: Receiver | None = None
+        self._task: AnalogTask | None = None
+        self._calibration: Calibration | None = None
+        self._pacer = Pacer(clock, _POLL_HZ)
+        self._timeline = SampleTimeline(config.rate_hz)
+        self._taken = 0
+        self._shift = 0
+        self._idle = 0
+        self._broken_off_ns: int | None = None
+        self._gaps = 0
+        self.overruns = 0
+        """How often the card's buffer was full before it was read."""
+
+    @property
+    def dropped(self) -> int:
+        """Samples that the clock was due to take and that never reached `read`."""
+        return self._gaps + self._inbox.overflowed
+
+    def open(self, timeout: float) -> None:
+        """Read the calibration, set the card up, read its settings back, wait for a first sample.
+
+        Raises:
+            ConfigError: The calibration file, the library or the driver is missing or wrong, or the
+                card refuses a setting.
+            DeviceLost: No such card, or nothing answers within `timeout` [s].
+        """
+        self.close()
+        config = self._config
+        calibration = read_calibration(Path(config.calibration))
+        self._calibration = calibration.moved(config.tool)
+        try:
+            from rig.devices.force.nidaq_task import AnalogTask
+        except ImportError as error:
+            raise ConfigError(
+                f"force: {error.name} is not installed; install the extra: "
+                "pip install -e '.[nidaq]'"
+            ) from None
+        task = AnalogTask(
+            config.device,
+            config.channels,
+            config.rate_hz,
+            calibration.volts_range,
+            server=config.grpc,
+            clock=self._clock,
+            timeout=timeout,
+        )
+        self._task = task
+        self._inbox = Inbox(self._clock, _CAPACITY)
+        self._taken = self._shift = self._idle = 0
+        self._broken_off_ns = None
+        try:
+            task.start()
+            self._timeline = SampleTimeline(task.rate_hz)
+            self._pacer = Pacer(self._clock, _POLL_HZ)
+            for _ in range(max(1, round(timeout * _POLL_HZ))):
+                self._receive()
+                if self._taken:
+                    break
+            else:
+                raise DeviceLost(f"{config.address}: started, but no sample within {timeout:g} s")
+        except DeviceLost:
+            self.close()
+            raise
+        task.answer_within(config.silence)
+        self._receiver = Receiver(f"nidaq-{config.device}", self._receive, self._inbox)
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Samples since the last call; see `rig.core.driver.Driver.read`.
+
+        Raises:
+            DeviceLost: The card is gone, or has been silent for `NidaqConfig.silence`.
+        """
+        if self._receiver is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        return self._inbox.take(timeout)
+
+    def describe(self) -> dict[str, Any]:
+        """Card, range and rate as read back, and the calibration in use."""
+        if self._task is None or self._calibration is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        return {
+            "device": "ATI DAQ F/T on NI-DAQmx",
+            "address": self._config.address,
+            "product": self._task.product,
+            "serial": self._task.serial,
+            "rate_hz": self._task.rate_hz,
+            "inputs": "differential",
+            "volts_range": list(self._calibration.volts_range),
+            "device_clock": "seq / rate_hz",
+            "transducer": self._calibration.serial,
+            "calibration": self._calibration.part,
+            "matrix": self._calibration.matrix.tolist(),
+            "rated": list(self._calibration.rated),
+        }
+
+    def close(self) -> None:
+        """Stop the task and give the card back; safe twice."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+        if self._task is not None:
+            self._task.close()
+            self._task = None
+
+    def _receive(self) -> None:
+        from rig.devices.force.nidaq_task import Overrun
+
+        if self._task is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        self._pacer.wait()
+        try:
+            acquired = self._task.acquired()
+            now_ns = self._clock.now_ns()
+            fresh = acquired - self._taken
+            if fresh <= 0:
+                self._wait()
+                return
+            self._idle = 0
+            self._date(acquired, now_ns)
+            while self._taken < acquired:
+                count = min(acquired - self._taken, _BLOCK_MAX)
+                self._keep(self._task.read(count))
+        except Overrun as error:
+            logger.warning("%s: %s", self._config.address, error)
+            self.overruns += 1
+            self._break_off()
+            self._task.restart()
+            self._shift += self._taken
+            self._taken = 0
+
+    def _wait(self) -> None:
+        # Counted polls rather than the clock: after this process itself was suspended, what waits
+        # in the card's buffer is read before anything counts as silence.
+        self._idle += 1
+        silent = self._idle / _POLL_HZ
+        if silent >= self._config.silence:
+            raise DeviceLost(
+                f"{self._config.address}: no sample for {self._config.silence:g} s; check the card "
+                "and, if its clock is external, the clock"
+            )
+        if silent >= max(_STANDSTILL, 5 / self._config.rate_hz):
+            self._break_off()
+
+    def _break_off(self) -> None:
+        """From here on the sample count says nothing of the time that passes."""
+        if self._broken_off_ns is None and self._taken:
+            self._broken_off_ns = self._timeline.time_ns(self._taken)
+
+    def _date(self, acquired: int, now_ns: int) -> None:
+        if self._broken_off_ns is not None and self._task is not None:
+            self._timeline = SampleTimeline(self._task.rate_hz)
+        self._timeline.observe(acquired - 1, now_ns)
+
+    def _keep(self, volts: npt.NDArray[np.float64]) -> None:
+        if self._calibration is None or self._task is None:
+            raise DeviceLost(f"{self._config.address}: not open")
+        count = len(volts)
+        times = self._timeline.take(self._taken, count)
+        wrench = self._calibration.wrench(volts)
+        status = SATURATED * self._calibration.saturated(volts, self._config.saturated_at)
+        status = status | BEYOND_RATING * self._calibration.beyond_rating(wrench)
+        if self._broken_off_ns is not None:
+            missing = (int(times[0]) - self._broken_off_ns) * self._task.rate_hz / 1e9
+            self._shift += max(0, round(missing))
+            self._gaps += max(0, round(missing))
+            status[0] |= LOST_BEFORE
+            self._broken_off_ns = None
+        first = self._taken + self._shift
+        for k, (t_ns, bits) in enumerate(zip(times.tolist(), status.tolist(), strict=True)):
+            self._inbox.put({"value": wrench[k], "seq": first + k, "status": bits}, t_ns)
+        self._taken += count

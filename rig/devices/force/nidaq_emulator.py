@@ -1,0 +1,512 @@
+"""Emulated NI card with an ATI DAQ F/T on it: NI-DAQmx by gRPC, the World's wrench as volts.
+
+    python -m rig.devices.force.nidaq_emulator --calibration benches/mock-nano17.cal --world PATH
+
+It answers what a client needs for one task of analog inputs, as the NI gRPC Device Server would:
+errors as status UNKNOWN with the code in the trailing metadata `ni-error`. Voltages are the World's
+wrench through the inverse of the calibration, cut off at the range and rounded to 16 bits. Faults
+come in through rig.core.fault_injection: on the way from the converter into the card's buffer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import random
+import re
+import sys
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn, Protocol
+
+import grpc
+import numpy as np
+import numpy.typing as npt
+from nidaqmx._stubs import nidaqmx_pb2 as pb
+from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
+
+from rig.core.clock import Clock, Pacer, SystemClock
+from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.errors import ConfigError
+from rig.core.fault_injection import Disturbance
+from rig.devices.force.calibration import Calibration, read_calibration
+
+# The inputs of an emulated task of an NI card, and the buffer its sample clock fills.
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One analog input of a task."""
+
+    name: str
+    number: int
+    """Which gauge hangs on it."""
+    low: float
+    """Lower end of the range [V]."""
+    high: float
+    """Upper end [V]."""
+
+
+class Buffer:
+    """What the sample clock fills and a client empties."""
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.stopped = threading.Event()
+        self._changed = threading.Condition()
+        self._rows: list[Array] = []
+        self.acquired = 0
+        self.taken = 0
+        self.overrun = False
+
+    def put(self, rows: Array) -> None:
+        """Add (n, channels); a client that is too late finds an error from then on."""
+        with self._changed:
+            self.acquired += len(rows)
+            self.overrun = self.overrun or self.acquired - self.taken > self.capacity
+            if not self.overrun:
+                self._rows.append(rows)
+            self._changed.notify_all()
+
+    def take(self, count: int, timeout: float) -> Array | None:
+        """The next (count, channels), fewer after `timeout` [s]; None after an overrun."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self.acquired - self.taken >= count or self.stopped.is_set(), timeout
+            )
+            if self.overrun:
+                return None
+            if not self._rows:
+                return np.empty((0, 0))
+            rows = np.concatenate(self._rows)
+            self._rows = [rows[count:]] if len(rows) > count else []
+            self.taken += len(rows[:count])
+            return rows[:count]
+
+    def stop(self) -> None:
+        """End the clock that fills it."""
+        self.stopped.set()
+        with self._changed:
+            self._changed.notify_all()
+
+
+# The NI-DAQmx calls the emulated card answers: tasks of analog inputs, their settings, reading.
+#
+# Attribute numbers and values are NI-DAQmx's own (NIDAQmx.h); the messages come with the library.
+
+_DIFFERENTIAL, _CONTINUOUS, _ANALOG_INPUT, _VOLTAGE, _BY_CHANNEL = 10106, 10123, 10100, 10322, 0
+_NO_DEVICE, _NO_CHANNEL, _INVALID_VALUE = -200220, -200170, -200077
+_OVERRUN, _NOT_YET, _NO_TASK, _GONE = -200279, -200284, -200088, -201003
+_TEXTS = {
+    _NO_DEVICE: "Device identifier is invalid.",
+    _NO_CHANNEL: "Physical channel specified does not exist on this device.",
+    _INVALID_VALUE: "Requested value is not a supported value for this property.",
+    _OVERRUN: "The application is not able to keep up with the hardware acquisition.",
+    _NOT_YET: "Some or all of the samples requested have not yet been acquired.",
+    _GONE: "Device cannot be accessed.",
+    _NO_TASK: "Task specified is invalid or does not exist.",
+}
+_INPUTS = 16
+_DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
+# Major, minor and update number.
+_CHANNELS = re.compile(r"(?P<device>[^/]+)/ai(?P<first>\d+)(?::(?:ai)?(?P<last>\d+))?")
+
+
+@dataclass(slots=True)
+class _Task:
+    """What a client has set up."""
+
+    channels: list[Channel] = field(default_factory=list)
+    rate_hz: float = 0.0
+    capacity: int = 0
+    buffer: Buffer | None = None
+    clock: threading.Thread | None = None
+
+    def stop(self) -> None:
+        if self.buffer is not None and self.clock is not None:
+            self.buffer.stop()
+            self.clock.join()
+        self.buffer = self.clock = None
+
+
+class Card(Protocol):
+    """What the service needs of the emulated card."""
+
+    config: Any
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether it is out of the computer."""
+
+    def converted(self, channels: list[Channel]) -> Array:
+        """The voltages of now, (1, channels)."""
+
+    def run_clock(self, rate_hz: float, channels: list[Channel], buffer: Buffer) -> None:
+        """Fill the buffer until it is stopped."""
+
+
+class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
+    """The calls; each takes a request of its name, and the call's context."""
+
+    def __init__(self, card: Card) -> None:
+        self._card = card
+        self._tasks: dict[str, _Task] = {}
+        self._lock = threading.Lock()
+        self._named = 0
+
+    def add_to(self, server: grpc.Server) -> None:
+        """Serve these calls on `server`."""
+        stubs.add_NiDAQmxServicer_to_server(self, server)
+
+    def close(self) -> None:
+        """Stop every task; safe twice."""
+        with self._lock:
+            tasks, self._tasks = list(self._tasks.values()), {}
+        for task in tasks:
+            task.stop()
+
+    def CreateTask(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        with self._lock:
+            self._named += 1
+            name = request.session_name or f"_unnamedTask<{self._named}>"
+            self._tasks[name] = _Task()
+        response = pb.CreateTaskResponse(status=0, new_session_initialized=True)
+        response.task.name = name
+        return response
+
+    def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        match = _CHANNELS.fullmatch(request.physical_channel)
+        if match is None:
+            _fail(context, _NO_CHANNEL)
+        if match["device"] != self._card.config.device:
+            _fail(context, _NO_DEVICE)
+        first, last = int(match["first"]), int(match["last"] or match["first"])
+        if not first <= last < _INPUTS:
+            _fail(context, _NO_CHANNEL)
+        terminals = request.terminal_config_raw or request.terminal_config
+        if terminals != _DIFFERENTIAL or not -10 <= request.min_val < request.max_val <= 10:
+            _fail(context, _INVALID_VALUE)
+        for number in range(first, last + 1):
+            name = f"{match['device']}/ai{number}"
+            gauge = len(task.channels) % 6
+            task.channels.append(Channel(name, gauge, request.min_val, request.max_val))
+        return pb.CreateAIVoltageChanResponse(status=0)
+
+    def CfgSampClkTiming(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        if not 0 < request.rate <= self._card.config.rate_max_hz:
+            _fail(context, _INVALID_VALUE)
+        if (request.sample_mode_raw or request.sample_mode) != _CONTINUOUS:
+            _fail(context, _INVALID_VALUE)
+        task.rate_hz, task.capacity = request.rate, int(request.samps_per_chan)
+        return pb.CfgSampClkTimingResponse(status=0)
+
+    def StartTask(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        if task.buffer is None and task.rate_hz:
+            task.buffer = Buffer(task.capacity)
+            task.clock = threading.Thread(
+                target=self._card.run_clock,
+                args=(task.rate_hz, task.channels, task.buffer),
+                name="nidaq-emulator-clock",
+            )
+            task.clock.start()
+        return pb.StartTaskResponse(status=0)
+
+    def StopTask(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        self._task(request, context).stop()
+        return pb.StopTaskResponse(status=0)
+
+    def ClearTask(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        with self._lock:
+            task = self._tasks.pop(request.task.name, None)
+        if task is not None:
+            task.stop()
+        return pb.ClearTaskResponse(status=0)
+
+    def ReadAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        count, status = request.num_samps_per_chan, 0
+        if task.buffer is None:
+            # A task without a sample clock takes one sample when it is asked: software timed.
+            rows = self._card.converted(task.channels)
+        else:
+            taken = task.buffer.take(count, request.timeout)
+            if taken is None:
+                _fail(context, _OVERRUN)
+            rows = taken
+            status = 0 if len(rows) == count else _NOT_YET
+        values = rows.T if (request.fill_mode_raw or request.fill_mode) == _BY_CHANNEL else rows
+        array = np.zeros(request.array_size_in_samps)
+        array[: rows.size] = values.ravel()
+        return pb.ReadAnalogF64Response(
+            status=status, read_array=array, samps_per_chan_read=len(rows)
+        )
+
+    def GetTaskAttributeString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        names = ", ".join(channel.name for channel in task.channels)
+        # 0x1276: name of the task; 0x1273: its channels.
+        value = request.task.name if request.attribute_raw == 0x1276 else names
+        return pb.GetTaskAttributeStringResponse(status=0, value=value)
+
+    def GetTaskAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        return pb.GetTaskAttributeUInt32Response(status=0, value=len(task.channels))
+
+    def GetReadAttributeString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        names = ", ".join(channel.name for channel in task.channels)
+        return pb.GetReadAttributeStringResponse(status=0, value=names)
+
+    def GetReadAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        value = len(task.channels)
+        if request.attribute_raw == 0x1223:  # samples that wait
+            value = 0 if task.buffer is None else task.buffer.acquired - task.buffer.taken
+        return pb.GetReadAttributeUInt32Response(status=0, value=value)
+
+    def GetReadAttributeUInt64(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        buffer = self._task(request, context).buffer
+        value = 0
+        if buffer is not None:
+            # 0x192A: acquired in all; 0x1221: where the next read begins.
+            value = buffer.acquired if request.attribute_raw == 0x192A else buffer.taken
+        return pb.GetReadAttributeUInt64Response(status=0, value=value)
+
+    def GetBufferAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        return pb.GetBufferAttributeUInt32Response(status=0, value=task.capacity)
+
+    def GetTimingAttributeDouble(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        task = self._task(request, context)
+        return pb.GetTimingAttributeDoubleResponse(status=0, value=task.rate_hz)
+
+    def GetTimingAttributeInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        self._task(request, context)
+        return pb.GetTimingAttributeInt32Response(status=0, value_raw=_CONTINUOUS)
+
+    def GetChanAttributeInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        self._task(request, context)
+        # Terminals, kind of channel, kind of measurement.
+        values = {0x1097: _DIFFERENTIAL, 0x187F: _ANALOG_INPUT, 0x695: _VOLTAGE}
+        value = values.get(request.attribute_raw)
+        if value is None:
+            _fail(context, _INVALID_VALUE)
+        return pb.GetChanAttributeInt32Response(status=0, value_raw=value)
+
+    def GetChanAttributeDouble(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        channels = self._task(request, context).channels
+        channel = next((one for one in channels if one.name == request.channel), channels[0])
+        value = channel.high if request.attribute_raw == 0x17DD else channel.low
+        return pb.GetChanAttributeDoubleResponse(status=0, value=value)
+
+    def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        self._check_device(request, context)
+        return pb.GetDeviceAttributeStringResponse(status=0, value="NI card emulator")
+
+    def GetDeviceAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        self._check_device(request, context)
+        return pb.GetDeviceAttributeUInt32Response(status=0, value=0)
+
+    def GetSystemInfoAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        value = _DRIVER_VERSION.get(request.attribute_raw, 0)
+        return pb.GetSystemInfoAttributeUInt32Response(status=0, value=value)
+
+    def GetErrorString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
+        text = _TEXTS.get(request.error_code, "")
+        return pb.GetErrorStringResponse(status=0, error_string=text)
+
+    def _task(self, request: Any, context: Any) -> _Task:
+        if self._card.unplugged:
+            _fail(context, _GONE)
+        task = self._tasks.get(request.task.name)
+        if task is None:
+            _fail(context, _NO_TASK)
+        return task
+
+    def _check_device(self, request: Any, context: Any) -> None:
+        if request.device_name != self._card.config.device:
+            _fail(context, _NO_DEVICE)
+        if self._card.unplugged:
+            _fail(context, _GONE)
+
+
+def _fail(context: Any, code: int) -> NoReturn:
+    """End the call as the device server does: the error's number in the trailing metadata."""
+    context.set_trailing_metadata((("ni-error", str(code)),))
+    context.abort(grpc.StatusCode.UNKNOWN, _TEXTS[code])
+    raise RuntimeError("a call that was aborted goes on")
+
+
+logger = logging.getLogger(__name__)
+
+_NOISE_ROWS = 8192
+_TORQUE_NOISE = 0.005
+# N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
+_BITS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class NidaqEmulatorConfig:
+    """Where the emulated card is reached and what hangs on it."""
+
+    calibration: Calibration
+    host: str = "127.0.0.1"
+    port: int = 31763
+    device: str = "Dev1"
+    """Name of the card."""
+    offset: tuple[float, ...] = (0.0,) * 6
+    """Voltages of the gauges without a load [V]."""
+    noise: float = 0.0
+    """Standard deviation of the force components [N]."""
+    seed: int = 0
+    rate_max_hz: float = 250_000.0
+    """Highest rate the card has."""
+
+
+class NidaqEmulator:
+    """The emulated card: a thread of its own is its sample clock, others answer calls."""
+
+    def __init__(self, config: NidaqEmulatorConfig, world: World, clock: Clock) -> None:
+        self.config = config
+        self.disturbance = Disturbance[Array](clock, spoil=_spoilt, seed=config.seed)
+        self._world = world
+        self._clock = clock
+        self._missed = 0
+        self._server: grpc.Server | None = None
+        self._pool: ThreadPoolExecutor | None = None
+        rng = np.random.default_rng(config.seed)
+        noise = rng.normal(0.0, config.noise, (_NOISE_ROWS, 6))
+        noise[:, 3:] *= _TORQUE_NOISE
+        self._noise = config.calibration.volts(noise)
+        self._row = 0
+        self._newest, self._volts = -1, np.zeros(6)
+        self._service = Service(self)
+
+    @property
+    def address(self) -> str:
+        """What a client connects to."""
+        return f"{self.config.host}:{self.config.port}"
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether the card is out of the computer that serves it."""
+        return self.disturbance.unplugged
+
+    @property
+    def missed(self) -> int:
+        """Ticks of the sample clock at which this thread was late; the sample was repeated."""
+        return self._missed
+
+    def start(self) -> None:
+        """Listen and serve.
+
+        Raises:
+            OSError: The address cannot be had.
+        """
+        # A few threads: a client that waits for samples holds one.
+        self._pool = ThreadPoolExecutor(4, "nidaq-emulator")
+        self._server = grpc.server(self._pool, options=(("grpc.so_reuseport", 0),))
+        self._service.add_to(self._server)
+        try:
+            self._server.add_insecure_port(self.address)
+        except RuntimeError as error:
+            self._pool.shutdown()
+            raise OSError(str(error)) from error
+        self._server.start()
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+        self._service.close()
+        if self._server is not None:
+            self._server.stop(0.1).wait()
+            self._server = None
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def samples(self, volts: Array) -> Array:
+        """What the converter puts into the buffer at one tick: (n, 6) [V]; n is 1 mostly.
+
+        Where faults and tests stop the sample clock (no row) and spoil voltages.
+        """
+        passed = self.disturbance.passed(volts)
+        return np.concatenate(passed) if passed else volts[:0]
+
+    def converted(self, channels: Sequence[Channel]) -> Array:
+        """The voltages of now, (1, channels): noise, the channels' ranges, 16 bits."""
+        number, state = self._world.state()
+        if number != self._newest:
+            calibration = self.config.calibration
+            volts = calibration.volts(np.array(state["wrench"], np.float64))
+            self._newest, self._volts = number, volts + np.array(self.config.offset)
+        self._row = (self._row + 1) % _NOISE_ROWS
+        gauges = self._volts + self._noise[self._row]
+        low = np.array([channel.low for channel in channels])
+        high = np.array([channel.high for channel in channels])
+        step = (high - low) / 2**_BITS
+        volts = gauges[[channel.number for channel in channels]]
+        codes = np.clip(np.rint((volts - low) / step), 0, 2**_BITS - 1)
+        converted: Array = (low + codes * step)[np.newaxis]
+        return converted
+
+    def run_clock(self, rate_hz: float, channels: Sequence[Channel], buffer: Buffer) -> None:
+        """The sample clock of one running task: fills `buffer` until it is stopped."""
+        pacer = Pacer(self._clock, rate_hz)
+        missed = 0
+        while not buffer.stopped.is_set():
+            pacer.wait()
+            late, missed = pacer.missed - missed, pacer.missed
+            self._missed += late
+            # The card's clock never stands still: what came too late is there all the same.
+            rows = self.samples(np.repeat(self.converted(channels), 1 + late, axis=0))
+            if len(rows):
+                buffer.put(rows)
+
+
+def _spoilt(volts: Array, rng: random.Random) -> Array:
+    """As many voltages, all of them random."""
+    low, high = -10.0, 10.0
+    return np.array([[rng.uniform(low, high) for _ in row] for row in volts])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="rig.devices.force.nidaq_emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--port", type=int, default=31763, help="(%(default)s)")
+    parser.add_argument(
+        "--calibration", type=Path, required=True, help="the transducer's .cal file"
+    )
+    parser.add_argument("--device", default="Dev1", help="name of the card (%(default)s)")
+    parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
+    args = parser.parse_args(argv)
+    try:
+        calibration = read_calibration(args.calibration)
+    except ConfigError as error:
+        parser.error(str(error))
+    config = NidaqEmulatorConfig(
+        calibration, args.host, args.port, args.device, noise=args.noise, seed=args.seed
+    )
+    world = SharedWorld(args.world)
+    try:
+        emulator = NidaqEmulator(config, world, SystemClock())
+        return serve(
+            "nidaq",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
+    finally:
+        world.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,148 @@
+"""What the bench file says about the F/T sensor. No vendor library here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
+from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
+
+
+@dataclass(frozen=True, slots=True)
+class NetFtConfig:
+    """An ATI Net F/T box: where it is and how fast it shall send."""
+
+    KIND: ClassVar[str] = "netft"
+    UNTRUSTED_MASK: ClassVar[int] = ERROR_MASK | SATURATION_MASK
+    """Status bits with which a wrench must not be trusted."""
+
+    host: str = "192.168.1.1"
+    """Address of the box."""
+    http_port: int = 80
+    """Port of its configuration page."""
+    udp_port: int = 49152
+    """Port of its data (RDT)."""
+    rate_hz: float = 1000.0
+    """Records per second; the box knows whole numbers from 1 to 7000."""
+    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    """Without a record for so long the box counts as lost [s]."""
+
+    @property
+    def address(self) -> str:
+        """Where it is, to be shown."""
+        return self.host
+
+
+@dataclass(frozen=True, slots=True)
+class ToolTransform:
+    """The frame a wrench is wanted in, seen from the transducer's own."""
+
+    displacement: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 0.0), metadata={"unit": "mm"}
+    )
+    """Its origin in the transducer's axes (ATI's Dx Dy Dz) [m]."""
+    rotation: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "deg"})
+    """Turns about x, then the new y, then the new z (ATI's Rx Ry Rz) [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class NidaqConfig:
+    """An ATI DAQ F/T transducer on six analog inputs of an NI card, read through NI-DAQmx."""
+
+    KIND: ClassVar[str] = "nidaq"
+    UNTRUSTED_MASK: ClassVar[int] = SATURATED
+
+    calibration: str
+    """The transducer's .cal file; a path from the folder the rig is run in."""
+    device: str = "Dev1"
+    """Name of the card in NI MAX."""
+    channels: str = "ai0:5"
+    """Its six inputs, in the order of the gauges; read differentially."""
+    rate_hz: float = 1000.0
+    """Samples per second of the card's own clock."""
+    saturated_at: float = 0.999
+    """Part of the output range from which a gauge counts as saturated."""
+    tool: ToolTransform = ToolTransform()
+    """Where the wrench is wanted; the transducer's own frame unless said otherwise."""
+    grpc: str | None = None
+    """host:port of an NI gRPC Device Server that has the card; none: this computer has it."""
+    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    """Without a sample for so long the card counts as lost [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no card could do.
+
+        Raises:
+            ValueError: Names the field, what was found and what is allowed.
+        """
+        if not self.rate_hz > 0:
+            raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
+        if not 0 < self.saturated_at <= 1:
+            raise ValueError(f"saturated_at: {self.saturated_at!r}; allowed: above 0, up to 1")
+
+    @property
+    def address(self) -> str:
+        """Where it is, to be shown."""
+        place = f"{self.device}/{self.channels}"
+        return place if self.grpc is None else f"{self.grpc} {place}"
+
+
+RECORD_BYTES = {"binary": 13, "ascii": 45}
+"""Length of one record of the RS-232 controller, by its form."""
+
+
+@dataclass(frozen=True, slots=True)
+class AtiSerialConfig:
+    """An ATI stand-alone F/T controller on RS-232 (8 data bits, no parity, 1 stop bit)."""
+
+    KIND: ClassVar[str] = "ati_serial"
+    UNTRUSTED_MASK: ClassVar[int] = RECORD_ERROR_MASK
+
+    counts_per_n: float
+    """Counts per newton: on the calibration sheet of transducer and controller."""
+    counts_per_n_mm: float
+    """Counts per newton millimetre."""
+    address: str = "/dev/ttyUSB0"
+    """Its serial port."""
+    baud: int = 38400
+    """Bits per second."""
+    records: Literal["binary", "ascii"] = "binary"
+    """Form of the records; binary is three times as fast, ascii shows every lost byte."""
+    rate_hz: float = 200.0
+    """Records per second expected of it; the controller sends as fast as it can."""
+    average: int = 0
+    """Samples of the controller's own moving average; 0: none."""
+    jump: float = field(default=1.0, metadata={"unit": "n"})
+    """A binary record that differs by more from the one before is doubted, as bytes may have been
+    lost, and the stream is started anew [N]."""
+    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    """Without a record for so long the controller counts as lost [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what the line cannot carry.
+
+        Raises:
+            ValueError: Names the field, what was found and what is allowed.
+        """
+        for name in ("counts_per_n", "counts_per_n_mm", "jump"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
+        if self.average < 0:
+            raise ValueError(f"average: {self.average!r}; allowed: 0 and more")
+        if self.baud <= 0:
+            raise ValueError(f"baud: {self.baud!r}; allowed: above 0")
+        if not 0 < self.rate_hz <= self.rate_max_hz:
+            raise ValueError(
+                f"rate_hz: {self.rate_hz:g}; allowed: above 0, up to {self.rate_max_hz:.0f} Hz, "
+                f"what {self.baud} baud carry of {self.records} records"
+            )
+
+    @property
+    def rate_max_hz(self) -> float:
+        """Records per second the line carries, at ten bits a byte."""
+        return self.baud / 10 / RECORD_BYTES[self.records]
+
+
+ForceConfig = NetFtConfig | NidaqConfig | AtiSerialConfig
+"""Any F/T sensor; `kind` in the bench file says which."""

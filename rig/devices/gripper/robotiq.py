@@ -1,0 +1,314 @@
+"""Driver of a Robotiq 2F gripper: Modbus RTU over a serial port, 115200 8N1.
+
+The frames are in rig.devices.gripper.robotiq_wire, the registers in
+rig.devices.gripper.robotiq_wire. One request is under way at a time; several threads may ask.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import termios
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import serial
+
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import DeviceLost
+from rig.devices.gripper.robotiq_wire import (
+    ACTIVE,
+    COMMAND_ADDRESS,
+    MOVING,
+    READ_INPUT,
+    REGISTERS,
+    RESET,
+    STATUS_ADDRESS,
+    WRITE,
+    FrameError,
+    GripperCommand,
+    GripperStatus,
+    RefusedError,
+    Request,
+    emit_command,
+    emit_request,
+    fault_text,
+    parse_reply,
+    parse_status,
+    reply_length,
+)
+from rig.devices.gripper.settings import RobotiqConfig
+
+logger = logging.getLogger(__name__)
+
+_REFUSAL = 5
+# Bytes of the shortest reply.
+_LOOK_NS = 20_000_000
+# Between two looks at a gripper that moves: 50 a second.
+
+
+class RobotiqDriver:
+    """One gripper, as a context manager.
+
+    Args:
+        config: Port and limits.
+        clock: For time limits.
+    """
+
+    def __init__(self, config: RobotiqConfig, clock: Clock) -> None:
+        self._config = config
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._serial: serial.Serial | None = None
+
+    def __enter__(self) -> RobotiqDriver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self, timeout: float) -> None:
+        """Open the port and see that a gripper answers within `timeout` [s]; nothing moves.
+
+        Raises:
+            DeviceLost: No such port, no right to it, or nobody answers.
+        """
+        self.close()
+        config = self._config
+        try:
+            self._serial = serial.Serial(
+                config.port,
+                config.baud,
+                timeout=config.answer,
+                write_timeout=config.answer,
+                exclusive=True,
+            )
+        except (OSError, termios.error, ValueError) as error:
+            raise DeviceLost(f"{self._where}: {error}{_hint(error)}") from error
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        try:
+            # The first answer after a silence still tells of the silence (fault 9): look twice.
+            self._answered(deadline_ns)
+            self._answered(deadline_ns)
+        except DeviceLost:
+            self.close()
+            raise
+
+    def status(self) -> GripperStatus:
+        """What the gripper says of itself now.
+
+        Raises:
+            DeviceLost: No answer, or none that makes sense.
+        """
+        return parse_status(self._ask(READ_INPUT, STATUS_ADDRESS))
+
+    def activate(self, timeout: float) -> GripperStatus:
+        """Activate a gripper that is not: it opens and closes once, and drops what it holds.
+
+        Args:
+            timeout: For the whole of it; a gripper takes one to two seconds [s].
+
+        Raises:
+            DeviceLost: No answer, a fault, or not active in time.
+        """
+        if self.status().state == ACTIVE:
+            return self.status()
+        self._tell(GripperCommand(activate=False))
+        self._wait(lambda status: status.state == RESET, timeout, "reset")
+        self._tell(GripperCommand(activate=True))
+        return self._wait(lambda status: status.state == ACTIVE, timeout, "be active")
+
+    def move(
+        self, position: int, *, speed: int, force: int, timeout: float = 10.0
+    ) -> GripperStatus:
+        """Send the fingers to `position` and wait until they rest there, or on an object.
+
+        Args:
+            position: 0 open to 255 closed.
+            speed: 0 slowest to 255.
+            force: 0 weakest to 255.
+            timeout: For the movement [s].
+
+        Raises:
+            DeviceLost: Not active, no answer, a fault, or no rest in time.
+            ValueError: A number that is not 0 to 255.
+        """
+        command = GripperCommand(go=True, position=position, speed=speed, force=force)
+        if self.status().state != ACTIVE:
+            raise DeviceLost(f"{self._where}: not active; activate it first")
+        self._tell(command)
+        return self._wait(
+            lambda status: (
+                status.requested == position and status.going and status.object != MOVING
+            ),
+            timeout,
+            "come to rest",
+        )
+
+    def close_fingers(self) -> GripperStatus:
+        """Close with the configured speed and force; the status tells whether it holds something.
+
+        Raises:
+            DeviceLost: See `move`.
+        """
+        return self.move(255, speed=self._config.speed, force=self._config.force)
+
+    def open_fingers(self) -> GripperStatus:
+        """Open with the configured speed and force.
+
+        Raises:
+            DeviceLost: See `move`.
+        """
+        return self.move(0, speed=self._config.speed, force=self._config.force)
+
+    def describe(self) -> dict[str, Any]:
+        """Facts for the session.
+
+        Raises:
+            DeviceLost: No answer.
+        """
+        status = self.status()
+        return {
+            "kind": self._config.KIND,
+            "slave": self._config.slave,
+            "position": status.position,
+            "object": status.object,
+            "current_a": status.current,
+            "status": status.text,
+        }
+
+    def close(self) -> None:
+        """Let go of the port; the gripper keeps holding. Safe twice."""
+        with self._lock:
+            if self._serial is not None:
+                try:
+                    self._serial.close()
+                except (OSError, termios.error) as error:
+                    logger.debug("%s: closed with %s", self._where, error)
+                self._serial = None
+
+    @property
+    def _where(self) -> str:
+        return f"gripper at {self._config.port}"
+
+    def _answered(self, deadline_ns: int) -> None:
+        while True:
+            try:
+                self.status()
+                return
+            except DeviceLost:
+                if self._clock.now_ns() > deadline_ns:
+                    raise
+
+    def _tell(self, command: GripperCommand) -> None:
+        self._ask(WRITE, COMMAND_ADDRESS, emit_command(command))
+
+    def _wait(self, reached: Any, timeout: float, what: str) -> GripperStatus:
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        while True:
+            status = self.status()
+            if reached(status):
+                return status
+            if status.fault >= 8:
+                raise DeviceLost(f"{self._where}: fault {status.fault}: {fault_text(status.fault)}")
+            if self._clock.now_ns() > deadline_ns:
+                raise DeviceLost(f"{self._where}: did not {what} in {timeout:g} s: {status.text}")
+            self._clock.sleep_until(self._clock.now_ns() + _LOOK_NS)
+
+    def _ask(self, function: int, address: int, values: tuple[int, ...] = ()) -> tuple[int, ...]:
+        """Send one request and return the registers of its reply.
+
+        Raises:
+            DeviceLost: The port is gone, nobody answers, or not as a gripper does.
+        """
+        request = Request(self._config.slave, function, address, REGISTERS, values)
+        with self._lock:
+            port = self._serial
+            if port is None:
+                raise DeviceLost(f"{self._where}: not open")
+            try:
+                # What is left of a late answer must not be taken for this one.
+                port.reset_input_buffer()
+                port.write(emit_request(request))
+                frame = port.read(_REFUSAL)
+                if len(frame) == _REFUSAL and not frame[1] & 0x80:
+                    frame += port.read(reply_length(request) - _REFUSAL)
+            except (OSError, termios.error, TypeError) as error:
+                # pyserial raises TypeError when the port is closed under a read.
+                raise DeviceLost(f"{self._where}: {error}; is its cable in?") from error
+        if not frame:
+            raise DeviceLost(
+                f"{self._where}: no answer in {1e3 * self._config.answer:.0f} ms; is it powered, "
+                f"and its address {self._config.slave}?"
+            )
+        try:
+            return parse_reply(frame, request)
+        except (FrameError, RefusedError) as error:
+            raise DeviceLost(f"{self._where}: {error}") from error
+
+
+def _hint(error: Exception) -> str:
+    """What to do about an error of opening."""
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return "; is the adapter plugged in? see /dev/serial/by-id/"
+    if number == errno.EACCES:
+        return "; add the user to the group dialout"
+    return ""
+
+
+# Swaps what the gripper holds: lets go, then closes again and again until it holds something.
+
+ACTIVATION = 5.0
+"""An activation takes one to two seconds [s]."""
+_GENTLE = 0
+# Slowest and weakest of 0 to 255, while somebody's fingers are near.
+
+
+def swap_held(
+    gripper: RobotiqDriver,
+    what: str,
+    clock: Clock,
+    say: Callable[[str], None],
+    *,
+    pause: float = 5.0,
+    patience: float = 600.0,
+    speed: int = _GENTLE,
+) -> GripperStatus:
+    """Open the fingers and wait until `what` is between them, without a key being pressed.
+
+    Every `pause` seconds the fingers close, slowly and weakly; on nothing they open again. What
+    they meet is then held with the configured force.
+
+    Args:
+        gripper: Open; activated here if it is not.
+        what: What to put there, for the technician.
+        clock: For the pauses.
+        say: Shows a line.
+        pause: Before the fingers open, and before each try to close [s].
+        patience: Gives up after this long without anything to hold [s].
+        speed: Of the fingers while they look for something, 0 to 255.
+
+    Raises:
+        DeviceLost: The gripper is gone or in fault, or nobody came.
+    """
+    say(f"gripper: opens in {pause:g} s: hold what it holds")
+    _rest(clock, pause)
+    gripper.activate(ACTIVATION)
+    gripper.open_fingers()
+    deadline_ns = clock.now_ns() + round(patience * SECOND_NS)
+    while clock.now_ns() < deadline_ns:
+        say(f"gripper: put {what} between the fingers; they close in {pause:g} s")
+        _rest(clock, pause)
+        if gripper.move(255, speed=speed, force=_GENTLE).holding:
+            status = gripper.close_fingers()
+            if status.holding:
+                say(f"gripper: {status.text}")
+                return status
+        gripper.open_fingers()
+    raise DeviceLost(f"gripper: nothing to hold in {patience:g} s; {what} was expected")
+
+
+def _rest(clock: Clock, seconds: float) -> None:
+    clock.sleep_until(clock.now_ns() + round(seconds * SECOND_NS))

@@ -1,0 +1,368 @@
+"""Emulated Robotiq 2F gripper: Modbus RTU on a pty.
+
+    python -m rig.devices.gripper.robotiq_emulator --link PATH [--holding]
+
+A link at PATH names the pty, as udev's links name a lab's port. A pty has no baud rate: whoever
+opens it is understood. Faults come in through rig.core.fault_injection, and besides
+
+    lose_grip            the object is gone, the fingers close
+    slip      counts     the fingers close by so much and still hold
+    insert    at         an object is between the fingers
+    fail      code       a fault code until the gripper is reset
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import select
+import sys
+import threading
+import tty
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rig.core.clock import SECOND_NS, Clock, SystemClock
+from rig.core.emulation import add_arguments, fault_port, serve
+from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.devices.gripper.robotiq_wire import (
+    ACTIVATING,
+    ACTIVE,
+    AT_POSITION,
+    COMMAND_ADDRESS,
+    ILLEGAL_ADDRESS,
+    ILLEGAL_FUNCTION,
+    ILLEGAL_VALUE,
+    MOVING,
+    READ_HOLDING,
+    READ_INPUT,
+    REGISTERS,
+    RESET,
+    SILENT_FAULT,
+    STATUS_ADDRESS,
+    STOPPED_CLOSING,
+    WRITE,
+    FrameError,
+    GripperCommand,
+    GripperStatus,
+    Request,
+    emit_refusal,
+    emit_reply,
+    emit_status,
+    parse_command,
+    parse_request,
+    request_length,
+)
+
+# How the emulated gripper behaves: activation, movement, the object, faults. No I/O.
+#
+# Faults are methods: what a test or `make faults` injects through the fault port, a test in the
+# same process may call.
+
+ACTIVATION = 1.5
+"""The first open and close takes this long [s]."""
+_SLOWEST, _FASTEST = 60.0, 450.0
+"""Counts per second at rSP 0 and 255: 20 and 150 mm/s of a 2F-85."""
+_OPEN, _CLOSED = 3, 230
+"""Where the fingers come to rest with nothing in between, counts."""
+_SILENT_NS = SECOND_NS
+_HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
+# Motor current [A].
+
+
+class Fingers:
+    """A 2F gripper as its registers show it.
+
+    Args:
+        clock: Moves the fingers.
+        object_at: Where closing fingers meet the object, counts; None: there is none.
+        holding: Start activated and closed on the object.
+    """
+
+    def __init__(self, clock: Clock, *, object_at: int | None, holding: bool = False) -> None:
+        self._clock = clock
+        self._object_at = object_at
+        self._command = GripperCommand(activate=False)
+        self._state = RESET
+        self._activated_ns = 0
+        self._position = float(_OPEN)
+        self._moved_ns = self._heard_ns = clock.now_ns()
+        self._fault = 0
+        if holding:
+            if object_at is None:
+                raise ValueError("holding: nothing to hold; allowed: with an object")
+            self._command = GripperCommand(go=True, position=255, speed=50, force=150)
+            self._state, self._position = ACTIVE, float(object_at)
+
+    def obey(self, command: GripperCommand) -> None:
+        """Take what was written to the registers."""
+        self._advance()
+        if not command.activate:
+            self._state, self._fault = RESET, 0
+        elif not self._command.activate:
+            self._state, self._activated_ns = ACTIVATING, self._clock.now_ns()
+        elif command.go and self._state != ACTIVE:
+            self._fault = 5
+        self._command = command
+
+    def heard(self) -> None:
+        """Note that the line is alive; after a second of silence the next status tells of it."""
+        now_ns = self._clock.now_ns()
+        if now_ns - self._heard_ns > _SILENT_NS:
+            self._fault = SILENT_FAULT
+        self._heard_ns = now_ns
+
+    def status(self) -> GripperStatus:
+        """What is read now; the fault of a silence is told once."""
+        self._advance()
+        command, fault = self._command, self._fault
+        if fault == SILENT_FAULT:
+            self._fault = 0
+        found = self._object()
+        current = 0.0
+        if self._state == ACTIVE and command.go:
+            current = _MOVING_CURRENT if found == MOVING else _HOLDING_CURRENT
+        return GripperStatus(
+            active=command.activate,
+            going=command.go,
+            state=self._state,
+            object=found,
+            fault=fault,
+            requested=command.position,
+            position=round(self._position),
+            current=current,
+        )
+
+    def lose_grip(self) -> None:
+        """Take the object away: the fingers close further and find nothing."""
+        self._advance()
+        self._object_at = None
+
+    def slip(self, counts: int) -> None:
+        """Let the fingers close by `counts` while they still hold: the object turned or crept."""
+        self._advance()
+        if self._object_at is not None:
+            self._object_at += counts
+            self._position = float(self._object_at)
+
+    def insert(self, at: int) -> None:
+        """Put an object between open fingers."""
+        self._advance()
+        self._object_at = at
+
+    def fail(self, fault: int) -> None:
+        """Show this fault code until the gripper is reset."""
+        self._fault = fault
+
+    def _advance(self) -> None:
+        now_ns = self._clock.now_ns()
+        elapsed, self._moved_ns = (now_ns - self._moved_ns) / SECOND_NS, now_ns
+        if self._state == ACTIVATING and now_ns - self._activated_ns >= ACTIVATION * SECOND_NS:
+            self._state, self._position = ACTIVE, float(_OPEN)
+        if self._state != ACTIVE or not self._command.go:
+            return
+        goal = self._goal()
+        share = self._command.speed / 255
+        step = elapsed * (_SLOWEST + share * (_FASTEST - _SLOWEST))
+        if abs(goal - self._position) <= step:
+            self._position = goal
+        else:
+            self._position += step if goal > self._position else -step
+
+    def _goal(self) -> float:
+        wanted = float(min(max(self._command.position, _OPEN), _CLOSED))
+        if self._object_at is not None and wanted > self._object_at >= self._position:
+            return float(self._object_at)
+        return wanted
+
+    def _object(self) -> int:
+        if self._state != ACTIVE or not self._command.go:
+            return AT_POSITION if self._state == RESET else MOVING
+        goal = self._goal()
+        if self._position != goal:
+            return MOVING
+        return STOPPED_CLOSING if goal == self._object_at else AT_POSITION
+
+
+_GAP = 0.02
+# A pause this long ends a frame, as 3.5 characters do on a wire; a pty delivers in lumps [s].
+
+
+class RobotiqEmulator:
+    """An emulated gripper.
+
+    Args:
+        fingers: How it behaves.
+        link: Where the link to its pty is put.
+        clock: Ends disturbances.
+        slave: Modbus address.
+        seed: Of the disturbance's garbage.
+    """
+
+    def __init__(
+        self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
+    ) -> None:
+        self.fingers = fingers
+        self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=seed)
+        self.requests = 0
+        """Requests answered so far."""
+        self._link = link
+        self._slave = slave
+        self._lock = threading.Lock()
+        self._fds: tuple[int, int] | None = None
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def address(self) -> str:
+        """The serial port a driver opens."""
+        return str(self._link)
+
+    @property
+    def missed(self) -> int:
+        """Nothing is sent unasked, so nothing is missed."""
+        return 0
+
+    def start(self) -> None:
+        """Make the pty and its link, and serve.
+
+        Raises:
+            OSError: The link cannot be made.
+        """
+        self._plug()
+        self._thread = threading.Thread(target=self._run, name="gripper")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._unplug()
+
+    def inject(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Put a fault in; how the gripper is.
+
+        Raises:
+            ValueError, KeyError, TypeError: No such fault, or a value is missing.
+        """
+        own: dict[str, Callable[[], None]] = {
+            "lose_grip": self.fingers.lose_grip,
+            "slip": lambda: self.fingers.slip(int(values["counts"])),
+            "insert": lambda: self.fingers.insert(int(values["at"])),
+            "fail": lambda: self.fingers.fail(int(values["code"])),
+        }
+        if fault in own:
+            with self._lock:
+                own[fault]()
+            line = self.disturbance.inject("state")
+        else:
+            line = self.disturbance.inject(fault, **values)
+        return {**line, "requests": self.requests}
+
+    def _plug(self) -> None:
+        master, slave = os.openpty()
+        tty.setraw(master)
+        tty.setraw(slave)
+        # The emulator keeps the device side open too: a pty nobody has open reads as an error.
+        fresh = self._link.with_name(f"{self._link.name}.new")
+        fresh.unlink(missing_ok=True)
+        fresh.symlink_to(os.ttyname(slave))
+        fresh.replace(self._link)
+        self._fds = (master, slave)
+
+    def _unplug(self) -> None:
+        if self._fds is not None:
+            for fd in self._fds:
+                os.close(fd)
+            self._fds = None
+            self._link.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        pending = b""
+        while not self._ending.is_set():
+            # This thread alone opens and closes the pty, so that nobody reads a number reused.
+            if self.disturbance.unplugged:
+                self._unplug()
+                self._ending.wait(0.01)
+                continue
+            if self._fds is None:
+                self._plug()
+                pending = b""
+            fd = self._fds[0] if self._fds else -1
+            with contextlib.suppress(OSError, ValueError):
+                if not select.select([fd], [], [], _GAP)[0]:
+                    pending = b""
+                    continue
+                pending += os.read(fd, 1024)
+                pending = self._serve(fd, pending)
+
+    def _serve(self, fd: int, pending: bytes) -> bytes:
+        """Answer the whole requests in `pending`; what is left of it."""
+        while (length := request_length(pending)) is not None and len(pending) >= length:
+            frame, pending = pending[:length], pending[length:]
+            try:
+                request = parse_request(frame)
+            except FrameError:
+                # Out of step: silence, and what else came with it is not trusted either.
+                return b""
+            if request.slave != self._slave:
+                continue
+            with self._lock:
+                reply = self._answer(request)
+            self.requests += 1
+            for message in self.disturbance.passed(reply):
+                os.write(fd, message)
+        return pending
+
+    def _answer(self, request: Request) -> bytes:
+        self.fingers.heard()
+        if request.function == WRITE:
+            if request.address != COMMAND_ADDRESS:
+                return emit_refusal(request, ILLEGAL_ADDRESS)
+            if request.count != REGISTERS:
+                return emit_refusal(request, ILLEGAL_VALUE)
+            self.fingers.obey(parse_command(request.values))
+            return emit_reply(request)
+        if request.function not in (READ_HOLDING, READ_INPUT):
+            return emit_refusal(request, ILLEGAL_FUNCTION)
+        first = request.address - STATUS_ADDRESS
+        if first < 0 or first + request.count > REGISTERS:
+            return emit_refusal(request, ILLEGAL_ADDRESS)
+        if request.count < 1:
+            return emit_refusal(request, ILLEGAL_VALUE)
+        registers = emit_status(self.fingers.status())
+        return emit_reply(request, registers[first : first + request.count])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="rig.devices.gripper.robotiq_emulator", description=__doc__
+    )
+    add_arguments(parser)
+    parser.add_argument("--link", type=Path, required=True, help="where the port's link is put")
+    parser.add_argument("--slave", type=int, default=9, help="Modbus address (%(default)s)")
+    parser.add_argument(
+        "--object", type=int, default=120, help="where fingers meet it, 0 to 255 (%(default)s)"
+    )
+    parser.add_argument(
+        "--holding", action="store_true", help="start activated and closed on the object"
+    )
+    args = parser.parse_args(argv)
+    clock = SystemClock()
+    fingers = Fingers(clock, object_at=args.object, holding=args.holding)
+    emulator = RobotiqEmulator(fingers, args.link, clock, slave=args.slave, seed=args.seed)
+    return serve(
+        "gripper",
+        emulator,
+        until_stdin_closes=args.until_stdin_closes,
+        faults=fault_port(args, emulator.inject),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

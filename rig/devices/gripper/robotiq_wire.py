@@ -1,0 +1,321 @@
+"""What a Robotiq 2F gripper's registers mean. Pure, no I/O.
+
+    write from 0x03E8   rACT b0, rGTO b3 (high byte of the first) | rPR | rSP << 8 | rFR
+    read  from 0x07D0   gACT b0, gGTO b3, gSTA b4-5, gOBJ b6-7 (high byte) | gFLT << 8 | gPR
+                        | gPO << 8 | gCU
+
+Positions are counts: 0 open, 255 closed, about 0.4 mm each on a 2F-85. Source: Robotiq 2F-85 and
+2F-140 instruction manual, chapter Control.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+COMMAND_ADDRESS, STATUS_ADDRESS, REGISTERS = 0x03E8, 0x07D0, 3
+"""First register to write, first to read, and how many of each."""
+
+RESET, ACTIVATING, ACTIVE = 0, 1, 3
+"""gSTA."""
+MOVING, STOPPED_OPENING, STOPPED_CLOSING, AT_POSITION = 0, 1, 2, 3
+"""gOBJ: under way; stopped by an object while opening, while closing; no object in between."""
+
+CURRENT_PER_COUNT = 0.01
+"""Motor current of one count of gCU [A]."""
+
+SILENT_FAULT = 9
+"""gFLT after a second without communication."""
+FAULTS = {
+    5: "action delayed, the activation must be completed first",
+    7: "the activation bit must be set first",
+    8: "too hot",
+    SILENT_FAULT: "no communication for a second",
+    10: "supply voltage too low",
+    11: "automatic release in progress",
+    12: "internal fault",
+    13: "activation fault",
+    14: "overcurrent",
+    15: "automatic release completed",
+}
+"""What gFLT says, for people."""
+
+
+@dataclass(frozen=True, slots=True)
+class GripperCommand:
+    """What the gripper is told: activate, and go to a position."""
+
+    activate: bool = True
+    """rACT; False resets it."""
+    go: bool = False
+    """rGTO: move to the position; False: stand still."""
+    position: int = 0
+    """rPR: 0 open to 255 closed."""
+    speed: int = 0
+    """rSP: 0 slowest to 255."""
+    force: int = 0
+    """rFR: 0 weakest to 255."""
+
+    def __post_init__(self) -> None:
+        """Refuse what one byte cannot hold.
+
+        Raises:
+            ValueError: Names it, what was found and what is allowed.
+        """
+        for name in ("position", "speed", "force"):
+            value = getattr(self, name)
+            if not 0 <= value <= 255:
+                raise ValueError(f"{name}: found {value!r}; allowed: 0 to 255")
+
+
+@dataclass(frozen=True, slots=True)
+class GripperStatus:
+    """What the gripper says of itself."""
+
+    active: bool
+    """gACT: whether it was told to activate."""
+    going: bool
+    """gGTO: whether it was told to move."""
+    state: int
+    """gSTA: RESET, ACTIVATING or ACTIVE."""
+    object: int
+    """gOBJ: MOVING, STOPPED_OPENING, STOPPED_CLOSING or AT_POSITION."""
+    fault: int
+    """gFLT: 0 none."""
+    requested: int
+    """gPR: the position it was told, counts."""
+    position: int
+    """gPO: where it is, counts."""
+    current: float
+    """Of the motor [A]."""
+
+    @property
+    def holding(self) -> bool:
+        """Whether the fingers rest on an object, inside or outside of it."""
+        return self.state == ACTIVE and self.object in (STOPPED_OPENING, STOPPED_CLOSING)
+
+    @property
+    def text(self) -> str:
+        """The status for people."""
+        state = {RESET: "reset", ACTIVATING: "activating", ACTIVE: "active"}
+        found = ("moving", "holds from inside", "holds", "no object")[self.object]
+        fault = f", fault {self.fault}: {fault_text(self.fault)}" if self.fault else ""
+        return (
+            f"{state.get(self.state, 'state 2')}, {found}, position {self.position} of 255"
+            f" ({self.current:.2f} A){fault}"
+        )
+
+
+def fault_text(fault: int) -> str:
+    """What gFLT says, for people."""
+    return FAULTS.get(fault, "unknown to the manual")
+
+
+def emit_command(command: GripperCommand) -> tuple[int, int, int]:
+    """The registers to write from COMMAND_ADDRESS."""
+    action = (command.activate << 0) | (command.go << 3)
+    return (action << 8, command.position, command.speed << 8 | command.force)
+
+
+def parse_command(registers: Sequence[int]) -> GripperCommand:
+    """What was told with three registers: the inverse of `emit_command`."""
+    action, position, drive = registers
+    return GripperCommand(
+        activate=bool(action & 0x100),
+        go=bool(action & 0x800),
+        position=position & 0xFF,
+        speed=drive >> 8,
+        force=drive & 0xFF,
+    )
+
+
+def emit_status(status: GripperStatus) -> tuple[int, int, int]:
+    """The registers to read from STATUS_ADDRESS."""
+    byte = status.active | status.going << 3 | status.state << 4 | status.object << 6
+    current = min(round(status.current / CURRENT_PER_COUNT), 255)
+    return (
+        byte << 8,
+        status.fault << 8 | status.requested,
+        status.position << 8 | current,
+    )
+
+
+def parse_status(registers: Sequence[int]) -> GripperStatus:
+    """What the gripper says with three registers: the inverse of `emit_status`."""
+    first, second, third = registers
+    byte = first >> 8
+    return GripperStatus(
+        active=bool(byte & 1),
+        going=bool(byte & 8),
+        state=byte >> 4 & 3,
+        object=byte >> 6 & 3,
+        # The high half of the byte holds kFLT, of an optional controller.
+        fault=second >> 8 & 0xF,
+        requested=second & 0xFF,
+        position=third >> 8,
+        current=(third & 0xFF) * CURRENT_PER_COUNT,
+    )
+
+
+# Modbus RTU frames, as far as a gripper needs them: read and write registers. Pure, no I/O.
+#
+#     request      slave u8 | function u8 | ... | crc u16 (little endian)
+#     read         0x03 or 0x04 | address u16 | count u16
+#       reply      function | bytes u8 | values u16...
+#     write        0x10 | address u16 | count u16 | bytes u8 | values u16...
+#       reply      function | address | count
+#     refusal      function + 0x80 | code u8
+#
+# Everything but the CRC is big endian. Source: Modbus application protocol V1.1b3, and Modbus over
+# serial line V1.02.
+
+READ_HOLDING, READ_INPUT, WRITE = 0x03, 0x04, 0x10
+"""Functions: read holding registers, read input registers, write several registers."""
+
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
+"""Codes of a refusal."""
+
+_REASONS = {
+    ILLEGAL_FUNCTION: "illegal function",
+    ILLEGAL_ADDRESS: "illegal register address",
+    ILLEGAL_VALUE: "illegal value",
+    4: "device failure",
+    5: "acknowledged, still working",
+    6: "device busy",
+}
+_REFUSED = 0x80
+_POLYNOMIAL = 0xA001
+_MOST = 123
+"""Registers one frame can write."""
+
+
+class FrameError(ValueError):
+    """Bytes that are no whole frame, or not the answer to what was asked."""
+
+
+class RefusedError(ValueError):
+    """The device understood and refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a client asks."""
+
+    slave: int
+    function: int
+    address: int
+    """Of the first register."""
+    count: int
+    """Of registers."""
+    values: tuple[int, ...] = ()
+    """To write, 0..65535 each; empty for a read."""
+
+
+def crc16(content: bytes) -> int:
+    """The checksum of a frame's content: polynomial 0xA001 reflected, start 0xFFFF."""
+    crc = 0xFFFF
+    for byte in content:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ _POLYNOMIAL if crc & 1 else crc >> 1
+    return crc
+
+
+def sealed(content: bytes) -> bytes:
+    """`content` with its checksum: a frame."""
+    return content + struct.pack("<H", crc16(content))
+
+
+def emit_request(request: Request) -> bytes:
+    """The frame of `request`.
+
+    Raises:
+        ValueError: An unknown function, or values that do not fit it.
+    """
+    head = struct.pack(">BBHH", request.slave, request.function, request.address, request.count)
+    if request.function in (READ_HOLDING, READ_INPUT):
+        return sealed(head)
+    if request.function != WRITE:
+        raise ValueError(f"function: found {request.function}; allowed: 3, 4, 16")
+    if not 0 < request.count == len(request.values) <= _MOST:
+        raise ValueError(
+            f"values: found {len(request.values)} for {request.count} registers; allowed: 1 to "
+            f"{_MOST}, one for each"
+        )
+    values = struct.pack(f">{request.count}H", *request.values)
+    return sealed(head + bytes([len(values)]) + values)
+
+
+def reply_length(request: Request) -> int:
+    """Bytes of the reply to `request`; a refusal has 5."""
+    return 8 if request.function == WRITE else 5 + 2 * request.count
+
+
+def parse_reply(frame: bytes, request: Request) -> tuple[int, ...]:
+    """The registers that a reply to `request` holds; empty after a write.
+
+    Raises:
+        FrameError: Too short, too long, a wrong checksum, or not the answer to `request`.
+        RefusedError: The device refused; says why.
+    """
+    if len(frame) < 5:
+        raise FrameError(f"{len(frame)} bytes; a reply has at least 5")
+    content, (crc,) = frame[:-2], struct.unpack("<H", frame[-2:])
+    if crc16(content) != crc:
+        raise FrameError(f"checksum 0x{crc:04x}; its content has 0x{crc16(content):04x}")
+    if content[0] != request.slave:
+        raise FrameError(f"slave {content[0]} answered; asked was {request.slave}")
+    if content[1] == request.function | _REFUSED:
+        raise RefusedError(f"refused: {_REASONS.get(content[2], f'code {content[2]}')}")
+    if content[1] != request.function or len(frame) != reply_length(request):
+        raise FrameError(
+            f"function {content[1]} in {len(frame)} bytes; asked was function {request.function}, "
+            f"whose reply has {reply_length(request)}"
+        )
+    if request.function == WRITE:
+        if struct.unpack(">HH", content[2:6]) != (request.address, request.count):
+            raise FrameError("the reply is to another write")
+        return ()
+    if content[2] != 2 * request.count:
+        raise FrameError(f"{content[2]} bytes of values; asked were {2 * request.count}")
+    return struct.unpack(f">{request.count}H", content[3:])
+
+
+def request_length(head: bytes) -> int | None:
+    """Bytes of the request that begins with `head`; None while too little of it is there."""
+    if len(head) < 7:
+        return None
+    # A function this module does not know is taken as one with two numbers, as most are.
+    return 9 + head[6] if head[1] == WRITE else 8
+
+
+def parse_request(frame: bytes) -> Request:
+    """What a client asks with `frame`: the inverse of `emit_request`, of any function.
+
+    Raises:
+        FrameError: A wrong checksum, or a count that does not fit the bytes.
+    """
+    content = frame[:-2]
+    if len(frame) < 8 or sealed(content) != frame:
+        raise FrameError("no request, or a wrong checksum")
+    slave, function, address, count = struct.unpack(">BBHH", content[:6])
+    if function != WRITE:
+        return Request(slave, function, address, count)
+    if content[6] != 2 * count or len(content) != 7 + 2 * count:
+        raise FrameError(f"{content[6]} bytes of values for {count} registers")
+    return Request(slave, function, address, count, struct.unpack(f">{count}H", content[7:]))
+
+
+def emit_reply(request: Request, values: Sequence[int] = ()) -> bytes:
+    """The reply that grants `request`, with the registers it asked for."""
+    if request.function == WRITE:
+        head = struct.pack(">BBHH", request.slave, WRITE, request.address, request.count)
+        return sealed(head)
+    packed = struct.pack(f">{len(values)}H", *values)
+    return sealed(bytes([request.slave, request.function, len(packed)]) + packed)
+
+
+def emit_refusal(request: Request, code: int) -> bytes:
+    """The reply that refuses `request`."""
+    return sealed(bytes([request.slave, request.function | _REFUSED, code]))

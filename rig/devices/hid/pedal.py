@@ -1,0 +1,225 @@
+"""Driver of a foot pedal, a USB keyboard whose reports say which keys are down.
+
+A pedal tells changes only: while it is held, or let go of, nothing comes. That it is still there
+shows only when a read fails. So whatever cannot be read counts as let go of.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import DeviceLost
+from rig.devices.hid.device import HidDevice
+from rig.devices.hid.reports import parse_keys
+from rig.devices.hid.settings import PedalConfig
+
+logger = logging.getLogger(__name__)
+
+_KEYBOARD = (0x01, 0x06)
+
+
+class PedalDriver:
+    """One pedal.
+
+    Args:
+        config: Device and key.
+    """
+
+    def __init__(self, config: PedalConfig) -> None:
+        self._config = config
+        self._device = HidDevice(config.device, "foot pedal", _KEYBOARD)
+        self.garbage = 0
+        """Reports that were none of a keyboard; each counted as a release."""
+
+    def open(self) -> None:
+        """Find and open it.
+
+        Raises:
+            DeviceLost: It is not there, or may not be read.
+        """
+        self._device.open()
+
+    def read(self, timeout: float) -> bool | None:
+        """Whether it is down, from the next report; None when none comes within `timeout` [s].
+
+        Raises:
+            DeviceLost: Not open, or unplugged.
+        """
+        report = self._device.read(timeout)
+        if not report:
+            return None
+        try:
+            keys = parse_keys(report)
+        except ValueError as error:
+            self.garbage += 1
+            if self.garbage == 1:
+                logger.warning("foot pedal: %s; taken for a release", error)
+            return False
+        return self._config.key in keys if self._config.key else bool(keys)
+
+    def describe(self) -> dict[str, object]:
+        """Facts for the session."""
+        return {"kind": self._config.KIND, "mode": self._config.mode, "path": self._device.path}
+
+    def close(self) -> None:
+        """Let go of it; safe twice."""
+        self._device.close()
+
+
+# Follows the foot pedal in a thread of its own, through unplugging and back.
+
+_WAIT = 0.1
+# A read waits so long; a press or a release ends it at once [s].
+_RETRY = 0.5
+# Between two looks for a pedal that is out [s].
+
+
+@dataclass(frozen=True, slots=True)
+class PedalState:
+    """What is known of the pedal: counted, so that a quick release and press is not overlooked."""
+
+    down: bool = False
+    presses: int = 0
+    """Times it went down."""
+    releases: int = 0
+    """Times it was let go of, or taken out."""
+    out_since_ns: int | None = None
+    """When it was found to be out [ns]; None while it is in."""
+
+    def reported(self, down: bool) -> PedalState:
+        """After a report that says whether it is down."""
+        if down == self.down:
+            return self
+        if down:
+            return replace(self, down=True, presses=self.presses + 1)
+        return replace(self, down=False, releases=self.releases + 1)
+
+    def unplugged(self, now_ns: int) -> PedalState:
+        """After it was found to be out: as good as let go of."""
+        return replace(self, down=False, releases=self.releases + 1, out_since_ns=now_ns)
+
+    def plugged(self) -> PedalState:
+        """After it came back: up, until it says otherwise."""
+        return replace(self, down=False, out_since_ns=None)
+
+
+class PedalWatch:
+    """Reads one pedal and tells of every change.
+
+    Args:
+        config: The pedal.
+        clock: Tells how long it is out.
+        on_change: Called from the watching thread with the state before and after each change.
+    """
+
+    def __init__(
+        self,
+        config: PedalConfig,
+        clock: Clock,
+        on_change: Callable[[PedalState, PedalState], None],
+    ) -> None:
+        self._config = config
+        self._clock = clock
+        self._on_change = on_change
+        self._driver = PedalDriver(config)
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.state = PedalState()
+        """As it is now; replaced whole, so that any thread may read it."""
+
+    def open(self) -> dict[str, Any]:
+        """Open it and follow it from now on; its facts.
+
+        Raises:
+            DeviceLost: It is not there, or may not be read.
+        """
+        self._driver.open()
+        facts = self._driver.describe()
+        logger.info("preflight  foot pedal at %s (%s)", facts["path"], self._config.mode)
+        self._thread = threading.Thread(target=self._run, name="pedal")
+        self._thread.start()
+        return facts
+
+    @property
+    def out_for(self) -> float | None:
+        """How long it has been out [s]; None while it is in."""
+        since_ns = self.state.out_since_ns
+        return None if since_ns is None else (self._clock.now_ns() - since_ns) / SECOND_NS
+
+    def close(self) -> None:
+        """Stop following it; safe twice."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._driver.close()
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            if self.state.out_since_ns is not None:
+                self._look_for_it()
+                continue
+            try:
+                down = self._driver.read(_WAIT)
+            except DeviceLost as error:
+                logger.warning("%s", error)
+                self._become(self.state.unplugged(self._clock.now_ns()))
+            else:
+                if down is not None:
+                    self._become(self.state.reported(down))
+
+    def _look_for_it(self) -> None:
+        try:
+            self._driver.open()
+        except DeviceLost:
+            self._ending.wait(_RETRY)
+        else:
+            logger.info("the foot pedal is back")
+            self._become(self.state.plugged())
+
+    def _become(self, state: PedalState) -> None:
+        before, self.state = self.state, state
+        if state != before:
+            self._on_change(before, state)
+
+
+# When a pedal that must be held counts as held. Pure, no I/O. Not a safety function.
+
+
+class DeadMan:
+    """Armed by a press, disarmed by the first release or unplugging, however short.
+
+    A press counts when it comes after the last release that was seen here, and after `disarm`: who
+    kept the pedal down meanwhile has to let go of it first.
+    """
+
+    def __init__(self) -> None:
+        self._presses_before = 0
+        self._releases_at_arming: int | None = None
+
+    def held(self, state: PedalState) -> bool:
+        """Whether it was armed and has been held ever since."""
+        return state.down and state.releases == self._releases_at_arming
+
+    def armed(self, state: PedalState) -> bool:
+        """The same, taking a fresh press for the arming; for when the arm stands still."""
+        if self.held(state):
+            return True
+        if self._releases_at_arming is not None:
+            self._releases_at_arming = None
+            # Down again already: that press is a fresh one.
+            self._presses_before = state.presses - state.down
+        if state.down and state.presses > self._presses_before:
+            self._releases_at_arming = state.releases
+            return True
+        return False
+
+    def disarm(self, state: PedalState) -> None:
+        """Ask for a press that is yet to come."""
+        self._releases_at_arming = None
+        self._presses_before = state.presses

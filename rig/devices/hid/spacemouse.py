@@ -1,0 +1,114 @@
+"""Driver of a SpaceMouse: the deflection of its cap now, zero once it falls silent.
+
+Many models stop sending when the cap is let go of, some without a last report of zeros. So what was
+said last holds for `silence` only.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from rig.core.clock import SECOND_NS, Clock
+from rig.devices.hid.device import HidDevice
+from rig.devices.hid.reports import Axes, parse_cap
+from rig.devices.hid.settings import SpaceMouseConfig
+
+logger = logging.getLogger(__name__)
+
+_MULTI_AXIS = (0x01, 0x08)
+_ZERO: Axes = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Cap:
+    """The cap at one moment."""
+
+    shift: Axes = _ZERO
+    """x right, y away from the user, z up; -1 to 1, zero inside the dead zone."""
+    turn: Axes = _ZERO
+    """About these axes, right-handed."""
+    pressed: frozenset[int] = frozenset()
+    """Buttons that went down since the last look, from 0."""
+
+
+class SpaceMouseDriver:
+    """One SpaceMouse.
+
+    Args:
+        config: Device, dead zone and silence.
+        clock: Tells when it has fallen silent.
+    """
+
+    def __init__(self, config: SpaceMouseConfig, clock: Clock) -> None:
+        self._config = config
+        self._clock = clock
+        self._device = HidDevice(config.device, "SpaceMouse", _MULTI_AXIS)
+        self._shift = self._turn = _ZERO
+        self._shift_ns = self._turn_ns = 0
+        self._held: frozenset[int] = frozenset()
+        self.garbage = 0
+        """Reports that were none of a SpaceMouse."""
+
+    def open(self) -> None:
+        """Find and open it.
+
+        Raises:
+            DeviceLost: It is not there, or may not be read.
+        """
+        self._device.open()
+
+    def read(self, timeout: float) -> Cap:
+        """The cap as it is now, after waiting up to `timeout` [s] for a report.
+
+        Raises:
+            DeviceLost: Not open, or unplugged.
+        """
+        pressed: frozenset[int] = frozenset()
+        report = self._device.read(timeout)
+        while report:
+            pressed |= self._take(report)
+            report = self._device.read(0.0)
+        now_ns = self._clock.now_ns()
+        limit_ns = round(self._config.silence * SECOND_NS)
+        return Cap(
+            shift=self._shift if now_ns - self._shift_ns <= limit_ns else _ZERO,
+            turn=self._turn if now_ns - self._turn_ns <= limit_ns else _ZERO,
+            pressed=pressed,
+        )
+
+    def close(self) -> None:
+        """Let go of it; safe twice."""
+        self._device.close()
+
+    def _take(self, report: bytes) -> frozenset[int]:
+        """Take in a report; the buttons that went down with it."""
+        try:
+            found = parse_cap(report)
+        except ValueError as error:
+            self.garbage += 1
+            if self.garbage == 1:
+                logger.warning("SpaceMouse: %s", error)
+            # What cannot be understood may have been a release.
+            self._shift = self._turn = _ZERO
+            return frozenset()
+        now_ns = self._clock.now_ns()
+        if found.shift is not None:
+            self._shift, self._shift_ns = self._quiet(found.shift), now_ns
+        if found.turn is not None:
+            self._turn, self._turn_ns = self._quiet(found.turn), now_ns
+        if found.buttons is None:
+            return frozenset()
+        pressed, self._held = found.buttons - self._held, found.buttons
+        return pressed
+
+    def _quiet(self, axes: Axes) -> Axes:
+        """`axes` with the dead zone taken out, the rest spread so that full stays full."""
+        zone = self._config.dead_zone
+
+        def quiet(value: float) -> float:
+            beyond = (abs(value) - zone) / (1 - zone)
+            return 0.0 if beyond <= 0 else (beyond if value > 0 else -beyond)
+
+        x, y, z = axes
+        return (quiet(x), quiet(y), quiet(z))

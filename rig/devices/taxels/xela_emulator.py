@@ -1,0 +1,297 @@
+"""Emulated `xela_server`: uSkin scans by WebSocket, from the World or from a log of raw counts.
+
+    python -m rig.devices.taxels.xela_emulator --host 127.0.0.6 --port 5000 --world PATH
+    python -m rig.devices.taxels.xela_emulator --source trial.npy --rate-hz 100 --layout 1.7
+
+A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row a scan. Faults
+come in through rig.core.fault_injection; `wrong_units` loses the last hexadecimal digit of each
+value.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import json
+import socket
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import Server, ServerConnection
+from websockets.sync.server import serve as listen
+
+from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
+from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.fault_injection import Disturbance, spoilt_text
+
+Log = npt.NDArray[np.float64]
+
+_BACKLOG = 512
+
+
+@dataclass(frozen=True, slots=True)
+class XelaEmulatorConfig:
+    """Where the emulated server listens and how it sends."""
+
+    host: str = "127.0.0.1"
+    port: int = 5000
+    rate_hz: float = 60.0
+    jitter: float = 0.0
+    """Standard deviation of how late a scan is sent [s]; scans never come early."""
+    layout: str = "1.8"
+    """Of the messages: 1.7 or 1.8."""
+    noise: float = 0.0
+    """Standard deviation of each value [counts]; a real untouched patch has about 2.1."""
+    seed: int = 0
+
+
+def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups: float) -> str:
+    """The message about scan `number`; the inverse of `rig.devices.taxels.xela_wire.parse`.
+
+    Args:
+        number: The server's count of scans.
+        seconds: Time of the scan since 1970 [s].
+        counts: X, Y, Z of each taxel, 0 to 65535.
+        layout: 1.7 or 1.8.
+        ups: Updates per second that layout 1.8 states [Hz].
+    """
+    sensor: dict[str, Any] = {
+        "data": ",".join([f"{value:X}" for value in counts]),
+        "sensor": "1",
+        "taxels": len(counts) // 3,
+        "model": "XR1944" if layout == "1.7" else "uSPa44",
+        "calibrated": None,
+    }
+    top: dict[str, Any] = {"message": number, "time": seconds, "sensors": 1}
+    if layout != "1.7":
+        top |= {"sendtime": seconds, "type": "routine"}
+        sensor |= {"time": seconds, "tempraw": [33337], "temp": [307.5], "ups": [ups]}
+    return json.dumps(top | {"1": sensor})
+
+
+class XelaEmulator:
+    """The emulated server; one thread makes scans, one per client sends the newest.
+
+    Args:
+        config: Address, rate, layout.
+        source: The World, or a log of raw counts (T, 3 x taxels).
+        clock: Paces the scans.
+    """
+
+    def __init__(self, config: XelaEmulatorConfig, source: World | Log, clock: Clock) -> None:
+        self._config = config
+        self._source = source
+        self._clock = clock
+        self._anchor = ClockAnchor.take()
+        self._rng = np.random.default_rng(config.seed)
+        self._ending = threading.Event()
+        self._changed = threading.Condition()
+        # The newest scans, each as what is sent for it: a client that falls behind gets them all in
+        # order, as from the vendor's server, up to this many.
+        self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
+        self._number = 0
+        self._missed = 0
+        self.disturbance = Disturbance[str](
+            clock,
+            spoil=spoilt_text,
+            mistake=_shortened,
+            on_change=self._on_plug,
+            seed=config.seed,
+        )
+        self._clients: set[ServerConnection] = set()
+        self._server: Server | None = None
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def address(self) -> str:
+        """The WebSocket address."""
+        return f"ws://{self._config.host}:{self._config.port}"
+
+    @property
+    def missed(self) -> int:
+        """Scans not made because their time had passed."""
+        return self._missed
+
+    def start(self) -> None:
+        """Listen and serve.
+
+        Raises:
+            OSError: The address cannot be had.
+        """
+        self._server = listen(
+            self._serve_client,
+            self._config.host,
+            self._config.port,
+            compression=None,
+            ping_interval=None,
+            close_timeout=0.5,
+        )
+        self._threads = [
+            threading.Thread(target=self._make_scans, name="xela-emulator"),
+            threading.Thread(target=self._server.serve_forever, name="xela-emulator-accept"),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Stop serving; safe twice."""
+        self._ending.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self._server is not None:
+            self._server.shutdown()
+            self._server = None
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+
+    def messages(self, message: str) -> Iterable[str]:
+        """What is sent for one scan: where faults and tests spoil messages."""
+        return self.disturbance.passed(message)
+
+    def _on_plug(self) -> None:
+        if not self.disturbance.unplugged:
+            return
+        with self._changed:
+            clients = tuple(self._clients)
+        for client in clients:
+            _cut(client)
+
+    def _make_scans(self) -> None:
+        pacer = Pacer(self._clock, self._config.rate_hz)
+        while not self._ending.is_set():
+            deadline_ns = pacer.wait()
+            if self._config.jitter > 0:
+                late = abs(self._rng.normal(0.0, self._config.jitter))
+                self._clock.sleep_until(deadline_ns + round(late * SECOND_NS))
+            self._missed = pacer.missed
+            counts = self._counts()
+            now_ns = self._clock.now_ns() - self._anchor.t0_ns + self._anchor.utc_ns
+            message = emit(
+                self._number + 1,
+                now_ns / SECOND_NS,
+                counts,
+                layout=self._config.layout,
+                ups=self._config.rate_hz,
+            )
+            with self._changed:
+                self._number += 1
+                self._scans.append(tuple(self.messages(message)))
+                self._changed.notify_all()
+
+    def _counts(self) -> list[int]:
+        if isinstance(self._source, np.ndarray):
+            values = self._source[self._number % len(self._source)]
+        else:
+            values = self._source.state()[1]["taxels"].reshape(-1)
+        if self._config.noise > 0:
+            values = values + self._rng.normal(0.0, self._config.noise, values.shape)
+        whole: list[int] = np.rint(values).clip(0, 0xFFFF).astype(np.int64).tolist()
+        return whole
+
+    def _serve_client(self, connection: ServerConnection) -> None:
+        if self.disturbance.unplugged:
+            _cut(connection)
+            return
+        with self._changed:
+            self._clients.add(connection)
+        try:
+            self._send_scans(connection)
+        finally:
+            with self._changed:
+                self._clients.discard(connection)
+
+    def _send_scans(self, connection: ServerConnection) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            connection.send(json.dumps({"message": "Welcome"}))
+            sent = self._number
+            while not self._ending.is_set():
+                sent, messages = self._newer_than(sent)
+                for message in messages:
+                    connection.send(message)
+
+    def _newer_than(self, sent: int) -> tuple[int, tuple[str, ...]]:
+        with self._changed:
+            self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
+            if self._ending.is_set():
+                return self._number, ()
+            behind = min(self._number - sent, len(self._scans))
+            newer = itertools.islice(self._scans, len(self._scans) - behind, None)
+            return self._number, tuple(itertools.chain.from_iterable(newer))
+
+
+def _shortened(message: str) -> str:
+    """The message with the last digit of every value missing."""
+    content = json.loads(message)
+    for part in content.values():
+        if isinstance(part, dict):
+            part["data"] = ",".join(word[:-1] or "0" for word in part["data"].split(","))
+    return json.dumps(content)
+
+
+def _cut(connection: ServerConnection) -> None:
+    """As when the cable is pulled: no word of farewell."""
+    with contextlib.suppress(OSError):
+        connection.socket.shutdown(socket.SHUT_RDWR)
+
+
+def load_log(path: Path) -> Log:
+    """A log of raw counts (T, 3 x taxels) from an .npy file.
+
+    Raises:
+        ValueError: It has another shape.
+    """
+    log: Log = np.load(path, allow_pickle=False).astype(np.float64)
+    if log.ndim != 2 or len(log) == 0 or log.shape[1] == 0 or log.shape[1] % 3:
+        raise ValueError(f"{path.name}: shape {log.shape}; expected (T, 3 x taxels)")
+    return log
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="rig.devices.taxels.xela_emulator", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--port", type=int, default=5000, help="(%(default)s)")
+    parser.add_argument("--rate-hz", type=float, default=60.0, help="(%(default)s)")
+    parser.add_argument("--jitter-ms", type=float, default=0.0, help="std of the lateness (none)")
+    parser.add_argument("--layout", choices=("1.7", "1.8"), default="1.8", help="(%(default)s)")
+    parser.add_argument("--noise", type=float, default=0.0, help="std [counts] (none)")
+    parser.add_argument("--source", type=Path, help="log of raw counts (.npy), not the World")
+    args = parser.parse_args(argv)
+    config = XelaEmulatorConfig(
+        host=args.host,
+        port=args.port,
+        rate_hz=args.rate_hz,
+        jitter=args.jitter_ms / 1e3,
+        layout=args.layout,
+        noise=args.noise,
+        seed=args.seed,
+    )
+    try:
+        log = None if args.source is None else load_log(args.source)
+    except (OSError, ValueError) as error:
+        parser.error(f"--source: {error}")
+    world = SharedWorld(args.world)
+    emulator = XelaEmulator(config, world if log is None else log, SystemClock())
+    try:
+        return serve(
+            "xela",
+            emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            faults=fault_port(args, emulator.disturbance.inject),
+        )
+    finally:
+        world.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

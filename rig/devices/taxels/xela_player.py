@@ -1,0 +1,116 @@
+"""An emulated `xela_server` that plays recorded taxels: see rig/mock/player.py.
+
+The driver needs one scan to open. It gets the first row's, numbered one less; the recorded rows
+then come under their recorded numbers and device times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import threading
+
+import numpy as np
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import Server, ServerConnection
+from websockets.sync.server import serve as listen
+
+from rig.devices.playback import Tape, stated_rate
+from rig.devices.taxels.xela_emulator import emit
+
+PORT = 5000
+
+
+class XelaOutlet:
+    """Scans by WebSocket.
+
+    Args:
+        tape: A taxel stream.
+        host: Address to listen on.
+    """
+
+    window = 128
+    """The driver keeps 10 000 scans for a recorder that is late."""
+
+    def __init__(self, tape: Tape, host: str) -> None:
+        self._host = host
+        rows = slice(tape.rows.start, tape.rows.stop)
+        stream = tape.stream
+        counts = stream.array("value")[rows].reshape(-1, 48)
+        self._counts = counts if len(counts) else np.zeros((1, 48), np.int32)
+        self._seq = stream.array("seq")[rows].tolist() or [1]
+        self._device_t = stream.array("device_t")[rows].tolist() or [math.nan]
+        device = stream.attrs.get("device") or {}
+        self._layout = str(device.get("layout") or "1.8")
+        self._rate_hz = stated_rate(stream)
+        self._server: Server | None = None
+        self._thread: threading.Thread | None = None
+        self._client: ServerConnection | None = None
+        self._ending = threading.Event()
+
+    @property
+    def address(self) -> str:
+        """The WebSocket address."""
+        return f"ws://{self._host}:{PORT}"
+
+    def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OSError: The address cannot be had.
+        """
+        self._server = listen(
+            self._greet, self._host, PORT, compression=None, ping_interval=None, close_timeout=0.5
+        )
+        self._thread = threading.Thread(target=self._server.serve_forever, name="xela-player")
+        self._thread.start()
+
+    def send(self, place: int) -> None:
+        """One scan, its number and time as recorded.
+
+        Raises:
+            OSError: The client is gone.
+        """
+        client = self._client
+        if client is None:
+            raise OSError("no client is connected")
+        try:
+            client.send(self._message(self._seq[place], place))
+        except ConnectionClosed as error:
+            raise OSError(f"client gone: {error}") from error
+
+    def idle(self) -> None:
+        """The server has nothing to say without a scan."""
+
+    def wake(self) -> None:
+        """The driver's waits are short."""
+
+    def close(self) -> None:
+        """Disconnect; safe twice."""
+        self._ending.set()
+        if self._server is not None:
+            self._server.shutdown()
+            self._server = None
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _message(self, number: int, place: int) -> str:
+        return emit(
+            number,
+            self._device_t[place],
+            self._counts[place].tolist(),
+            layout=self._layout,
+            ups=self._rate_hz,
+        )
+
+    def _greet(self, connection: ServerConnection) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            connection.send(json.dumps({"message": "Welcome"}))
+            connection.send(self._message(self._seq[0] - 1, 0))
+            self._client = connection
+            # The connection lives as long as this thread; the player sends from its own.
+            while not self._ending.is_set():
+                with contextlib.suppress(TimeoutError):
+                    connection.recv(timeout=0.1)

@@ -1,0 +1,193 @@
+"""The emulators of one replayed run: a process for each stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from recorder import Session
+from rig.bench.bench import Bench, BenchLimits, Preflight
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import DeviceLost
+from rig.core.shared_memory import LatestRecord
+from rig.devices.arm.settings import ArmConfig
+from rig.devices.camera.settings import CameraConfig
+from rig.devices.force.settings import NetFtConfig
+from rig.devices.playback import force_page, stated_rate
+from rig.devices.taxels.settings import XelaConfig
+from rig.mock.cue import CUE, FAILED, POSITION, cue_path, position_path
+from rig.mock.processes import Launched
+from trajectories import ForceDepth
+
+
+class Players:
+    """Starts, cues and ends the emulators of a run, as a context manager.
+
+    Args:
+        session: The source.
+        names: Streams to play.
+        run: Which of its runs.
+        host: Loopback address to listen on.
+        folder: Empty run folder.
+        clock: Clock.
+        speed: Times the recorded one; 0: as fast as read.
+    """
+
+    def __init__(
+        self,
+        session: Path,
+        names: tuple[str, ...],
+        run: int,
+        host: str,
+        folder: Path,
+        clock: Clock,
+        *,
+        speed: float,
+    ) -> None:
+        self._launched = Launched(folder, clock)
+        self._cue = LatestRecord.create(cue_path(folder), CUE)
+        self._positions = {
+            name: LatestRecord.create(position_path(folder, name), POSITION) for name in names
+        }
+        self._options = [
+            *("--session", str(session), "--run", str(run), "--folder", str(folder)),
+            *("--host", host, "--speed", repr(speed), "--with", ",".join(names)),
+        ]
+
+    def __enter__(self) -> Players:
+        try:
+            for name in self._positions:
+                self._launched.start(name, ["rig.mock.player", "--stream", name, *self._options])
+            self._launched.wait_ready()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def cue(self, start_ns: int) -> None:
+        """Start the tape at `start_ns`: every driver is open, every writer records."""
+        self._cue.write((start_ns,))
+
+    def wake(self) -> None:
+        """The second cue: no further row; readers that wait for one are made to look up."""
+        while self._cue.count < 2:
+            self._cue.write((0,))
+
+    def positions(self) -> Mapping[str, np.void | None]:
+        """POSITION of each emulator, None before it has told one."""
+        return {name: record.read() for name, record in self._positions.items()}
+
+    def check(self) -> None:
+        """Notice an emulator that ended or failed.
+
+        Raises:
+            DeviceLost: Names it, with its last word.
+        """
+        self._launched.check()
+        for name, record in self._positions.items():
+            position = record.read()
+            if position is not None and position["state"] == FAILED:
+                raise DeviceLost(f"{name}: its emulator failed: {self._launched.last_word(name)}")
+
+    def close(self) -> None:
+        """End every emulator; safe twice."""
+        self._launched.close()
+        for record in (self._cue, *self._positions.values()):
+            record.close()
+        self._positions = {}
+
+
+# The bench of a replay: the addresses of its emulators, and nothing that moves.
+
+_PATIENCE = 30.0
+# How long a device may be silent: until all drivers are open, and while another reader is slow [s].
+_CAMERA_PATIENCE = 10.0
+# Of the camera, which is opened last, and whose driver may wait as long to close [s].
+_NO_MOTION = BenchLimits(
+    box_x=(0.0, 0.0),
+    box_y=(0.0, 0.0),
+    depth_max=0.0,
+    height_max=0.0,
+    force_rating=(1.0, 1.0, 1.0),
+    torque_rating=(1.0, 1.0, 1.0),
+    stiffness=1.0,
+    duration_max=0.0,
+)
+
+
+def replay_bench(session: Session, names: tuple[str, ...], host: str, speed: float) -> Bench:
+    """The devices of a session at the addresses of the emulators that play them.
+
+    Args:
+        session: The source.
+        names: Its streams to replay.
+        host: Loopback address of the emulators.
+        speed: Times the recorded one; 0: as fast as read.
+    """
+    attrs = session.attrs
+    camera = taxels = None
+    force = NetFtConfig(host=host, http_port=8080, silence=_PATIENCE)
+    arm = ArmConfig(host=host)
+    if "force" in names:
+        stream = session.streams["force"]
+        silence = _PATIENCE + _longest_gap(session, "force", speed)
+        rate_hz = float(force_page(stream).rate_hz)
+        force = NetFtConfig(host=host, http_port=8080, rate_hz=rate_hz, silence=silence)
+    if "pose" in names:
+        arm = ArmConfig(host=host, rate_hz=stated_rate(session.streams["pose"]))
+    if "camera" in names:
+        stream = session.streams["camera"]
+        height, width, _ = stream.layout.columns[0].column.shape
+        camera = CameraConfig(
+            address=f"http://{host}:8081/",
+            rate_hz=stated_rate(stream),
+            width=width,
+            height=height,
+            silence=_CAMERA_PATIENCE + _longest_gap(session, "camera", speed),
+            repeats=True,
+        )
+    if "taxels" in names or camera is None:
+        # A bench without a signal is refused; that of a replay may have one that nobody opens.
+        taxels = XelaConfig(address=f"ws://{host}:5000", silence=_PATIENCE)
+    if taxels is not None and "taxels" in names:
+        taxels = XelaConfig(
+            address=f"ws://{host}:5000",
+            rate_hz=stated_rate(session.streams["taxels"]),
+            silence=_PATIENCE + _longest_gap(session, "taxels", speed),
+        )
+    return Bench(
+        sensor=str(attrs.get("sensor", "")),
+        description="replay",
+        mock=False,
+        rate_hz=session.rate_hz,
+        contact_frame=(0.0,) * 6,
+        tool_rotation=(0.0, 0.0, 0.0),
+        arm=arm,
+        force=force,
+        limits=_NO_MOTION,
+        trajectory=ForceDepth(depth_max=1e-3),
+        preflight=Preflight(timeout=_PATIENCE),
+        camera=camera,
+        taxels=taxels,
+    )
+
+
+def _longest_gap(session: Session, name: str, speed: float) -> float:
+    """Longest time without a row in any run, as it is replayed [s], the wait for the first too."""
+    longest = 0.0
+    for run in range(max(len(session.runs), 1)):
+        times = [
+            stream.t_ns[session.rows_of_run(stream.name, run)]
+            for stream in session.streams.values()
+        ]
+        start = min((int(t.min()) for t in times if len(t)), default=0)
+        end = max((int(t.max()) for t in times if len(t)), default=0)
+        own = session.streams[name].t_ns[session.rows_of_run(name, run)]
+        steps = np.diff(np.concatenate([[start], own, [end]]))
+        longest = max(longest, float(steps.max()) / SECOND_NS)
+    return longest / speed if speed > 0 else longest

@@ -1,0 +1,206 @@
+"""The sensor of a mock bench, and a finger that presses it: nothing else of the bench is started.
+
+Whoever watches forces live moves no arm. On a mock bench something has to touch the sensor all the
+same: the finger goes along the bench's trajectory, target after target, once it is told to.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.bench.bench import Bench, addressed, bench_from
+from rig.bench.worlds import SimulatedSpec
+from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.geometry import transform
+from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
+from rig.core.shared_memory import LatestRecord
+from rig.mock.bench import free_loopback
+from rig.mock.emulators import Stage, emulator_commands, world_commands
+from rig.mock.processes import Launched
+from rig.mock.world.simulated import PRESS_FILE
+from rig.mock.world.truth import Truth
+from trajectories import Point
+
+_RATE_HZ = 125
+# As a UR3's controller; motion between two states is a straight line.
+_STRIDE = 37
+# Targets of a plan differ little from one to the next; so far on, depth and direction do.
+_SENSORS = ("camera", "taxels")
+_END_TIMEOUT = 5.0
+# For the World's process [s].
+_FIRST_TIMEOUT = 10.0
+# For its first state [s].
+
+
+class TouchedMock:
+    """The emulated sensor of a mock bench and its World, as a context manager.
+
+    Args:
+        content: A mock bench as read from YAML, with `loopback` addresses.
+        where: Its file, for errors.
+        folder: Empty run folder for shared records.
+        rate_hz: Frames a second, in place of the bench file's.
+    """
+
+    def __init__(
+        self, content: dict[str, Any], where: str, folder: Path, *, rate_hz: float | None = None
+    ) -> None:
+        self.host = free_loopback()
+        self._content = addressed(_at_rate(content, rate_hz), self.host, folder)
+        self.bench: Bench = bench_from(self._content, where)
+        if self.bench.world is None:
+            raise ConfigError(f"{where}.world: missing; allowed: a world, on a mock bench")
+        self._folder = folder
+        self._truth_path = folder / "truth.log"
+        self._launched = Launched(folder, SystemClock())
+        self._arm: LatestRecord | None = None
+        self._published: LatestRecord | None = None
+        self._finger: _Finger | None = None
+
+    def __enter__(self) -> TouchedMock:
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def press(self) -> None:
+        """Let the finger go; it waits clear of the surface until then."""
+        if self._finger is not None:
+            self._finger.go.set()
+
+    def check(self) -> None:
+        """Notice an emulator that ended on its own.
+
+        Raises:
+            DeviceLost: Names it, with its last word.
+        """
+        self._launched.check()
+
+    def wrench(self, t_ns: np.ndarray) -> np.ndarray:
+        """What the World says was felt at times (n,) [ns]: (n, 6) [N, N m]. Ends the World."""
+        # What it logged is whole only then.
+        world = self._launched.processes["world"]
+        world.terminate()
+        world.wait(_END_TIMEOUT)
+        return Truth(self._truth_path).wrench(t_ns)
+
+    def close(self) -> None:
+        """End finger and emulators; safe twice."""
+        if self._finger is not None:
+            self._finger.close()
+            self._finger = None
+        self._launched.close()
+        for record in (self._arm, self._published):
+            if record is not None:
+                record.close()
+        self._arm = self._published = None
+
+    def _start(self) -> None:
+        bench, folder = self.bench, self._folder
+        spec, arm, world = (folder / name for name in ("world.json", "arm.state", "world.state"))
+        frame = list(bench.world_frame or bench.contact_frame)
+        told = {
+            "world": self._content["world"],
+            "contact_frame": frame,
+            "indenter": bench.indenter,
+        }
+        spec.write_text(json.dumps(told))
+        published = self._published = LatestRecord.create(world, WORLD_STATE)
+        if isinstance(bench.world, SimulatedSpec):
+            LatestRecord.create(folder / PRESS_FILE, PRESS_STATE).close()
+        self._arm = LatestRecord.create(arm, ARM_TRUTH)
+        stage = Stage(bench, self.host, folder, spec, arm=arm, world=world, truth=self._truth_path)
+        emulators = emulator_commands(stage)
+        commands = {name: emulators[name] for name in _SENSORS if name in emulators}
+        for name, arguments in {**commands, **world_commands(stage)}.items():
+            self._launched.start(name, arguments)
+        clock = SystemClock()
+        self._finger = _Finger(self._arm, bench, clock)
+        self._launched.wait_ready()
+        # Before its first state an emulator has nothing to serve but zeros, which are no counts.
+        latest_ns = clock.now_ns() + round(_FIRST_TIMEOUT * SECOND_NS)
+        while not published.count:
+            if clock.now_ns() > latest_ns:
+                raise DeviceLost(f"world: no state in {_FIRST_TIMEOUT:g} s")
+            self._launched.check()
+            clock.sleep_until(clock.now_ns() + SECOND_NS // _RATE_HZ)
+
+
+class _Finger:
+    """Writes where the tip is, in the place of the emulated arm."""
+
+    def __init__(self, arm: LatestRecord, bench: Bench, clock: Clock) -> None:
+        self.go = threading.Event()
+        """Set to let it go."""
+        self._arm, self._bench, self._clock = arm, bench, clock
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="finger")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop; safe twice."""
+        self._ending.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        bench = self._bench
+        way = _way(bench)
+        tip, _ = next(way)
+        goal, speed = next(way)
+        pacer = Pacer(self._clock, _RATE_HZ)
+        before_ns = self._clock.now_ns()
+        pose = np.array([0.0, 0.0, 0.0, *bench.tool_rotation])
+        while not self._ending.is_set():
+            now_ns = pacer.wait()
+            left = (now_ns - before_ns) / SECOND_NS if self.go.is_set() else 0.0
+            before_ns = now_ns
+            while left > 0:
+                length = float(np.linalg.norm(np.subtract(goal, tip)))
+                if length > speed * left:
+                    tip = _towards(tip, goal, speed * left / length)
+                    break
+                tip, left = goal, left - length / speed
+                goal, speed = next(way)
+            pose[:3] = transform(bench.world_frame or bench.contact_frame, tip)
+            self._arm.write((now_ns, pose, np.zeros(6)))
+
+
+def _way(bench: Bench) -> Iterator[tuple[Point, float]]:
+    """Where the tip goes [m] and how fast [m/s], without end; the first is where it waits."""
+    plan, arm = bench.trajectory, bench.arm
+    targets = list(plan.targets())
+    for count in itertools.count():
+        target = targets[count * _STRIDE % len(targets)]
+        yield target.origin, arm.travel_speed
+        for move in plan.moves(target):
+            yield move.end, arm.speed
+
+
+def _towards(start: Point, goal: Point, share: float) -> Point:
+    x, y, z = (a + share * (b - a) for a, b in zip(start, goal, strict=True))
+    return (x, y, z)
+
+
+def _at_rate(content: dict[str, Any], rate_hz: float | None) -> dict[str, Any]:
+    """`content` whose sensor sends so many frames a second."""
+    if rate_hz is None:
+        return content
+    faster = {
+        name: {**content[name], "rate_hz": rate_hz}
+        for name in _SENSORS
+        if isinstance(content.get(name), dict)
+    }
+    return {**content, **faster}

@@ -1,0 +1,171 @@
+"""A recorded session as a sensor: an emulator plays it, the driver of the lab reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import Session, SessionError
+from recorder.session import align
+from rig.bench.stream_kinds import KINDS, make_driver
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.driver import Driver
+from rig.core.shared_memory import LatestRecord
+from rig.devices.playback import load_tape
+from rig.mock.bench import free_loopback
+from rig.mock.cue import ENDED
+from rig.mock.players import Players, replay_bench
+
+_RUN = 0
+# The first: later ones are what was recorded after a stop.
+_LEAD_NS = SECOND_NS // 10
+_UNTOUCHED = 10
+# Frames up to the session's first reference that are taken for untouched.
+
+
+class ReplayedSensor:
+    """Camera or taxels of a session at the recorded times, as a context manager.
+
+    Args:
+        path: The session.
+        folder: Empty run folder.
+        clock: Clock.
+    """
+
+    def __init__(self, path: Path, folder: Path, clock: Clock) -> None:
+        self._session = Session(path)
+        self.stream = _stream(self._session, path)
+        """camera or taxels."""
+        self.sensor = str(self._session.attrs.get("sensor", ""))
+        """What the session calls it."""
+        self._clock = clock
+        self._start_ns = 0
+        self._closed = False
+        tape = load_tape(self._session, (self.stream,), self.stream, _RUN)
+        if not len(tape.t_ns):
+            raise SessionError(f"{path}: no {self.stream} rows in its first run")
+        self._origin_ns = int(tape.stream.t_ns[tape.rows.start]) - int(tape.t_ns[0])
+        names, host = (self.stream,), free_loopback()
+        bench = replay_bench(self._session, names, host, 1.0)
+        self._timeout = bench.preflight.timeout
+        kind = KINDS[self.stream]
+        # The player looks here how many rows were taken, so as not to run ahead of a slow reader.
+        self._latest = LatestRecord.create(folder / f"{self.stream}.latest", kind.latest)
+        self._players = Players(path, names, _RUN, host, folder, clock, speed=1.0)
+        self.driver: Driver = _Counted(make_driver(bench, self.stream, clock), self._latest, kind)
+
+    def __enter__(self) -> ReplayedSensor:
+        try:
+            self._players.__enter__()
+            self.driver.open(self._timeout)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def play(self) -> None:
+        """Start the tape."""
+        self._start_ns = self._clock.now_ns() + _LEAD_NS
+        self._players.cue(self._start_ns)
+
+    def over(self) -> bool:
+        """Whether the last row was sent."""
+        positions = self._players.positions().values()
+        return all(one is not None and one["state"] == ENDED for one in positions)
+
+    def check(self) -> None:
+        """Notice a player that ended or failed.
+
+        Raises:
+            DeviceLost: Names it, with its last word.
+        """
+        self._players.check()
+
+    def untouched(self) -> np.ndarray | None:
+        """Pictures (n, h, w, 3) or counts (n, 16, 3) up to the first reference; None without one.
+
+        Raises:
+            SessionError: They are damaged.
+        """
+        reference = self._session.reference
+        stream = self._session.streams[self.stream]
+        first, last, _ = self._session.rows_of_run(self.stream, _RUN).indices(len(stream))
+        (taken,) = np.flatnonzero(reference["run"] == _RUN)[:1].tolist() or (None,)
+        if taken is None:
+            return None
+        end = int(np.searchsorted(stream.t_ns[first:last], reference["t_ns"][taken], "right"))
+        if self.stream == "camera" and reference["image"][taken] >= 0:
+            end = int(reference["image"][taken]) + 1 - first
+        rows = np.arange(max(end - _UNTOUCHED, 0), end) + first
+        if not rows.size:
+            return None
+        if self.stream == "camera":
+            return stream.images(rows)
+        return np.asarray(stream.array("value"))[rows]
+
+    def wrench(self, t_ns: np.ndarray) -> np.ndarray:
+        """What was recorded (n, 6) [N, N m] when frames came now at times (n,); NaN without."""
+        session = self._session
+        if "force" not in session.streams:
+            return np.full((len(t_ns), 6), np.nan)
+        rows = session.rows_of_run("force", _RUN)
+        force = session.streams["force"]
+        recorded = np.asarray(t_ns, np.int64) - self._start_ns + self._origin_ns
+        value = np.asarray(force.array("value"), np.float64)[rows]
+        return align.linear(force.t_ns[rows], value, recorded).value
+
+    def close(self) -> None:
+        """End driver and player; safe twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self._players.wake()
+        self.driver.close()
+        self._players.close()
+        self._latest.close()
+
+
+class _Counted:
+    """A driver whose samples are counted where the player looks."""
+
+    def __init__(self, driver: Driver, latest: LatestRecord, kind: Any) -> None:
+        self._driver, self._latest, self._kind = driver, latest, kind
+        self._row = -1
+
+    @property
+    def dropped(self) -> int:
+        return self._driver.dropped
+
+    def open(self, timeout: float) -> None:
+        self._driver.open(timeout)
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        samples = self._driver.read(timeout)
+        for sample in samples:
+            self._row += 1
+            self._latest.write(self._kind.record(sample, self._row))
+        return samples
+
+    def describe(self) -> dict[str, Any]:
+        return self._driver.describe()
+
+    def close(self) -> None:
+        self._driver.close()
+
+
+def _stream(session: Session, path: Path) -> str:
+    camera = session.streams.get("camera")
+    if camera is None:
+        if "taxels" not in session.streams:
+            raise SessionError(f"{path}: has neither camera nor taxels")
+        return "taxels"
+    if camera.jpeg_shape is None:
+        raise SessionError(
+            f"{path}: its images are stored as pixels; allowed: JPEG, as a camera sends them"
+        )
+    return "camera"

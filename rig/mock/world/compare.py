@@ -1,0 +1,121 @@
+"""How far a mock session lies from the World's truth: time errors per stream, worst force error.
+
+python -m rig compare --session sessions/x.zarr --truth x.truth
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recorder import Session
+from rig.core.errors import ConfigError
+from rig.devices.camera.jpeg import frame_stamp
+from rig.mock.world.truth import Truth
+
+_WINDOW = 0.25
+# A time error is fitted over windows of this length: a single sample's noise would look like
+# milliseconds, since the force only changes by some newtons a second [s].
+_STEP_NS = 1_000_000
+# Slopes of the truth are taken over this distance to both sides.
+
+
+@dataclass(frozen=True, slots=True)
+class TimeError:
+    """Recorded time minus true time of what was recorded; positive is late [s]."""
+
+    stream: str
+    median: float
+    worst: float
+    count: int
+    """Samples (camera) or windows (others) it was found in."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.stream:<7} time error  median {1e3 * self.median:+6.2f} ms  "
+            f"worst {1e3 * self.worst:+6.2f} ms  ({self.count})"
+        )
+
+
+def compare(session_path: Path, truth_path: Path) -> list[str]:
+    """Lines that say how far the session lies from the truth.
+
+    Raises:
+        ConfigError: The truth does not cover the session.
+    """
+    session, truth = Session(session_path), Truth(truth_path)
+    force = session.streams["force"]
+    if len(truth.records) < 2 or truth.records["t_ns"][0] > force.t_ns[0]:
+        raise ConfigError(f"{truth_path}: does not cover {session_path}")
+    # The emulators end after the streams, but the last states may not have reached the file.
+    covered = force.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
+    times = force.t_ns[covered]
+    wrench = np.asarray(force.column("value"))[: len(force.t_ns)][covered]
+    wrench = wrench + np.asarray(force.attrs["bias"])
+    true = truth.wrench(times)
+    error = wrench - true
+    contact = truth.depth(times) > 0
+    axis = np.unravel_index(np.abs(error[:, :3]).argmax(), error[:, :3].shape)[1]
+    lines = [
+        f"force   worst error  {np.abs(error[:, :3]).max():.4f} N ({'xyz'[axis]}), rms "
+        f"{np.sqrt((error[:, :3] ** 2).mean()):.4f} N, in contact "
+        f"{np.sqrt((error[contact, :3] ** 2).mean()):.4f} N; largest force "
+        f"{np.abs(true[:, :3]).max():.2f} N"
+    ]
+    lines.append(str(_lag("force", times, wrench[:, :3], lambda t: truth.wrench(t)[:, :3], 0.5)))
+    pose = session.streams["pose"]
+    covered = pose.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
+    position = np.asarray(pose.column("value"))[: len(pose.t_ns)][covered][:, :3]
+    lines.append(str(_lag("pose", pose.t_ns[covered], position, truth.position, 1e-3)))
+    if "camera" in session.streams:
+        lines += _camera(session)
+    return lines
+
+
+def _lag(
+    name: str,
+    times: np.ndarray,
+    values: np.ndarray,
+    truth_at: Callable[[np.ndarray], np.ndarray],
+    slow: float,
+) -> TimeError:
+    """Least-squares time error per window: values(t) = truth(t - lag), to first order.
+
+    Windows whose slope stays below `slow` (per second) say nothing of time and are left out.
+    """
+    slope = (truth_at(times + _STEP_NS) - truth_at(times - _STEP_NS)) / (2e-9 * _STEP_NS)
+    error = values - truth_at(times)
+    window = (times - times[0]) // round(_WINDOW * 1e9)
+    up = np.bincount(window, (error * slope).sum(axis=1))
+    down = np.bincount(window, (slope**2).sum(axis=1))
+    count = np.bincount(window)
+    kept = down > slow**2 * np.maximum(count, 1)
+    if not kept.any():
+        return TimeError(name, float("nan"), float("nan"), 0)
+    lags = -up[kept] / down[kept]
+    worst = lags[np.abs(lags).argmax()]
+    return TimeError(name, float(np.median(lags)), float(worst), int(kept.sum()))
+
+
+def _camera(session: Session) -> list[str]:
+    """From the state time that the emulator wrote into each JPEG."""
+    stream = session.streams["camera"]
+    late: list[float] = []
+    numbers: list[int] = []
+    for row, t_ns in enumerate(stream.t_ns):
+        jpeg = stream.jpeg(row)
+        stamp = frame_stamp(jpeg) if jpeg is not None else None
+        if stamp is not None:
+            numbers.append(stamp[0])
+            late.append((int(t_ns) - stamp[1]) * 1e-9)
+    if not late:
+        return ["camera  no emulator's stamps in its images"]
+    worst = max(late, key=abs)
+    missing = int((np.diff(numbers) - 1).sum())
+    return [
+        str(TimeError("camera", float(np.median(late)), worst, len(late))),
+        f"camera  {missing} of the emulator's frames missing",
+    ]

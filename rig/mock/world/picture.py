@@ -1,0 +1,239 @@
+"""Displacement of the surface around a contact: smooth closed forms, plausible, not a solution.
+
+The mock bench needs markers that move with the contact, not a stress analysis: that is `sim`. The
+shapes follow the kinematic marker models of the field (a dilation and a shear term, each decaying
+away from the contact), with the decay lengths of a bonded layer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.bench.worlds import MarkerView
+
+_DILATION = 0.35
+# Outward motion at the edge of the contact, per depth: between 0.09 mm and 0.18 mm around a sphere
+# pressed 1.4 mm over most of the layer in converged runs, more at the edge of a flat punch.
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The state of the surface under one round contact, in the contact frame."""
+
+    centre: tuple[float, float]
+    """Middle of the contact [m]."""
+    depth: float
+    """Indentation [m], 0 when nothing touches."""
+    radius: float
+    """Radius of the contact [m]."""
+    thickness: float
+    """Thickness of the layer: the length over which everything decays [m]."""
+    shear: tuple[float, float]
+    """Sideways displacement of the surface in the contact [m]."""
+
+    def displacement(self, points: np.ndarray) -> np.ndarray:
+        """Where material points of the surface went.
+
+        Args:
+            points: Untouched positions (n, 2) in the contact frame [m].
+
+        Returns:
+            Displacement (n, 3) [m]; z is negative under the indenter.
+        """
+        moved = np.zeros((len(points), 3))
+        if self.depth <= 0:
+            return moved
+        # The material under the tip now is what the shear has dragged there.
+        home = np.array(self.centre) - np.array(self.shear)
+        offset = points - home
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        outside = np.maximum(distance - self.radius, 0.0) / self.thickness
+        moved[:, :2] = np.array(self.shear) * np.exp(-outside)[:, None]
+        # Outward: linear inside the contact, largest at its edge, decaying over the thickness.
+        reach = self.radius + 0.25 * self.thickness
+        ratio = distance / reach
+        dilation = _DILATION * self.depth * np.exp(0.5 * (1 - ratio**2)) / reach
+        moved[:, :2] += offset * dilation[:, None]
+        moved[:, 2] = -self.depth * np.exp(-2 * outside)
+        return moved
+
+
+# What the mock camera's pictures have in common: a lit gel, noise, and rims filled with ink.
+
+WIDTH, HEIGHT = 640, 480
+FINE = 4
+"""Rims are filled on so many rows and columns a pixel; its shades are counts of them."""
+_FIXED_BITS = 4
+# cv2.fillPoly takes corners in 1/16 of a fine pixel.
+_BEYOND = 0.5
+# A filled polygon has the pixels on its rim too: half of one too much, in fine pixels.
+
+
+class Backdrop:
+    """A lit gel without markers, and the noise of the camera.
+
+    Args:
+        background: Colour of the gel, RGB.
+        grey_noise: Standard deviation of the image noise [grey levels].
+        seed: Of the noise.
+    """
+
+    def __init__(
+        self, background: tuple[int, int, int], *, grey_noise: float = 0.0, seed: int = 0
+    ) -> None:
+        row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
+        across = (column - WIDTH / 2) / WIDTH
+        down = (row - HEIGHT / 2) / HEIGHT
+        vignette = 1.08 - 0.45 * (across**2 + down**2)
+        tint = np.stack([1 + 0.18 * across, 1 - 0.10 * down, 1 - 0.18 * across], axis=-1)
+        lit = vignette[..., None] * tint * np.array(background)
+        self.lit = np.clip(lit, 0, 255).astype(np.uint8)
+        """RGB (480, 640, 3)."""
+        self._noise = None
+        if grey_noise > 0:
+            # A bank of noise, walked at random, costs a copy instead of a million random numbers.
+            rng = np.random.default_rng(seed)
+            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3))
+            self._noise, self._rng = bank.round().astype(np.int16), rng
+
+    def noisy(self, image: np.ndarray) -> np.ndarray:
+        """The image (480, 640, 3) with the camera's noise, if there is any."""
+        if self._noise is None:
+            return image
+        top, left = self._rng.integers(0, 64, 2)
+        noise = self._noise[top : top + HEIGHT, left : left + WIDTH]
+        noisy: np.ndarray = np.clip(image.astype(np.int16) + noise, 0, 255).astype(np.uint8)
+        return noisy
+
+
+class MarkerPicture:
+    """Markers of any shape on a lit gel.
+
+    Args:
+        background: Colour of the gel, RGB.
+        ink: Colour of the markers, RGB.
+        grey_noise: Standard deviation of the image noise [grey levels].
+        seed: Of the noise.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[int, int, int],
+        ink: tuple[int, int, int],
+        grey_noise: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self._backdrop = Backdrop(background, grey_noise=grey_noise, seed=seed)
+        self._ink = np.broadcast_to(np.array(ink, np.uint8), (HEIGHT, WIDTH, 3)).copy()
+
+    def image(self, rims: np.ndarray) -> np.ndarray:
+        """The picture, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
+        import cv2
+
+        share = cv2.merge([coverage(rims)] * 3)
+        lit = cv2.multiply(self._backdrop.lit, 255 - share, scale=1 / 255)
+        image: np.ndarray = cv2.add(lit, cv2.multiply(self._ink, share, scale=1 / 255))
+        return self._backdrop.noisy(image)
+
+
+def coverage(rims: np.ndarray) -> np.ndarray:
+    """Share of each pixel that is within a rim (480, 640) uint8, 255 for all of it.
+
+    Args:
+        rims: Column and row of their points (n, m, 2) [px]; whole numbers are pixel centres.
+    """
+    import cv2
+
+    middle = rims.mean(axis=1, keepdims=True)
+    offset = rims - middle
+    length = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+    inner = middle + offset * np.maximum(1 - _BEYOND / FINE / length, 0.0)
+    # The centre of the fine pixel k lies at (k + 1/2) / FINE - 1/2.
+    fine = ((inner + 0.5) * FINE - 0.5) * (1 << _FIXED_BITS)
+    canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
+    for corners in np.rint(fine).astype(np.int32):
+        cv2.fillPoly(canvas, [corners], 255, lineType=cv2.LINE_8, shift=_FIXED_BITS)
+    share: np.ndarray = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return share
+
+
+# The mock camera's view: dark markers on a lit gel, moving with the surface.
+
+_SUBPIXEL_BITS = 4
+# cv2.circle takes centres and radii in 1/16 px, so a marker moves smoothly.
+_SHADE, _SHADE_DEPTH = 90.0, 1.5e-3
+# Largest change of grey on a dent's flank, and the depth [m] at which half of it is reached.
+
+
+class MarkerCamera:
+    """Draws a `MarkerView` of a deformed surface.
+
+    Args:
+        view: Pattern and camera.
+        grey_noise: Standard deviation of the image noise [grey levels].
+        seed: Of the noise.
+    """
+
+    def __init__(self, view: MarkerView, *, grey_noise: float = 0.0, seed: int = 0) -> None:
+        self._view = view
+        self._points = view.points()
+        self._backdrop = Backdrop(view.background, grey_noise=grey_noise, seed=seed)
+        self._column = np.arange(WIDTH, dtype=np.float32)[None, :]
+        self._row = np.arange(HEIGHT, dtype=np.float32)[:, None]
+
+    def pixels(self, surface: Surface) -> np.ndarray:
+        """Marker centres (n, 2) as column and row [px]."""
+        moved = self._points + surface.displacement(self._points)[:, :2]
+        return np.stack(
+            [
+                WIDTH / 2 - 0.5 + moved[:, 0] / self._view.pixel,
+                HEIGHT / 2 - 0.5 - moved[:, 1] / self._view.pixel,
+            ],
+            axis=1,
+        )
+
+    def image(self, surface: Surface) -> np.ndarray:
+        """The view as RGB (480, 640, 3) uint8."""
+        import cv2
+
+        image: np.ndarray = self._backdrop.lit.copy()
+        if surface.depth > 0:
+            self._shade(image, surface)
+        scale = 1 << _SUBPIXEL_BITS
+        radius = round(self._view.radius / self._view.pixel * scale)
+        for column, row in (self.pixels(surface) * scale).round().astype(int).tolist():
+            cv2.circle(
+                image,
+                (column, row),
+                radius,
+                self._view.ink,
+                thickness=-1,
+                lineType=cv2.LINE_AA,
+                shift=_SUBPIXEL_BITS,
+            )
+        return self._backdrop.noisy(image)
+
+    def _shade(self, image: np.ndarray, surface: Surface) -> None:
+        """Brighten the side of the dent that faces the lamp, darken the other (in place)."""
+        view = self._view
+        centre_column = WIDTH / 2 + surface.centre[0] / view.pixel
+        centre_row = HEIGHT / 2 - surface.centre[1] / view.pixel
+        reach = (surface.radius + 0.4 * surface.thickness) / view.pixel
+        left, right = (int(np.clip(centre_column + s * 2.5 * reach, 0, WIDTH)) for s in (-1, 1))
+        top, bottom = (int(np.clip(centre_row + s * 2.5 * reach, 0, HEIGHT)) for s in (-1, 1))
+        if left >= right or top >= bottom:
+            return
+        across = (self._column[:, left:right] - np.float32(centre_column)) / np.float32(reach)
+        down = (self._row[top:bottom] - np.float32(centre_row)) / np.float32(reach)
+        bell = np.exp(-(across**2 + down**2))
+        slope = _SHADE * surface.depth / (surface.depth + _SHADE_DEPTH) * bell
+        patch = image[top:bottom, left:right].astype(np.float32)
+        for channel, (east, south) in enumerate(((1.0, 0.2), (-0.3, -1.0), (-0.7, 0.8))):
+            patch[..., channel] += slope * (east * across + south * down)
+        image[top:bottom, left:right] = np.clip(patch, 0, 255)
+
+
+# Counts of a magnetic taxel pad on a deformed surface.

@@ -1,0 +1,242 @@
+"""SimulatedWorld: what a mock bench's sensors feel is what the simulator says.
+
+A process of its own (`rig.mock.world.solver`) solves the contact along the arm's path as often as
+it can and shares what it finds; the World answers each of the arm's cycles from that, going on
+along the stiffness of the last solution. Cameras draw the markers where the deformation took them.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rig.bench.worlds import SimulatedSpec
+from rig.core.clock import SECOND_NS
+from rig.core.errors import ConfigError
+from rig.core.geometry import matrix_from_vector
+from rig.core.samples import PRESS_STATE, WORLD_STATE, surface_state
+from rig.core.shared_memory import LatestRecord
+from rig.mock.world.picture import MarkerPicture
+
+if TYPE_CHECKING:
+    from sim.stream import LiveMarkers as LiveMarkers
+    from sim.stream import LiveSensor as LiveSensor
+
+PRESS_FILE, SURFACE_FILE = "press.state", "surface.state"
+"""Records that the solver writes, in the run folder."""
+_AHEAD = 1.5
+# How far beyond the last two deformations a picture goes on, in what lies between them.
+_MOVED = 2e-6
+# Tips that are nearer to each other than this [m] give no direction to go on in.
+
+
+class SimulatedWorld:
+    """Answers each cycle of the arm from the solver's last solution.
+
+    Args:
+        spec: The sensor.
+        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
+        folder: Run folder, where the solver's records are.
+    """
+
+    def __init__(self, spec: SimulatedSpec, contact_frame: tuple[float, ...], folder: Path) -> None:
+        self._spec = spec
+        self._frame = ContactFrame(contact_frame)
+        self._presses = LatestRecord.attach(folder / PRESS_FILE, PRESS_STATE)
+        self._count = 0
+        self._between = Between(round(SECOND_NS / spec.rate_hz))
+
+    def step(self, t_ns: int, pose: np.ndarray) -> np.void:
+        """One state.
+
+        Args:
+            t_ns: Time of the pose [ns].
+            pose: TCP in the base frame (6,) [m, rad].
+        """
+        tip = self._frame.tip(pose)
+        if (count := self._presses.count) != self._count:
+            newest = self._presses.read()
+            if newest is not None:
+                self._count = count
+                self._between.take(newest, t_ns, tip)
+        values = self._between.at(t_ns, tip)
+        state: np.void = np.zeros(1, WORLD_STATE)[0]
+        state["t_ns"] = t_ns
+        state["pose"] = pose
+        state["depth"] = -tip[2]
+        state["contact"] = tip[:2]
+        state["shear"] = self._between.press["shear"]
+        state["wrench"] = values[:6]
+        lever = tip + np.array([0.0, 0.0, self._spec.gauge_depth])
+        state["wrench"][3:] += np.cross(lever, values[:3])
+        state["taxels"] = np.clip(values[6:], 0, 65535).reshape(16, 3)
+        return state
+
+
+class ContactFrame:
+    """Takes poses of the base frame to tips in the contact frame.
+
+    Args:
+        pose: Of the contact frame in the base frame (6,) [m, rad].
+    """
+
+    def __init__(self, pose: tuple[float, ...]) -> None:
+        self._origin = np.array(pose[:3])
+        self._rotation = matrix_from_vector(np.array(pose[3:]))
+
+    def tip(self, pose: np.ndarray) -> np.ndarray:
+        """The tip (3,) [m] of the TCP at `pose` (6,) [m, rad]."""
+        tip: np.ndarray = self._rotation.T @ (np.asarray(pose[:3]) - self._origin)
+        return tip
+
+
+class Between:
+    """Wrench about the tip and taxels (54,), from solution to solution without a jump.
+
+    What a new solution differs in from what was foretold fades in, over the time of a turn: a
+    force that jumps is one that no gel makes, and a guard that looks ahead would stop for it.
+
+    Args:
+        fade_ns: The time of a turn.
+    """
+
+    def __init__(self, fade_ns: int) -> None:
+        self.press: np.void = np.zeros(1, PRESS_STATE)[0]
+        """The PRESS_STATE it goes on from."""
+        self._fade_ns = fade_ns
+        self._offset: np.ndarray = np.zeros_like(self.press["values"])
+        self._since_ns = 0
+
+    def take(self, press: np.void, t_ns: int, tip: np.ndarray) -> None:
+        """Go on from this PRESS_STATE, which arrived at `t_ns` with the tip (3,) [m] there."""
+        first = self.press["t_ns"] == 0
+        before = self._foretold(t_ns, tip)
+        self.press = press
+        now = gone_on(press, t_ns, tip)
+        self._offset, self._since_ns = (0 * now if first else before - now), t_ns
+
+    def at(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
+        """Values for a tip (3,) [m] at `t_ns`.
+
+        The contact never pulls, nor drags by more than friction allows.
+        """
+        values = self._foretold(t_ns, tip)
+        if tip[2] >= 0 or values[2] > 0:
+            values[:6] = 0.0
+        drag, most = math.hypot(*values[:2]), -float(self.press["friction"] * values[2])
+        if drag > most:
+            values[:2] *= most / drag
+        return values
+
+    def _foretold(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
+        left = max(0.0, 1 - (t_ns - self._since_ns) / self._fade_ns)
+        return gone_on(self.press, t_ns, tip) + left * self._offset
+
+
+def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
+    """Wrench about the tip and taxels (54,) for a tip (3,) [m] at `t_ns`, from a PRESS_STATE.
+
+    Along the slope of the solution from where that was; from the untouched surface when it did not
+    touch yet.
+    """
+    values: np.ndarray = press["values"].copy()
+    if press["touching"]:
+        values += press["slope"] @ (tip - press["tip"])
+        values += press["rate"] * (1e-9 * (t_ns - press["t_ns"]))
+    else:
+        values += press["slope"][:, 2] * min(tip[2], 0.0)
+    return values
+
+
+class SimulatedView:
+    """Draws the markers of the simulated sensor where a WORLD_STATE has them.
+
+    Args:
+        spec: The sensor.
+        folder: Run folder, where the solver's records are.
+    """
+
+    def __init__(self, spec: SimulatedSpec, folder: Path) -> None:
+        self._path = folder / SURFACE_FILE
+        self._record: LatestRecord | None = None
+        self._markers, self._shape = markers_of(spec)
+        self._picture = MarkerPicture(
+            background=spec.background,
+            ink=spec.ink,
+            grey_noise=0.0 if spec.noise is None else spec.noise.grey,
+        )
+
+    def __call__(self, state: np.void) -> np.ndarray:
+        """The picture: RGB (480, 640, 3) uint8."""
+        surface = self.surface(np.array([*state["contact"], -state["depth"]]))
+        return self._picture.image(self._markers.outlines(surface))
+
+    def surface(self, tip: np.ndarray) -> np.ndarray:
+        """The deformation (X, Y, 3) float32 for a tip (3,) [m]: the last two, gone on to it."""
+        if self._record is None and self._path.exists():
+            self._record = LatestRecord.attach(self._path, surface_state(self._shape))
+        newest = None if self._record is None else self._record.read()
+        if newest is None:
+            return np.zeros((*self._shape, 3), np.float32)
+        way = newest["tip"] - newest["tip_before"]
+        surface: np.ndarray = newest["surface"]
+        square = float(way @ way)
+        if square < _MOVED**2:
+            return surface
+        share = float(np.clip((tip - newest["tip"]) @ way / square, -_AHEAD, _AHEAD))
+        gone: np.ndarray = surface + np.float32(share) * (surface - newest["surface_before"])
+        return gone
+
+
+def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
+    """The simulated sensor under the indenter of that name.
+
+    Raises:
+        ConfigError: No such sensor or indenter, or no simulator is installed.
+    """
+    try:
+        from sim.indenters import named
+        from sim.stream import LiveSensor
+
+        return LiveSensor(_row(spec), named(indenter), grid=spec.grid)
+    except ImportError as error:
+        raise _missing(error) from None
+    except ValueError as error:
+        raise ConfigError(f"world: {error}") from None
+
+
+def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
+    """The simulated sensor's markers, and the points (X, Y) that its deformation is told at.
+
+    Raises:
+        ConfigError: No such sensor, one without a camera, or no simulator is installed.
+    """
+    try:
+        from sim.layer import Grid
+        from sim.stream import LiveMarkers
+
+        row = _row(spec)
+        grid = Grid(row.body, spec.grid)
+        return LiveMarkers(row, grid), grid.shape
+    except ImportError as error:
+        raise _missing(error) from None
+    except ValueError as error:
+        raise ConfigError(f"world: {error}") from None
+
+
+def _row(spec: SimulatedSpec) -> Any:
+    from sim.sensors import read_sensor, sensor
+
+    if spec.sensor.endswith((".yaml", ".yml")):
+        return read_sensor(Path(spec.sensor))
+    return sensor(spec.sensor)
+
+
+def _missing(error: ImportError) -> ConfigError:
+    return ConfigError(
+        f"world.kind: 'simulated', but {error}; allowed: with the simulator, pip install -c "
+        "constraints.txt -e '.[sim]'"
+    )

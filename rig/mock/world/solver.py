@@ -1,0 +1,225 @@
+"""The process that solves the contact of a simulated World, along the arm's path.
+
+    python -m rig.mock.world.solver --spec world.json --arm arm.state
+
+It takes the arm's newest pose, brings the simulated press there from the pose before, shares the
+solution, and waits for its next turn. A pose that came while it was busy is passed over: what lies
+between two solutions is a straight line, and nothing ever waits in a queue.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.bench.worlds import SimulatedSpec
+from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
+from rig.core.emulation import add_arguments, serve
+from rig.core.errors import EXIT_DEVICE_LOST, ConfigError
+from rig.core.realtime import SOLVER_PRIORITY
+from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
+from rig.core.shared_memory import LatestRecord
+from rig.mock.world import read_file
+from rig.mock.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, live_sensor
+
+if TYPE_CHECKING:
+    from rig.mock.world.simulated import LiveSensor
+
+logger = logging.getLogger(__name__)
+
+_UNFINISHED = ".unfinished"
+
+
+class Shared:
+    """What the solver tells the others, in the run folder.
+
+    Args:
+        folder: With a PRESS_STATE record; the deformation's is made.
+        live: The sensor.
+    """
+
+    def __init__(self, folder: Path, live: LiveSensor) -> None:
+        self._live = live
+        self._presses = LatestRecord.attach(folder / PRESS_FILE, PRESS_STATE, writable=True)
+        shape = live.press.grid.shape
+        # It appears whole: the camera may look for it at any time.
+        unfinished = folder / (SURFACE_FILE + _UNFINISHED)
+        self._surfaces = LatestRecord.create(unfinished, surface_state(shape))
+        unfinished.rename(folder / SURFACE_FILE)
+        self._press: np.void = np.zeros(1, PRESS_STATE)[0]
+        effects = live.press.scene.effects
+        self._press["friction"] = effects.friction.coefficient if effects.friction else 0.0
+        self._surface: np.void = np.zeros(1, surface_state(shape))[0]
+
+    def publish(self, t_ns: int) -> None:
+        """The sensor's newest answer, for a pose of `t_ns`."""
+        answer, press, surface = self._live.answer, self._press, self._surface
+        surface["t_ns"] = press["t_ns"] = t_ns
+        surface["tip_before"], surface["surface_before"] = surface["tip"], surface["surface"]
+        surface["tip"] = press["tip"] = answer.tip
+        surface["surface"] = self._live.press.displacement
+        press["shear"] = self._live.press.shear
+        press["touching"] = answer.touching
+        for name in ("values", "slope", "rate"):
+            press[name] = getattr(answer, name)
+        # The deformation first: who sees the press may look for it.
+        self._surfaces.write(surface)
+        self._presses.write(press)
+
+    def close(self) -> None:
+        """Let go of the files; safe twice."""
+        self._presses.close()
+        self._surfaces.close()
+
+
+class Solver:
+    """Moves a live sensor after the arm, in a thread of its own.
+
+    Args:
+        live: The sensor.
+        frame: Contact frame.
+        arm: ARM_TRUTH record to follow.
+        shared: Where solutions go.
+        spec: How often to solve, and how late is too late.
+        clock: Paces them.
+    """
+
+    def __init__(
+        self,
+        live: LiveSensor,
+        frame: ContactFrame,
+        arm: LatestRecord,
+        shared: Shared,
+        spec: SimulatedSpec,
+        clock: Clock,
+    ) -> None:
+        self._live, self._frame, self._arm, self._shared = live, frame, arm, shared
+        self._pacer = Pacer(clock, spec.rate_hz)
+        self._clock = clock
+        self._behind_ns = round(spec.behind * SECOND_NS)
+        self._before_ns: int | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="solver")
+        self.failed: Exception | None = None
+        """What ended it, if it did not end in order."""
+        self.solved = 0
+        """Solutions so far."""
+        self.busy_ns = 0
+        """Time that they took."""
+        self.longest_ns = 0
+        """Most that lay between two of them while it touched."""
+        self._began_ns = 0
+
+    @property
+    def address(self) -> str:
+        """It has none: it is reached through shared memory."""
+        return "shared memory"
+
+    @property
+    def missed(self) -> int:
+        """Turns whose time had passed."""
+        return self._pacer.missed
+
+    def start(self) -> None:
+        """Follow the arm from now on; the untouched sensor is there to be read."""
+        self._shared.publish(self._clock.now_ns())
+        self._began_ns = self._clock.now_ns()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop; safe twice."""
+        self._ending.set()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join()
+
+    def __str__(self) -> str:
+        seconds = max(self._clock.now_ns() - self._began_ns, 1) / SECOND_NS
+        busy = self.busy_ns / SECOND_NS
+        mean = 1e3 * busy / self.solved if self.solved else 0.0
+        return (
+            f"{self.solved} solutions in {seconds:.0f} s, {mean:.1f} ms each, "
+            f"{self.missed} turns missed, {1e-6 * self.longest_ns:.0f} ms at most between two in "
+            "contact"
+        )
+
+    def turn(self) -> None:
+        """One solution, for the arm's newest pose.
+
+        Raises:
+            TimeoutError: The one before, in contact as well, is too long ago.
+        """
+        record = self._arm.read()
+        if record is None or int(record["t_ns"]) == self._before_ns:
+            return
+        t_ns = int(record["t_ns"])
+        began_ns = self._clock.now_ns()
+        passed_ns = 0 if self._before_ns is None else t_ns - self._before_ns
+        touched = self._live.answer.touching
+        self._live.move(self._frame.tip(record["pose"]), passed_ns / SECOND_NS)
+        if touched and self._live.answer.touching:
+            self.longest_ns = max(self.longest_ns, passed_ns)
+            if passed_ns > self._behind_ns:
+                raise TimeoutError(
+                    f"{1e-6 * passed_ns:.0f} ms between two solutions in contact; allowed: "
+                    f"{1e-6 * self._behind_ns:.0f} ms (world.behind_ms); the machine is "
+                    "too slow or too busy for this grid"
+                )
+        self._before_ns = t_ns
+        self._shared.publish(t_ns)
+        self.solved += 1
+        self.busy_ns += self._clock.now_ns() - began_ns
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._pacer.wait()
+                self.turn()
+        except Exception as error:  # Whatever it was, the bench must not go on without a World.
+            self.failed = error
+            logger.exception("the contact was lost")
+            signal.raise_signal(signal.SIGTERM)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Solve until told to stop."""
+    parser = argparse.ArgumentParser(prog="python -m rig.mock.world.solver", description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--spec", type=Path, required=True, help="JSON that the mock bench writes")
+    parser.add_argument("--arm", type=Path, required=True, help="the arm emulator's pose")
+    options = parser.parse_args(argv)
+    file = read_file(options.spec)
+    if not isinstance(file.world, SimulatedSpec):
+        parser.error(f"--spec: found kind {file.world.KIND!r}; allowed: 'simulated'")
+    try:
+        live = live_sensor(file.world, file.indenter)
+    except ConfigError as error:
+        parser.error(str(error))
+    shared = Shared(file.folder, live)
+    arm = LatestRecord.attach(options.arm, ARM_TRUTH)
+    clock = SystemClock()
+    frame = ContactFrame(file.contact_frame)
+    solver = Solver(live, frame, arm, shared, file.world, clock)
+    code = serve(
+        "solver",
+        solver,
+        until_stdin_closes=options.until_stdin_closes,
+        priority=SOLVER_PRIORITY,
+    )
+    shared.close()
+    arm.close()
+    print(f"solver: {solver}", file=sys.stderr, flush=True)
+    if solver.failed is not None:
+        print(f"solver: {solver.failed}", file=sys.stderr, flush=True)
+        return EXIT_DEVICE_LOST
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""The World's truth, kept: what the sensors should have shown at any time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from rig.core.samples import WORLD_STATE
+
+_FIELDS = ("t_ns", "pose", "depth", "contact", "shear", "wrench")
+TRUTH = np.dtype([(name, WORLD_STATE[name]) for name in _FIELDS])
+"""One logged state: WORLD_STATE without taxels."""
+
+
+class TruthLog:
+    """Appends states to a file of plain TRUTH records."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("ab")
+        self._record = np.zeros((), TRUTH)
+
+    def append(self, state: np.void) -> None:
+        """Add one WORLD_STATE."""
+        for name in _FIELDS:
+            self._record[name] = state[name]
+        self._file.write(self._record.tobytes())
+
+    def __enter__(self) -> TruthLog:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+
+class Truth:
+    """Reads a truth log.
+
+    Args:
+        path: File that a `TruthLog` wrote; a torn last record is left out.
+    """
+
+    def __init__(self, path: Path) -> None:
+        content = path.read_bytes()
+        whole = len(content) - len(content) % TRUTH.itemsize
+        self.records = np.frombuffer(content[:whole], TRUTH)
+
+    def _at(self, name: str, t_ns: np.ndarray) -> np.ndarray:
+        # Times relative to the first, or float64 would round nanoseconds since boot.
+        origin = self.records["t_ns"][0]
+        known = (self.records["t_ns"] - origin).astype(float)
+        asked = (np.asarray(t_ns) - origin).astype(float)
+        values = self.records[name].reshape(len(known), -1)
+        return np.stack([np.interp(asked, known, column) for column in values.T], axis=-1)
+
+    def wrench(self, t_ns: np.ndarray) -> np.ndarray:
+        """Wrench (n, 6) at times (n,) [N, N m], linear between the arm's cycles."""
+        return self._at("wrench", t_ns)
+
+    def position(self, t_ns: np.ndarray) -> np.ndarray:
+        """TCP position (n, 3) in the base frame at times (n,) [m]."""
+        return self._at("pose", t_ns)[:, :3]
+
+    def depth(self, t_ns: np.ndarray) -> np.ndarray:
+        """Indentation (n,) at times (n,) [m], negative above the surface."""
+        return self._at("depth", t_ns)[:, 0]

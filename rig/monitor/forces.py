@@ -1,0 +1,245 @@
+"""Frames in, forces out: the loop of `python -m rig live`, and what it found.
+
+Only the newest frame is looked at: what came while the one before was worked on is skipped and
+counted. Latency is from a frame's arrival in this computer to its force.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, TextIO
+
+import numpy as np
+
+from recorder import SessionError
+from recorder.store.images import decode_jpeg
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import ConfigError
+from rig.monitor.predictor import Predictor, Reading
+from rig.monitor.watched import Watched
+
+_WAIT = 0.1
+# For the next frame, before looking at the time again [s].
+_SHAPE = (480, 640, 3)
+_COLUMNS = ("t_ns", "Fx_N", "Fy_N", "Fz_N", "contact", "latency_ms")
+_KEEP = 1_000_000
+# Forces that are kept for the summary; those of a longer watch are in the file alone.
+
+
+class Stop(Protocol):
+    """Tells when to end."""
+
+    @property
+    def requested(self) -> bool:
+        """Whether somebody asked for it."""
+
+
+@dataclass(slots=True)
+class Seen:
+    """What was watched."""
+
+    frames: int = 0
+    """Frames with a force."""
+    skipped: int = 0
+    """Frames that a newer one was there for."""
+    lost: int = 0
+    """Frames that the driver could not keep, or that were damaged."""
+    seconds: float = 0.0
+    """From the first force to the last [s]."""
+    latency: list[float] = field(default_factory=list)
+    """Frame in to force out [s]."""
+    shown_ns: list[int] = field(default_factory=list)
+    """When the sensor was as it was seen [ns]."""
+    force: list[tuple[float, float, float]] = field(default_factory=list)
+    """What was said of it [N]."""
+    first_ns: int | None = None
+
+    def add(self, reading: Reading, t_ns: int, now_ns: int, shown_ns: int) -> float:
+        """Note a force that came out at `now_ns`; its latency [s]."""
+        self.first_ns = now_ns if self.first_ns is None else self.first_ns
+        self.frames += 1
+        self.seconds = (now_ns - self.first_ns) / SECOND_NS
+        latency = (now_ns - t_ns) / SECOND_NS
+        if self.frames <= _KEEP:
+            self.latency.append(latency)
+            self.shown_ns.append(shown_ns)
+            self.force.append(reading.force)
+        return latency
+
+    @property
+    def rate_hz(self) -> float:
+        """Forces a second."""
+        return (self.frames - 1) / self.seconds if self.seconds > 0 else 0.0
+
+    def lines(self, wrench: np.ndarray | None = None) -> Iterator[str]:
+        """The summary; with the wrench (n, 6) that was there, how far the forces are from it."""
+        if not self.frames:
+            yield "no force: no frame came after the untouched ones"
+            return
+        yield (
+            f"{self.frames:,} forces in {self.seconds:.1f} s, {self.rate_hz:.1f} a second; "
+            f"{self.skipped} frames skipped for newer ones, {self.lost} lost"
+        )
+        middle, late = (1e3 * float(np.quantile(self.latency, share)) for share in (0.5, 0.99))
+        yield (
+            f"latency, frame in to force out: p50 {middle:.1f} ms, p99 {late:.1f} ms, worst "
+            f"{1e3 * max(self.latency):.1f} ms"
+        )
+        if wrench is None or not np.isfinite(wrench[:, :3]).all(axis=1).any():
+            return
+        error = np.nanmean(np.abs(np.array(self.force) - wrench[:, :3]), axis=0)
+        most = np.nanmax(np.abs(wrench[:, :3]), axis=0)
+        text = ", ".join(
+            f"{axis} {here:.2f} N (of {there:.2f})"
+            for axis, here, there in zip(("Fx", "Fy", "Fz"), error, most, strict=True)
+        )
+        yield f"mean absolute error against the force that was there: {text}"
+
+
+def watch(
+    watched: Watched,
+    predictor: Predictor,
+    clock: Clock,
+    stop: Stop,
+    *,
+    seen: Seen,
+    seconds: float | None = None,
+    told: Callable[[Reading, float], None] = lambda reading, latency: None,
+    out: Path | None = None,
+) -> None:
+    """Watch until it is over, the time is up, or somebody asks to stop.
+
+    Args:
+        watched: An opened sensor.
+        predictor: Says the force of each frame.
+        clock: Clock.
+        stop: Looked at after every frame.
+        seen: Where everything is noted, whatever ends it.
+        seconds: How long, from the first force on [s]; None: until it is over.
+        told: Called with each force and its latency [s].
+        out: CSV file to write; must not exist.
+
+    Raises:
+        ConfigError: The file exists, or frames that the predictor cannot use.
+        DeviceLost: The sensor fell silent.
+    """
+    with _recording(out) as record:
+        if watched.untouched is not None:
+            predictor.begin(watched.untouched)
+        while not stop.requested and not _enough(seen, seconds):
+            samples = watched.driver.read(_WAIT)
+            watched.check()
+            if not samples:
+                if watched.over():
+                    break
+                continue
+            newest = samples[-1]
+            try:
+                reading = predictor.step(_frame(watched, newest))
+            except SessionError:
+                seen.lost += 1
+                continue
+            if reading is None:
+                continue
+            if seen.first_ns is None:
+                watched.begin()
+            else:
+                seen.skipped += len(samples) - 1
+            t_ns = int(newest["t_ns"])
+            latency = seen.add(reading, t_ns, clock.now_ns(), watched.shown_ns(newest))
+            record((t_ns, *reading.force, int(reading.contact), round(1e3 * latency, 3)))
+            told(reading, latency)
+        seen.lost += watched.driver.dropped
+
+
+def _enough(seen: Seen, seconds: float | None) -> bool:
+    return seconds is not None and seen.seconds >= seconds
+
+
+def _frame(watched: Watched, sample: dict[str, Any]) -> Any:
+    """What the predictor takes: pixels (480, 640, 3), or counts (16, 3).
+
+    Raises:
+        SessionError: A damaged JPEG.
+    """
+    value = sample["value"]
+    return decode_jpeg(value, _SHAPE) if isinstance(value, bytes) else value
+
+
+@contextlib.contextmanager
+def _recording(out: Path | None) -> Iterator[Callable[[tuple[Any, ...]], None]]:
+    """What appends a row to a CSV file; each is on its way to the disk at once.
+
+    A file in which there is no row is not left behind.
+    """
+    if out is None:
+        yield lambda row: None
+        return
+    rows = 0
+
+    def append(row: tuple[Any, ...]) -> None:
+        nonlocal rows
+        writer.writerow(row)
+        rows += 1
+
+    try:
+        file = out.open("x", newline="", encoding="utf-8", buffering=1)
+    except FileExistsError:
+        raise ConfigError(f"{out}: exists; allowed: a new file") from None
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error}") from error
+    try:
+        with file:
+            writer = csv.writer(file)
+            writer.writerow(_COLUMNS)
+            yield append
+    finally:
+        if not rows:
+            out.unlink()
+
+
+# The line to watch: the newest force, rewritten ten times a second on a terminal.
+
+_ON_TERMINAL_NS, _ELSEWHERE_NS = SECOND_NS // 10, SECOND_NS
+_CLEAR = "\x1b[K"
+
+
+class ForceLine:
+    """Prints forces, no more often than can be read.
+
+    Args:
+        clock: Clock.
+        out: Where to write.
+    """
+
+    def __init__(self, clock: Clock, out: TextIO) -> None:
+        self._clock, self._out = clock, out
+        self._terminal = out.isatty()
+        self._due_ns = 0
+        self._open = False
+
+    def __call__(self, reading: Reading, latency: float) -> None:
+        """Show a force and its latency [s], if it is time to."""
+        now_ns = self._clock.now_ns()
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _ELSEWHERE_NS)
+        x, y, z = reading.force
+        text = (
+            f"Fx {x:+6.2f}  Fy {y:+6.2f}  Fz {z:+7.2f} N  "
+            f"{'contact' if reading.contact else '       '}  {1e3 * latency:5.1f} ms"
+        )
+        self._open = self._terminal
+        self._out.write(f"\r{text}{_CLEAR}" if self._terminal else f"{text}\n")
+        self._out.flush()
+
+    def close(self) -> None:
+        """Leave the last line standing; safe twice."""
+        if self._open:
+            self._out.write("\n")
+            self._out.flush()
+            self._open = False

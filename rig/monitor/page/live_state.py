@@ -1,0 +1,200 @@
+"""What the page's process sees of a running collection: shared records and the open image shard.
+
+Everything here is read-only. Force is sampled at 40 Hz for the traces: a picture of the signal for
+the eye, not the signal, which the session has at its full rate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import SessionError
+from recorder.session.tail import ImageTail, open_tail
+from rig.acquire.stream_process import COUNTERS
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
+from rig.core.clock import SECOND_NS
+from rig.core.geometry import invert, transform
+from rig.core.guard import AXES
+from rig.core.shared_memory import LatestRecord
+from rig.core.units import from_si
+
+TRACE_RATE_HZ = 40.0
+TRACE_SECONDS = 20.0
+
+Point = tuple[float, float | None, float | None, float | None]
+"""Time since the page's start [s] and Fx, Fy, Fz [N]."""
+
+
+class Record:
+    """A shared record that may not be there yet."""
+
+    def __init__(self, path: Path, dtype: np.dtype[Any]) -> None:
+        self._path = path
+        self._dtype = dtype
+        self._record: LatestRecord | None = None
+
+    def read(self) -> np.void | None:
+        """The newest record, or None before the first."""
+        if self._record is None:
+            try:
+                self._record = LatestRecord.attach(self._path, self._dtype)
+            except (OSError, ValueError):
+                # Not made yet, or made this moment and not at its size.
+                return None
+        return self._record.read()
+
+    def close(self) -> None:
+        """Let go of it; safe twice."""
+        if self._record is not None:
+            self._record.close()
+            self._record = None
+
+
+class Look:
+    """The newest of everything.
+
+    Args:
+        bench: The bench.
+        folder: Run folder.
+        session: The session, which may not be there yet.
+        start_ns: Time that traces count from [ns].
+    """
+
+    def __init__(self, bench: Bench, folder: Path, session: Path, start_ns: int) -> None:
+        self._bench = bench
+        self._session = session
+        self._start_ns = start_ns
+        names = stream_names(bench)
+        self._latest = {
+            name: Record(folder / f"{name}.latest", KINDS[name].latest) for name in names
+        }
+        self._counters = {name: Record(folder / f"{name}.counters", COUNTERS) for name in names}
+        self._to_contact = invert(bench.contact_frame)
+        self._tail: ImageTail | None = None
+        self._image: tuple[int, bytes | None] = (-1, None)
+        self._untouched: np.ndarray | None = None
+        self.trace: deque[Point] = deque(maxlen=round(TRACE_SECONDS * TRACE_RATE_HZ))
+        """The last TRACE_SECONDS of force."""
+        self.traced = 0
+        """Points of the trace so far, those that fell out of it included."""
+        self._traced_ns = 0
+
+    def sample(self) -> None:
+        """Add the newest force to the trace, unless it is there already."""
+        record = self._latest["force"].read()
+        if record is None or int(record["t_ns"]) == self._traced_ns:
+            return
+        self._traced_ns = int(record["t_ns"])
+        seconds = (self._traced_ns - self._start_ns) / SECOND_NS
+        x, y, z = (_number(value) for value in record["value"][:3])
+        self.trace.append((round(seconds, 3), x, y, z))
+        self.traced += 1
+
+    def points_since(self, count: int) -> list[Point]:
+        """The trace's points after the first `count` of all, as far as it reaches back."""
+        new = min(self.traced - count, len(self.trace))
+        return [self.trace[k] for k in range(len(self.trace) - new, len(self.trace))]
+
+    def streams(self, now_ns: int) -> dict[str, dict[str, Any]]:
+        """Rate, expected rate [Hz], dropped, longest gap [ms] and age [ms] of every stream."""
+        found = {}
+        for name, shared in self._counters.items():
+            counters = shared.read()
+            newest = self._latest[name].read()
+            row: dict[str, Any] = {"expected": expected_rate(self._bench, name)}
+            if counters is not None:
+                row |= {
+                    "rate": _number(counters["rate_hz"], 1),
+                    "rows": int(counters["rows"]),
+                    "dropped": int(counters["dropped"]),
+                    "gap": _number(1e3 * counters["longest_gap"], 1),
+                }
+            if newest is not None:
+                row["age"] = max(round((now_ns - int(newest["t_ns"])) / 1e6), 0)
+            found[name] = row
+        return found
+
+    def force(self) -> dict[str, Any] | None:
+        """The wrench [N, N mm] and each axis' share of its rating, or None before the first."""
+        record = self._latest["force"].read()
+        if record is None:
+            return None
+        limits = self._bench.limits
+        ratings = (*limits.force_rating, *limits.torque_rating)
+        wrench = [float(value) for value in record["value"]]
+        shown = (*wrench[:3], *(from_si(value, "n_mm") for value in wrench[3:]))
+        return {
+            "wrench": [_number(value) for value in shown],
+            "load": [
+                _number(abs(value) / rating) for value, rating in zip(wrench, ratings, strict=True)
+            ],
+        }
+
+    def tip(self) -> list[float | None] | None:
+        """Where the tip is in the contact frame (3,) [mm], or None before the first pose."""
+        record = self._latest["pose"].read()
+        if record is None:
+            return None
+        place = transform(self._to_contact, record["value"][:3])
+        return [_number(from_si(float(value), "mm")) for value in place]
+
+    def taxels(self) -> list[list[int]] | None:
+        """Counts (16, 3) less the first that were seen, or None without taxels."""
+        if "taxels" not in self._latest or (record := self._latest["taxels"].read()) is None:
+            return None
+        if self._untouched is None:
+            self._untouched = record["value"]
+        change: list[list[int]] = (record["value"] - self._untouched).tolist()
+        return change
+
+    def limits(self) -> dict[str, Any]:
+        """What never changes: axes, their ratings, both limits, the box [mm]."""
+        limits = self._bench.limits
+        ratings = (*limits.force_rating, *(from_si(v, "n_mm") for v in limits.torque_rating))
+        box = (limits.box_x, limits.box_y, (-limits.depth_max, limits.height_max))
+        return {
+            "axes": [name for name, _ in AXES],
+            "ratings": list(ratings),
+            "soft": limits.soft_fraction,
+            "hard": limits.hard_fraction,
+            "box": [[from_si(value, "mm") for value in pair] for pair in box],
+        }
+
+    def image(self) -> tuple[int, bytes | None]:
+        """Row and JPEG bytes of the newest stored image; (-1, None) before the first."""
+        if "camera" not in self._latest:
+            return self._image
+        newest = self._latest["camera"].read()
+        row = -1 if newest is None else int(newest["row"])
+        if row < 0 or row == self._image[0]:
+            return self._image
+        try:
+            if self._tail is None:
+                self._tail = open_tail(self._session / "streams" / "camera")
+            data = self._tail.jpeg(row)
+        except (SessionError, OSError):
+            # Of the picture only: `check` finds a damaged session, a page does not judge it.
+            return self._image
+        if data is not None:
+            self._image = (row, data)
+        return self._image
+
+    def close(self) -> None:
+        """Let go of everything; safe twice."""
+        for record in (*self._latest.values(), *self._counters.values()):
+            record.close()
+        if self._tail is not None:
+            self._tail.close()
+            self._tail = None
+
+
+def _number(value: Any, digits: int = 3) -> float | None:
+    """A float that JSON can hold; None where there is no finite number to show."""
+    number = float(value)
+    return round(number, digits) if math.isfinite(number) else None

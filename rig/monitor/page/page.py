@@ -1,0 +1,206 @@
+"""The collecting process's end of the page: tells it how far things are, obeys what it asks.
+
+The thread that walks the plan never waits for any of this. It leaves values where a thread of this
+file picks them up, five times a second; if the page's process hangs or dies, that thread notices
+and nobody else.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from recorder import OUTCOMES, Session
+from rig.acquire.control import Control
+from rig.core.clock import SECOND_NS, Clock, SystemClock
+from rig.core.errors import ConfigError
+from rig.monitor.page.access import is_loopback
+from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
+from rig.monitor.page.server import LINGER, run_page
+
+logger = logging.getLogger(__name__)
+
+_PERIOD = 0.2
+# Between two snapshots [s]; commands are heard at once.
+_START_TIMEOUT = 30.0
+# An interpreter on a busy machine [s].
+_WHO = "page"
+_LIMITED = OUTCOMES.index("force_limited")
+
+
+class _LogLines(logging.Handler):
+    """Keeps the newest lines until the page's thread fetches them."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%H:%M:%S"))
+        self._lines: deque[str] = deque(maxlen=100)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._lines.append(self.format(record)[:400])
+
+    def fetch(self) -> tuple[str, ...]:
+        """The lines since the last call."""
+        return tuple(self._lines.popleft() for _ in range(len(self._lines)))
+
+
+class Page:
+    """Serves the page while a collection runs, as a context manager.
+
+    Args:
+        job: What to show, where, and to whom.
+        clock: Clock.
+    """
+
+    def __init__(self, job: PageJob, clock: Clock | None = None) -> None:
+        self._job = job
+        self._clock = clock or SystemClock()
+        self._start_ns = self._clock.now_ns()
+        self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
+        self._outcomes = list(self._snapshot.outcomes)
+        self._progress: Callable[[], Mapping[str, Any]] | None = None
+        self._control: Control | None = None
+        self._ending = threading.Event()
+        self._log = _LogLines()
+        self.port = job.gate.port
+        """Where it listens, once started."""
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=run_page, args=(job, theirs), name="page")
+        self._theirs = theirs
+        self._thread = threading.Thread(target=self._exchange, name="page", daemon=True)
+
+    @property
+    def url(self) -> str:
+        """What to open; with the token, where one is asked for. Printed, never logged."""
+        gate = self._job.gate
+        host = f"[{gate.host}]" if ":" in gate.host else gate.host
+        if gate.host in ("0.0.0.0", "::"):
+            host = socket.gethostname()
+        token = "" if is_loopback(gate.host) else f"?token={gate.token}"
+        return f"http://{host}:{self.port}/{token}"
+
+    def __enter__(self) -> Page:
+        self._process.start()
+        self._theirs.close()
+        word: str
+        value: Any
+        try:
+            answered = self._pipe.poll(_START_TIMEOUT)
+            word, value = self._pipe.recv() if answered else ("failed", "it does not start")
+        except (EOFError, OSError):
+            word, value = "failed", "its process ended"
+        if word != "ready":
+            self._stop_process()
+            raise ConfigError(f"--watch: found {value}; allowed: a free port of this machine")
+        self.port = value
+        logging.getLogger().addHandler(self._log)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._snapshot.status not in ENDED:
+            reason = str(error) or type(error).__name__ if error is not None else ""
+            self.say("stopped", reason)
+        self.close()
+
+    def begin(
+        self,
+        control: Control,
+        progress: Callable[[], Mapping[str, Any]],
+        session: Path,
+        first: int,
+    ) -> None:
+        """Show a collection in progress.
+
+        Args:
+            control: Gets what the page asks for.
+            progress: Asked in a thread for fields of `Snapshot`, and for `ended` (how targets did)
+                and `waiting` (whether a pause holds).
+            session: Its session; what earlier runs did with the targets before `first` is shown.
+            first: First target of this run.
+        """
+        self._control, self._progress = control, progress
+        if first:
+            self._earlier(session, first)
+        self.say("collecting")
+
+    def say(self, status: str, reason: str = "") -> None:
+        """Show a status; one of ENDED is the last."""
+        self._snapshot = replace(self._snapshot, status=status, reason=reason)
+
+    def _earlier(self, path: Path, first: int) -> None:
+        segments = Session(path).segments
+        limited = np.asarray(segments["target"])[np.asarray(segments["outcome"]) == _LIMITED]
+        for target in range(first):
+            self._outcomes[target] = LETTERS["limited" if target in limited else "done"]
+
+    def close(self) -> None:
+        """Send the last word, give it time to arrive, end the process; safe twice."""
+        logging.getLogger().removeHandler(self._log)
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(_PERIOD + 1.0)
+        if not self._thread.is_alive():
+            self._process.join(LINGER + 2.0)
+        self._stop_process()
+
+    def _stop_process(self) -> None:
+        if self._process.is_alive():
+            self._process.kill()
+        self._process.join()
+        if self._thread.is_alive():
+            # It hung on a process that did not listen, and no longer does.
+            self._thread.join()
+        self._pipe.close()
+
+    def _exchange(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._pipe.send(self._now())
+                if self._pipe.poll(_PERIOD):
+                    self._obey(self._pipe.recv())
+            self._pipe.send(self._now())
+        except (EOFError, OSError):
+            if not self._ending.is_set():
+                logger.warning("the page to watch on is gone; the collection goes on without it")
+                if self._control is not None and _WHO in self._control.paused_by:
+                    # Whoever paused may stand at the bench: nothing moves on again by itself.
+                    logger.warning("the pause it asked for stays: end with Ctrl-C, then resume")
+
+    def _obey(self, command: str) -> None:
+        if self._control is not None and command in COMMANDS:
+            getattr(self._control, command)(_WHO)
+
+    def _now(self) -> Snapshot:
+        fields = dict(self._progress()) if self._progress is not None else {}
+        for target, outcome in fields.pop("ended", {}).items():
+            self._outcomes[target] = LETTERS[outcome]
+        base = self._snapshot
+        if fields.pop("waiting", False) and base.status == "collecting":
+            base = replace(base, status="paused")
+        if base.status in ENDED:
+            fields = {"target": -1, "phase": "", "left": None}
+        return replace(
+            base,
+            **fields,
+            outcomes="".join(self._outcomes),
+            elapsed=round((self._clock.now_ns() - self._start_ns) / SECOND_NS, 1),
+            paused_by=self._control.paused_by if self._control is not None else (),
+            log=self._log.fetch(),
+        )

@@ -1,0 +1,415 @@
+"""The page's process: serves whoever may watch, and passes on what they ask for.
+
+It shares nothing with the recording but read-only records and one pipe. A client that is slow gets
+the newest state whenever it is ready for one, never a queue of old ones; a client that takes
+nothing for long, sends garbage or floods is let go. Many idle connections in one thread are
+what asyncio is for; nothing else in the rig uses it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import json
+import logging
+import os
+import signal
+import socket
+from dataclasses import replace
+from importlib import resources
+from multiprocessing.connection import Connection
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from rig.core.clock import SECOND_NS, Clock, SystemClock
+from rig.monitor.page.access import Gate
+from rig.monitor.page.live_state import TRACE_RATE_HZ, TRACE_SECONDS, Look
+from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
+
+# The HTTP side: a handful of known files, and the headers that keep strangers out of them.
+
+LIVE = "/live"
+"""Path of the WebSocket."""
+
+_FILES = {
+    "/": ("page.html", "text/html; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/traces.js": ("traces.js", "text/javascript; charset=utf-8"),
+    "/map.js": ("map.js", "text/javascript; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+
+
+class Site:
+    """Answers every request that is not for the WebSocket, and judges those that are.
+
+    The files are read once, here: no path that a client sends ever reaches the disk.
+
+    Args:
+        gate: Who may.
+    """
+
+    def __init__(self, gate: Gate) -> None:
+        self._gate = gate
+        folder = resources.files("rig.monitor.page") / "static"
+        self._files = {
+            path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()
+        }
+
+    def answer(self, request: Request, *, full: bool) -> Response | None:
+        """The response, or None when the WebSocket may be opened.
+
+        Args:
+            request: Of the client.
+            full: Whether there are as many watchers as may be.
+        """
+        host = _single(request.headers, "Host")
+        if not self._gate.knows_host(host):
+            return _text(http.HTTPStatus.FORBIDDEN, "This name is not one of this bench's.\n")
+        cookies = _single(request.headers, "Cookie")
+        try:
+            path = unquote(urlsplit(request.path).path)
+        except ValueError:
+            return _text(http.HTTPStatus.BAD_REQUEST, "That is no address.\n")
+        if path == LIVE:
+            return self._refuse_live(request, host, cookies, full=full)
+        if not self._gate.may_open(request.path, cookies):
+            return _text(
+                http.HTTPStatus.FORBIDDEN,
+                "This page asks for the token in the address that the collection printed.\n",
+            )
+        if path not in self._files:
+            return _text(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
+        body, kind = self._files[path]
+        headers = _headers(kind, len(body), host or "")
+        if path == "/":
+            headers["Set-Cookie"] = self._gate.set_cookie
+        return Response(http.HTTPStatus.OK, "OK", headers, body)
+
+    def _refuse_live(
+        self, request: Request, host: str | None, cookies: str | None, *, full: bool
+    ) -> Response | None:
+        if not self._gate.same_origin(_single(request.headers, "Origin"), host):
+            return _text(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
+        if not self._gate.has_cookie(cookies):
+            return _text(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")
+        if full:
+            return _text(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
+        return None
+
+
+def _single(headers: Headers, name: str) -> str | None:
+    """A header that came once; one that came twice counts as not sent."""
+    values = headers.get_all(name)
+    return values[0] if len(values) == 1 else None
+
+
+def _text(status: http.HTTPStatus, text: str) -> Response:
+    body = text.encode()
+    headers = _headers("text/plain; charset=utf-8", len(body), "")
+    return Response(status, status.phrase, headers, body)
+
+
+def _headers(kind: str, length: int, host: str) -> Headers:
+    # Older tablets do not count ws: as 'self'. The host was judged before it is repeated here.
+    live = f" ws://{host}" if host else ""
+    return Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(length),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "Content-Security-Policy": (
+                "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+                f"connect-src 'self'{live}; base-uri 'none'; form-action 'none'; "
+                "frame-ancestors 'none'"
+            ),
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+        }
+    )
+
+
+MAX_WATCHERS = 8
+"""Open pages at a time."""
+MAX_CONNECTIONS = 48
+"""TCP connections at a time, whatever they are up to."""
+MAX_MESSAGE = 512
+"""Longest message of a client [bytes]; a command has 20."""
+MAX_MESSAGES = 20
+"""Messages of one client in MESSAGE_WINDOW."""
+MESSAGE_WINDOW = 5.0
+MAX_NONSENSE = 5
+"""Messages that are no command, before a client is let go."""
+HANDSHAKE_TIMEOUT = 5.0
+STATE_PERIOD = 0.1
+LINGER = 3.0
+"""How long the final state is offered [s]; the process ends sooner when everybody has it."""
+_BUFFER = 64 * 1024
+# Of the kernel, per client [bytes]: what lies in there is old by the time it arrives.
+_LOG_LINES = 100
+
+_quiet = logging.getLogger("rig.monitor.page.wire")
+_quiet.addHandler(logging.NullHandler())
+_quiet.propagate = False
+# The library logs every request a stranger makes, with its address: the token may be in it.
+
+
+class _Connection(ServerConnection):
+    """One client; hung up at once when there are too many, and never owed much."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if len(self.server.handler_tasks) > MAX_CONNECTIONS:
+            self.transport.abort()
+            return
+        raw = transport.get_extra_info("socket")
+        if raw is not None:
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+class PageServer:
+    """State and clients of the page.
+
+    Args:
+        job: What to show and where.
+        pipe: To the collecting process.
+        clock: Clock.
+    """
+
+    def __init__(self, job: PageJob, pipe: Connection, clock: Clock) -> None:
+        self._job = job
+        self._pipe = pipe
+        self._clock = clock
+        self._look = Look(job.bench, job.folder, job.session, clock.now_ns())
+        self._site = Site(job.gate)
+        self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
+        self._log: list[str] = []
+        self._logged = 0
+        self._watchers: set[ServerConnection] = set()
+        self._refused = 0
+        self._ended = asyncio.Event()
+
+    async def run(self) -> None:
+        """Serve until the collection ended and everybody who watches knows it."""
+        gate = self._job.gate
+        try:
+            server = await self._listen()
+        except OSError as error:
+            self._pipe.send(("failed", f"{gate.host}:{gate.port}: {error.strerror or error}"))
+            return
+        port = server.sockets[0].getsockname()[1]
+        self._site = Site(replace(gate, port=port))
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._pipe.fileno(), self._hear)
+        self._pipe.send(("ready", port))
+        sampling = asyncio.create_task(self._sample())
+        try:
+            await self._ended.wait()
+            deadline_ns = self._clock.now_ns() + round(LINGER * SECOND_NS)
+            while self._watchers and self._clock.now_ns() < deadline_ns:
+                await asyncio.sleep(STATE_PERIOD / 2)
+        finally:
+            loop.remove_reader(self._pipe.fileno())
+            sampling.cancel()
+            for connection in server.all_connections:
+                connection.transport.abort()
+            server.close()
+            await server.wait_closed()
+            self._look.close()
+
+    async def _listen(self) -> Server:
+        return await serve(
+            self._serve,
+            self._job.gate.host,
+            self._job.gate.port,
+            process_request=self._on_request,
+            create_connection=_Connection,
+            compression=None,
+            server_header=None,
+            open_timeout=HANDSHAKE_TIMEOUT,
+            ping_interval=5.0,
+            ping_timeout=10.0,
+            close_timeout=1.0,
+            max_size=MAX_MESSAGE,
+            max_queue=4,
+            write_limit=_BUFFER,
+            logger=_quiet,
+        )
+
+    def _hear(self) -> None:
+        """Take what the collecting process says; only the newest counts."""
+        try:
+            while self._pipe.poll():
+                snapshot: Snapshot = self._pipe.recv()
+                self._snapshot = snapshot
+                self._log += snapshot.log
+                self._logged += len(snapshot.log)
+                del self._log[:-_LOG_LINES]
+        except (EOFError, OSError):
+            asyncio.get_running_loop().remove_reader(self._pipe.fileno())
+            if self._snapshot.status not in ENDED:
+                self._snapshot = Snapshot(
+                    "gone",
+                    f"the collecting process is gone; bring {self._job.session} in order with: "
+                    f"python -m recorder recover {self._job.session}",
+                    outcomes=self._snapshot.outcomes,
+                )
+        if self._snapshot.status in ENDED:
+            self._ended.set()
+
+    async def _sample(self) -> None:
+        while True:
+            self._look.sample()
+            await asyncio.sleep(1 / TRACE_RATE_HZ)
+
+    def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        full = len(self._watchers) >= MAX_WATCHERS
+        response = self._site.answer(request, full=full)
+        if response is not None and response.status_code in (403, 503):
+            self._refused += 1
+        return response
+
+    async def _serve(self, client: ServerConnection) -> None:
+        if len(self._watchers) >= MAX_WATCHERS:
+            await client.close(1013, "enough people are watching")
+            return
+        self._watchers.add(client)
+        listening = asyncio.create_task(self._listen_to(client))
+        try:
+            await self._show(client, listening)
+        except ConnectionClosed:
+            pass
+        except TimeoutError:
+            # It does not read: no polite goodbye would get through.
+            client.transport.abort()
+        finally:
+            self._watchers.discard(client)
+            listening.cancel()
+
+    async def _show(self, client: ServerConnection, listening: asyncio.Task[str]) -> None:
+        await self._send(client, json.dumps(self._hello()))
+        traced, logged, row = 0, 0, -1
+        while True:
+            ended = self._ended.is_set()
+            state = self._state(traced, logged)
+            traced, logged = self._look.traced, self._logged
+            newest, image = self._look.image()
+            state["image"] = newest
+            await self._send(client, json.dumps(state))
+            if image is not None and newest != row:
+                row = newest
+                await self._send(client, image)
+            if ended:
+                await client.close(1001, "the collection ended")
+                return
+            done, _ = await asyncio.wait({listening}, timeout=STATE_PERIOD)
+            if done:
+                if reason := listening.result():
+                    await client.close(1008, reason)
+                return
+
+    async def _send(self, client: ServerConnection, message: str | bytes) -> None:
+        async with asyncio.timeout(self._job.patience):
+            await client.send(message)
+
+    async def _listen_to(self, client: ServerConnection) -> str:
+        """Take commands until there are no more; why the client is let go, or empty."""
+        received: list[int] = []
+        nonsense = 0
+        try:
+            async for message in client:
+                now_ns = self._clock.now_ns()
+                received = [t for t in received if now_ns - t < MESSAGE_WINDOW * SECOND_NS]
+                received.append(now_ns)
+                if len(received) > MAX_MESSAGES:
+                    self._refused += 1
+                    return "too many messages"
+                command = parse_command(message)
+                if command is None:
+                    self._refused += 1
+                    nonsense += 1
+                    if nonsense >= MAX_NONSENSE:
+                        return "that is no command"
+                elif not self._ended.is_set():
+                    self._pipe.send(command)
+        except (ConnectionClosed, OSError):
+            pass
+        return ""
+
+    def _hello(self) -> dict[str, Any]:
+        """What stays the same through the collection."""
+        job = self._job
+        points = {spot.point: [1e3 * spot.x, 1e3 * spot.y] for spot in job.spots}
+        return {
+            "kind": "hello",
+            "sensor": job.bench.sensor,
+            "indenter": job.indenter,
+            "mock": job.bench.mock,
+            "session": job.session.name,
+            "camera": job.bench.camera is not None,
+            "points": [{"point": point, "at": place} for point, place in points.items()],
+            "targets": [[s.point, round(1e3 * s.depth, 4), s.direction] for s in job.spots],
+            "directions": job.directions,
+            "limits": self._look.limits(),
+            "seconds": TRACE_SECONDS,
+        }
+
+    def _state(self, traced: int, logged: int) -> dict[str, Any]:
+        """What changes; of trace and log what a client has not had yet."""
+        now = self._snapshot
+        new = min(self._logged - logged, len(self._log))
+        return {
+            "kind": "state",
+            "status": now.status,
+            "reason": now.reason,
+            "target": now.target,
+            "phase": now.phase,
+            "outcomes": now.outcomes,
+            "left": now.left,
+            "elapsed": now.elapsed,
+            "paused_by": list(now.paused_by),
+            "streams": self._look.streams(self._clock.now_ns()),
+            "force": self._look.force(),
+            "tip": self._look.tip(),
+            "taxels": self._look.taxels(),
+            "trace": self._look.points_since(traced),
+            "log": self._log[len(self._log) - new :],
+            "watchers": len(self._watchers),
+            "refused": self._refused,
+        }
+
+
+def parse_command(message: str | bytes) -> str | None:
+    """The command in a client's message, or None for anything else."""
+    try:
+        content = json.loads(message)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(content, dict) or set(content) != {"command"}:
+        return None
+    command = content["command"]
+    return command if isinstance(command, str) and command in COMMANDS else None
+
+
+def run_page(job: PageJob, pipe: Connection) -> None:
+    """Body of the process; `pipe` is its end."""
+    # Ctrl-C belongs to the collecting process, whose end of the pipe says when all is over.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    # Recording comes first, whatever the clients are up to.
+    os.nice(10)
+    try:
+        asyncio.run(PageServer(job, pipe, SystemClock()).run())
+    finally:
+        pipe.close()

@@ -1,1 +1,0 @@
-"""One process per stream: it owns the device's driver and appends what arrives to its shard log."""
