@@ -10,8 +10,6 @@ WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
 BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR)) $(WORLDARG)
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
-ALONE    := $(wildcard $(patsubst %,tests/test_rig_%*.py,arm collect camera live replay home latency mock \
-              gripper_r hid force_b force_ati taxels watch_b watch_g watch_h watch_v))# a bench wants both cores
 DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
@@ -138,8 +136,8 @@ live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SE
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
 
 test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
-	@$(PY) -m pytest -q -n 2 --dist loadfile $(filter-out $(ALONE),$(wildcard tests/test_*.py))
-	@$(PY) -m pytest -q $(ALONE)
+	@$(PY) -m pytest -q -n 2 --dist worksteal -m 'not serial'
+	@$(PY) -m pytest -q -m serial
 
 test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10

@@ -209,5 +209,5 @@ def _limits(benches: Path) -> str:
 
 All emulators of a mock bench share the machine's cores with the rig, and a busy or virtual machine
 may hold any of them up for 100 ms; so its limits are looser. The lab's are tested to the nanosecond
-on a clock that is no machine's (`tests/test_rig_guard.py`, `tests/test_rig_reliability.py`).
+on a clock that is no machine's (`tests/rig/test_guard.py`, `tests/benchmarks/test_reliability.py`).
 """

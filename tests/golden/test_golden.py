@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
+
+# The scripts of this folder run by themselves as well.
+sys.path.insert(0, str(Path(__file__).parent))
+
 from cases import CASES
 from golden import CHECKOUT, Case, compare, run_case
 

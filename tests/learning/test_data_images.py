@@ -1,0 +1,80 @@
+"""Images as networks see them: exact area means, the authors' enlargement, arrays and tensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from support.made_up_archives import State, mask_of
+
+from learning.data.images import (
+    enlarge,
+    enlarge_images,
+    pack_masks,
+    shrink,
+    shrink_masks,
+    unpack_masks,
+)
+from learning.errors import LearningError
+from recorder.markers import HEIGHT, WIDTH, pack, unpack
+
+
+def _masks() -> np.ndarray:
+    pressed = State((300.0, 250.0), 90.0, 1.0, (0.4, 0.2))
+    noise = np.random.default_rng(0).random((HEIGHT, WIDTH)) < 0.5
+    return np.stack([mask_of("dots", pressed), noise, np.zeros_like(noise), np.ones_like(noise)])
+
+
+def _overlaps(pixels: int, images: int) -> np.ndarray:
+    """Share of each pixel (images, pixels) that an image's pixel covers."""
+    ends = np.arange(images + 1) * pixels / images
+    low, high = np.arange(pixels), np.arange(pixels) + 1
+    return np.clip(np.minimum(ends[1:, None], high) - np.maximum(ends[:-1, None], low), 0, None) / (
+        pixels / images
+    )
+
+
+def test_a_pixel_is_the_mean_over_its_area() -> None:
+    masks = _masks()
+    mean = _overlaps(HEIGHT, 256) @ masks.astype(float) @ _overlaps(WIDTH, 256).T
+    assert np.abs(shrink(pack(masks)).astype(float) - 255 * mean).max() < 0.5 + 1e-9
+
+
+def test_arrays_and_tensors_shrink_alike() -> None:
+    masks = _masks()
+    assert np.array_equal(shrink_masks(torch.from_numpy(masks)).numpy(), shrink(pack(masks)))
+
+
+def test_arrays_and_tensors_enlarge_alike() -> None:
+    images = shrink(pack(_masks()))
+    one = unpack(enlarge(images))
+    other = enlarge_images(torch.from_numpy(images)).numpy()
+    # Pillow calculates in whole numbers: a value at the threshold may round to its other side.
+    assert (one != other).mean() < 1e-4
+
+
+def test_markers_come_back_where_they_were() -> None:
+    mask = _masks()[:1]
+    back = unpack(enlarge(shrink(pack(mask))))
+    assert 2 * (mask & back).sum() / (mask.sum() + back.sum()) > 0.985
+
+
+def test_bits_become_masks_and_masks_bits() -> None:
+    masks = _masks()
+    packed = torch.from_numpy(pack(masks))
+    assert torch.equal(unpack_masks(packed), torch.from_numpy(masks))
+    assert torch.equal(pack_masks(torch.from_numpy(masks)), packed)
+
+
+def test_nothing_becomes_nothing() -> None:
+    assert shrink(np.zeros((0, 38400), np.uint8)).shape == (0, 256, 256)
+    assert enlarge_images(torch.zeros(0, 256, 256, dtype=torch.uint8)).shape == (0, 480, 640)
+
+
+def test_other_shapes_and_types_are_refused() -> None:
+    with pytest.raises(LearningError, match=r"packed masks: found uint8 \(1, 100\); allowed"):
+        shrink(np.zeros((1, 100), np.uint8))
+    with pytest.raises(LearningError, match=r"images: found float64 \(1, 256, 256\)"):
+        enlarge(np.zeros((1, 256, 256)))  # type: ignore[arg-type]
+    with pytest.raises(LearningError, match=r"masks: found torch.uint8 \(1, 480, 640\)"):
+        shrink_masks(torch.zeros(1, 480, 640, dtype=torch.uint8))

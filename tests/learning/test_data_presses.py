@@ -1,0 +1,271 @@
+"""Presses in memory: right frames in the right order, wherever they come from."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.made_up_archives import made_up_archive
+
+from learning.archive_writer import archive_fingerprint
+from learning.data import presses as presses_module
+from learning.data import presses as residence
+from learning.data.images import shrink
+from learning.data.presses import (
+    AUTHORS,
+    ForceRange,
+    Resident,
+    Streaming,
+    load_presses,
+    open_frames,
+    press_table,
+)
+from learning.data.splits import load_pairs, make_split
+from learning.errors import LearningError
+from recorder import MarkerArchive, SessionError
+from recorder.archive import location_pairs
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("presses") / "made-up.markers.zarr"
+    return made_up_archive(
+        path, frames_per_phase=1, force_depth=2, unlabelled=("grid",), invalid=(7,)
+    )
+
+
+def _rows(archive: MarkerArchive, sensor: str = "dots") -> np.ndarray:
+    return np.flatnonzero(archive[sensor].table["valid"])
+
+
+def test_frames_lie_press_after_press_in_order_of_time(archive: MarkerArchive) -> None:
+    rows = np.random.default_rng(0).permutation(_rows(archive))
+    presses = load_presses(archive["dots"], rows)
+    assert len(presses) == 3 * 2 + 2
+    assert presses.frames == len(rows)
+    table = archive["dots"].table
+    for press in range(len(presses)):
+        mine = presses.rows[presses.starts[press] : presses.starts[press + 1]].numpy()
+        assert (np.diff(table["frame"][mine]) > 0).all()
+        assert set(table["location"][mine].tolist()) == {int(presses.location[press])}
+        assert set(table["indenter"][mine].tolist()) == {int(presses.indenter[press])}
+    assert torch.equal(presses.of_frame.bincount(), presses.starts.diff())
+
+
+def test_images_and_labels_are_those_of_their_rows(archive: MarkerArchive) -> None:
+    presses = load_presses(archive["dots"], _rows(archive))
+    rows, table = presses.rows.numpy(), archive["dots"].table
+    assert np.array_equal(presses.images.numpy(), shrink(archive["dots"].packed(rows)))
+    assert np.array_equal(presses.wrench.numpy(), table["wrench"][rows, :3].astype(np.float32))
+    assert np.array_equal(presses.depth.numpy(), table["depth"][rows])
+    assert np.array_equal(presses.phase.numpy(), table["phase"][rows])
+    assert np.array_equal(presses.references.numpy(), shrink(archive["dots"].references))
+    assert presses.mm_per_px == archive["dots"].mm_per_px
+
+
+def test_presses_without_a_location_are_told_apart_by_their_target(
+    archive: MarkerArchive,
+) -> None:
+    presses = load_presses(archive["dots"], _rows(archive))
+    nowhere = presses.location == -1
+    assert presses.target[nowhere].tolist() == [2, 3]
+    assert presses.starts.diff()[nowhere].tolist() == [5, 5]
+
+
+def test_packed_masks_are_kept_on_request(archive: MarkerArchive) -> None:
+    rows = _rows(archive)[:6]
+    presses = load_presses(archive["dots"], rows, form="packed")
+    assert np.array_equal(presses.images.numpy(), archive["dots"].packed(rows))
+    assert np.array_equal(presses.references.numpy(), archive["dots"].references)
+
+
+def test_marker_fields_follow_the_truth(
+    archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = _rows(archive)[:14]
+    truth = load_presses(archive["dots"], rows, form="field", field_source="truth").images
+    found = load_presses(archive["dots"], rows, form="field").images
+    assert truth.shape == found.shape == (14, 3, 32, 32)
+    inside = (found - truth)[:, :2, 6:-6, 6:-6]
+    assert inside.abs().median() < 0.5
+    assert truth[:, :2].abs().max() > 5
+    # Some presses at a time, as large archives need it, are the same.
+    monkeypatch.setattr(presses_module, "_FIELDS_AT_ONCE", 6)
+    said: list[int] = []
+    again = load_presses(
+        archive["dots"], rows, form="field", progress=lambda done, total: said.append(done)
+    )
+    assert torch.equal(again.images, found)
+    assert said[-1] == 14
+    assert said == sorted(said)
+
+
+def test_selected_presses_keep_what_belongs_to_them(archive: MarkerArchive) -> None:
+    presses = load_presses(archive["dots"], _rows(archive))
+    chosen = presses.select([3, 0])
+    assert chosen.location.tolist() == presses.location[[3, 0]].tolist()
+    again = load_presses(archive["dots"], chosen.rows[chosen.starts[1] :].numpy())
+    first = slice(int(chosen.starts[1]), int(chosen.starts[2]))
+    for name in ("images", "wrench", "depth", "rows", "reference"):
+        assert torch.equal(getattr(chosen, name)[first], getattr(again, name))
+    assert len(presses.select(presses.indenter == 1)) == 2
+    assert len(presses.select(torch.zeros(len(presses), dtype=torch.bool))) == 0
+
+
+def test_presses_without_labels_are_refused_for_forces_alone(archive: MarkerArchive) -> None:
+    load_presses(archive["dots"], _rows(archive)).require_wrench()
+    presses = load_presses(archive["grid"], _rows(archive, "grid"))
+    with pytest.raises(LearningError, match=r"sensor grid: found no wrench in .* \(rows \d+, "):
+        presses.require_wrench()
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([7], r"row 7 is not valid \(missing\)"),
+        ([3, 3], "rows that repeat"),
+        ([10_000], "no row 10000"),
+        ([0.5], "allowed: integers"),
+    ],
+)
+def test_wrong_rows_are_refused(archive: MarkerArchive, rows: list[int], said: str) -> None:
+    with pytest.raises(LearningError, match=said):
+        load_presses(archive["dots"], rows)
+
+
+def test_no_rows_are_no_presses(archive: MarkerArchive) -> None:
+    presses = load_presses(archive["dots"], np.array([], np.int64))
+    assert (len(presses), presses.frames) == (0, 0)
+
+
+def test_a_chunk_that_is_gone_is_an_error(archive: MarkerArchive, tmp_path: Path) -> None:
+    path = tmp_path / "broken.markers.zarr"
+    shutil.copytree(archive.path, path)
+    next((path / "dots/markers").glob("c.1*")).unlink()
+    broken = MarkerArchive(path)
+    with pytest.raises(SessionError, match="shard missing"):
+        load_presses(broken["dots"], _rows(archive))
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_memory_and_archive_give_the_same_batches(archive: MarkerArchive, workers: int) -> None:
+    rows = _rows(archive)
+    wanted = [np.array([5, 1, 9]), np.array([2]), np.array([9, 9])]
+    presses, resident = open_frames(archive["dots"], rows)
+    described, streaming = open_frames(archive["dots"], rows, share=0.0, workers=workers)
+    assert isinstance(resident, Resident)
+    assert isinstance(streaming, Streaming)
+    assert torch.equal(presses.rows, described.rows)
+    for one, other in zip(resident.batches(wanted), streaming.batches(wanted), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_images_that_do_not_fit_stay_in_the_archive(
+    archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = _rows(archive)
+    monkeypatch.setattr(residence, "free_bytes", lambda device: len(rows) * 65536)
+    assert isinstance(open_frames(archive["dots"], rows, share=1.0)[1], Resident)
+    assert isinstance(open_frames(archive["dots"], rows, share=0.99)[1], Streaming)
+    assert press_table(archive["dots"], rows).images.is_meta
+
+
+def test_pairs_are_the_rows_that_belong_together(archive: MarkerArchive) -> None:
+    split = make_split(archive)
+    pairs = load_pairs(archive, "dots", "grid", split, "train")
+    due = location_pairs(archive["dots"].table, archive["grid"].table)
+    kept = np.isin(due.source, split.rows(archive["dots"].table, "train"))
+    assert np.array_equal(pairs.source.rows.numpy(), due.source[kept])
+    assert np.array_equal(pairs.target.rows.numpy(), due.target[kept])
+    assert np.array_equal(
+        pairs.target.images.numpy(), shrink(archive["grid"].packed(due.target[kept]))
+    )
+    assert set(split.role(pairs.location.numpy()).tolist()) == {"train"}
+    assert len(load_pairs(archive, "dots", "grid", None, "train")) == len(due)
+
+
+def test_pairs_that_there_are_none_of_are_an_error(archive: MarkerArchive) -> None:
+    with pytest.raises(LearningError, match="no sensor 'gel'; known: dots, grid"):
+        load_pairs(archive, "dots", "gel", None, "train")
+    nobody = make_split(archive, validation=0.0)
+    with pytest.raises(LearningError, match="no location pairs with role validation"):
+        load_pairs(archive, "dots", "grid", nobody, "validation")
+
+
+def test_progress_counts_frames(archive: MarkerArchive) -> None:
+    said: list[tuple[int, int]] = []
+    rows = _rows(archive)
+    load_presses(archive["dots"], rows, progress=lambda done, total: said.append((done, total)))
+    assert said[0] == (0, len(rows))
+    assert said[-1] == (len(rows), len(rows))
+    said.clear()
+    load_pairs(archive, "dots", "grid", None, "train", progress=lambda *counts: said.append(counts))
+    assert (
+        said[-1][0]
+        == said[-1][1]
+        == 2 * len(location_pairs(archive["dots"].table, archive["grid"].table))
+    )
+
+
+def test_the_fingerprint_changes_with_what_the_archive_says(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    first = archive_fingerprint(archive)
+    assert first == archive_fingerprint(MarkerArchive(archive.path))
+    made = [
+        made_up_archive(
+            tmp_path / f"{number}.markers.zarr",
+            sensors=("dots",),
+            indenters=("sphere", "cone"),
+            targets=1,
+            frames_per_phase=1,
+            displacement=False,
+            stiffness={"dots": stiffness},
+        )
+        for number, stiffness in enumerate((1.0, 1.0, 1.1))
+    ]
+    prints = [archive_fingerprint(each) for each in made]
+    assert prints[0] == prints[1] != prints[2]
+    assert first not in prints
+
+
+def test_forces_become_shares_of_their_range_and_back() -> None:
+    wrench = torch.tensor([[-1.0, 0.0, -8.0], [1.0, 0.0, 0.0], [0.5, 0.0, -2.0]])
+    span = ForceRange.from_training(wrench)
+    shares = span.normalise(wrench)
+    assert shares.min() >= 0
+    assert shares.max() <= 1
+    assert shares[:, 2].tolist() == pytest.approx([0.0, 1.0, 0.75])
+    assert torch.allclose(span.denormalise(shares), wrench, atol=1e-6)
+    assert np.allclose(span.normalise(wrench.numpy()), shares.numpy())
+    assert ForceRange.from_dict(span.to_dict()) == span
+    wider = ForceRange.from_training(wrench, margin=0.1)
+    assert wider.low[2] == pytest.approx(-8.8)
+    assert AUTHORS.denormalise(np.array([[0.5, 0.5, 0.8]])).tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_ranges_of_nothing_or_of_nan_are_refused() -> None:
+    with pytest.raises(LearningError, match=r"found .*nan.* in row 1; allowed: finite forces"):
+        ForceRange.from_training(np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]]))
+    with pytest.raises(LearningError, match=r"found \(0, 3\)"):
+        ForceRange.from_training(np.zeros((0, 3)))
+    with pytest.raises(LearningError, match="low < high"):
+        ForceRange((0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_gpu_holds_the_same_images(archive: MarkerArchive) -> None:
+    rows = _rows(archive)
+    here, there = (load_presses(archive["dots"], rows, device=name) for name in ("cpu", "cuda"))
+    assert there.images.is_cuda
+    assert torch.equal(there.images.cpu(), here.images)
+    assert torch.equal(there.to("cpu").wrench, here.wrench)
+    wanted = [np.array([3, 1]), np.array([2])]
+    streaming = open_frames(archive["dots"], rows, device="cuda", share=0.0, workers=2)[1]
+    for numbers, images in zip(wanted, streaming.batches(wanted), strict=True):
+        assert images.is_cuda
+        assert torch.equal(images.cpu(), here.images[numbers])

@@ -1,0 +1,227 @@
+"""Splits: every press has one role in all sensors, and a split is a file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.made_up_archives import made_up_archive
+
+from learning.cli.split import add_to
+from learning.data.splits import NO_ROLE, ROLES, Split, make_split, presses_of, read_split
+from learning.errors import LearningError
+from recorder import MarkerArchive, SessionError
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("split") / "made-up.markers.zarr"
+    return made_up_archive(
+        path,
+        targets=4,
+        frames_per_phase=1,
+        displacement=False,
+        force_depth=1,
+        invalid=(3,),
+    )
+
+
+def test_every_location_has_one_role(archive: MarkerArchive) -> None:
+    split = make_split(archive, validation=0.25, new_press=0.25)
+    by_role = [set(split.locations(role).tolist()) for role in ROLES]
+    assert sum(map(len, by_role)) == len(set.union(*by_role)) == 12
+    assert [len(each) for each in by_role] == [4, 2, 2, 4]
+
+
+def test_unseen_indenters_are_never_trained_on(archive: MarkerArchive) -> None:
+    split = make_split(archive)
+    cone = archive.indenters.index("cone")
+    for sensor in archive.values():
+        codes = sensor.table["indenter"]
+        assert set(codes[split.rows(sensor.table, "new_indenter")].tolist()) == {cone}
+        assert cone not in codes[split.rows(sensor.table, ("train", "validation", "new_press"))]
+
+
+def test_rows_are_valid_and_in_order_of_press_and_time(archive: MarkerArchive) -> None:
+    split = make_split(archive)
+    table = archive["dots"].table
+    rows = np.concatenate([split.rows(table, role) for role in ROLES])
+    located = np.flatnonzero((table["location"] >= 0) & table["valid"])
+    assert np.array_equal(np.sort(rows), located)
+    assert 3 not in rows
+    ordered = split.rows(table, "train")
+    key = table["location"][ordered].astype(np.int64) * 1000 + table["frame"][ordered]
+    assert (np.diff(key) > 0).all()
+
+
+def test_frames_without_a_location_have_no_role(archive: MarkerArchive) -> None:
+    split = make_split(archive)
+    assert split.role(np.array([-1, 0, 99])).tolist()[::2] == [NO_ROLE, NO_ROLE]
+
+
+def test_shares_are_spread_over_indenters(archive: MarkerArchive) -> None:
+    split = make_split(archive, validation=0.25, new_press=0.25, unseen=())
+    for role in ("validation", "new_press"):
+        pressed = [press.indenter for press in split.presses if press.role == role]
+        assert sorted(pressed) == ["cone", "prism", "sphere"]
+
+
+def test_the_same_seed_makes_the_same_split_and_another_one_another(
+    archive: MarkerArchive,
+) -> None:
+    assert make_split(archive, seed=1) == make_split(archive, seed=1)
+    assert len({make_split(archive, seed=seed).fingerprint for seed in range(5)}) > 1
+
+
+def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
+    # As simulated states are: one frame a location, several locations a press.
+    class Table(dict):  # type: ignore[type-arg]
+        pass
+
+    count = 40
+    table = Table(
+        location=np.arange(count),
+        indenter=np.zeros(count, np.int64),
+        target=np.arange(count) // 5,
+        seen=np.ones(count, np.bool_),
+        valid=np.ones(count, np.bool_),
+        frame=np.arange(count) % 5,
+    )
+
+    class Sensor:
+        pass
+
+    class States(dict):  # type: ignore[type-arg]
+        name, indenters = "states", ("sphere",)
+
+    sensor = Sensor()
+    sensor.table = table  # type: ignore[attr-defined]
+    split = make_split(States(gel=sensor), validation=0.2, new_press=0.2)  # type: ignore[arg-type]
+    for target in range(8):
+        roles = {press.role for press in split.presses if press.target == target}
+        assert len(roles) == 1
+    assert {press.role for press in split.presses} == {"train", "validation", "new_press"}
+
+
+def test_a_file_holds_all_of_it(archive: MarkerArchive, tmp_path: Path) -> None:
+    split = make_split(archive, held_out_sensors=("grid",), seed=3)
+    path = tmp_path / "split.json"
+    split.write(path)
+    assert read_split(path) == split
+    assert read_split(path).fingerprint == split.fingerprint
+    assert split.trained_sensors(archive) == ("dots",)
+    split.write(path)
+    with pytest.raises(LearningError, match="holds another split"):
+        make_split(archive, seed=4, held_out_sensors=()).write(path)
+    assert read_split(path) == split
+
+
+def test_a_split_knows_archives_of_its_presses(archive: MarkerArchive, tmp_path: Path) -> None:
+    split = make_split(archive)
+    split.check(archive)
+    part = made_up_archive(
+        tmp_path / "part.markers.zarr",
+        sensors=("dots",),
+        targets=4,
+        indenters=("sphere",),
+        unseen=(),
+        frames_per_phase=1,
+        displacement=False,
+    )
+    split.check(part)
+    with pytest.raises(LearningError, match=r"location 4 \(cone, target 0\) is not in the split"):
+        make_split(part, unseen=()).check(archive)
+
+
+def test_a_location_that_is_another_press_is_refused(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    other = made_up_archive(
+        tmp_path / "other.markers.zarr",
+        sensors=("dots",),
+        targets=3,
+        frames_per_phase=1,
+        displacement=False,
+    )
+    with pytest.raises(LearningError, match="location 3 to be target 0 of cone; the split knows"):
+        make_split(archive).check(other)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"validation": 1.0}, "validation: found 1.0; allowed: 0 to less than 1"),
+        ({"new_press": -0.1}, "new_press: found -0.1"),
+        ({"validation": 0.5, "new_press": 0.5}, "shares that leave some to train on"),
+        ({"unseen": ("ball",)}, "unseen: found ball; allowed: sphere, cone, prism"),
+        ({"held_out_sensors": ("gel",)}, "held_out_sensors: found gel; allowed: dots, grid"),
+    ],
+)
+def test_wrong_choices_are_refused(
+    archive: MarkerArchive, options: dict[str, object], said: str
+) -> None:
+    with pytest.raises(LearningError) as raised:
+        make_split(archive, **options)  # type: ignore[arg-type]
+    assert said in str(raised.value)
+
+
+def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "half.markers.zarr"
+    half = made_up_archive(
+        path, sensors=("dots",), targets=1, frames_per_phase=1, displacement=False, finish=False
+    )
+    with pytest.raises(SessionError, match="still being written"):
+        presses_of(half)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{", "not JSON"),
+        ("[1]", "found format"),
+        ('{"format": "tactile-rig split", "format_version": 2}', "allowed: ('tactile-rig split'"),
+        ('{"format": "tactile-rig split", "format_version": 1}', "not a whole split"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / "split.json"
+    path.write_text(content)
+    with pytest.raises(LearningError) as raised:
+        read_split(path)
+    assert said in str(raised.value)
+
+
+def test_a_press_with_two_roles_is_refused(archive: MarkerArchive, tmp_path: Path) -> None:
+    path = tmp_path / "split.json"
+    make_split(archive).write(path)
+    document = json.loads(path.read_text())
+    document["presses"]["validation"]["sphere"] = [[0, 0]]
+    document["presses"]["train"]["sphere"] = [[0, 0]]
+    path.write_text(json.dumps(document))
+    with pytest.raises(LearningError, match="found a location twice"):
+        read_split(path)
+
+
+def test_the_verb_writes_the_split_and_says_what_is_in_it(
+    archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "split.json"
+    parser = argparse.ArgumentParser()
+    add_to(parser.add_subparsers())
+    command = ["split", archive.name, "--out", str(path), "--hold-out-sensors", "grid"]
+    options = parser.parse_args(command)
+    assert options.run(options) == 0
+    said = capsys.readouterr().out
+    assert "held out" in said
+    assert read_split(path) == make_split(archive, held_out_sensors=("grid",))
+    # Frames of presses: 4 of each of 3 indenters with 5 frames, of which one is missing.
+    total = re.findall(r"^dots .*", said, re.MULTILINE)[0]
+    assert sum(int(count) for count in re.findall(r"(\d+) of", total)) == 59
+
+
+def test_an_empty_split_gives_no_role() -> None:
+    assert Split(()).role(np.array([0, 1])).tolist() == [NO_ROLE, NO_ROLE]

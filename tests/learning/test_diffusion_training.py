@@ -1,0 +1,250 @@
+"""Training of the diffusion translator and of its autoencoder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from support.tiny_diffusion import (
+    CLIP,
+    DEEP_VAE,
+    SIDE,
+    UNET,
+    VGG,
+    striped_pairs,
+    tiny_pretrained,
+    tiny_settings,
+)
+
+from benchmarks.learning import diffusion_full_size
+from benchmarks.learning.diffusion_full_size import check, overfitted_pairs, table
+from learning.config import preset_names, read_settings
+from learning.errors import LearningError
+from learning.training.optim import Constant
+from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
+from learning.translation.diffusion import losses, train_vae
+from learning.translation.diffusion.data import ImagePairs
+from learning.translation.diffusion.losses import ClipFeatures, DiscriminatorHeads
+from learning.translation.diffusion.network import build
+from learning.translation.diffusion.settings import (
+    MARKER_VAE_PRESETS,
+    TRANSLATOR_PRESETS,
+    LossWeights,
+    MarkerVaeSettings,
+    TranslatorSettings,
+)
+from learning.translation.diffusion.train import evaluate, train
+
+PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
+
+
+def _vae_settings(*overrides: str) -> MarkerVaeSettings:
+    few = ["steps=4", "batch=2", "launch={device: cpu, mixed_precision: no}", "log_every=1"]
+    rate = "optimiser.rate={kind: constant, rate: 0.01}"
+    return read_settings(MarkerVaeSettings, MARKER_VAE_PRESETS, "ours", [*few, rate, *overrides])
+
+
+def test_presets_are_what_paper_supplement_and_code_say() -> None:
+    assert preset_names(TRANSLATOR_PRESETS) == preset_names(MARKER_VAE_PRESETS) == PRESETS
+    said = {name: read_settings(TranslatorSettings, TRANSLATOR_PRESETS, name) for name in PRESETS}
+    for name, batch in (("paper_main", 16), ("paper_supplement", 4)):
+        assert said[name].optimiser.rate == Constant(5e-6, warm_up=500)
+        assert said[name].losses == LossWeights(adversarial=0.5, perceptual=5.0, square=1.0)
+        assert (said[name].batch, said[name].steps, said[name].train_vae) == (batch, 100_000, True)
+    code = said["authors_code"]
+    assert code.optimiser.rate == Constant(5e-5)
+    assert code.losses == LossWeights(adversarial=0.5, perceptual=1.0, square=5.0)
+    assert (code.pixel_range, code.two_pass, code.train_vae) == ("zero_one", True, False)
+    assert all(
+        (each.unet_rank, each.vae_rank, each.optimiser.clip_norm) == (8, 4, 1.0)
+        for each in said.values()
+    )
+
+
+def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
+    settings = replace(tiny_settings(), accumulation=2, steps=2, batch=1)
+    states, logs = [], []
+    for name, stops in (("whole", (2,)), ("halves", (1, 2))):
+        for stop in stops:
+            done: list[int] = []
+            with RunFolder.open(tmp_path / name, "diffusion", settings, "x", True) as run:
+                network = train(
+                    striped_pairs(),
+                    tiny_pretrained(),
+                    settings,
+                    run=run,
+                    stopping=lambda done=done, stop=stop: done[-1] == stop,
+                    progress=lambda step, _, done=done: done.append(step),
+                )
+                assert run.finished == (stop == 2)
+        states.append(network.state_dict())
+        logs.append((tmp_path / name / METRICS).read_text())
+    assert logs[0] == logs[1]
+    assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
+
+
+@pytest.mark.slow
+def test_the_loss_falls() -> None:
+    settings = tiny_settings()
+    settings = replace(
+        settings,
+        steps=20,
+        unet_rank=8,
+        vae_rank=8,
+        sample_latents=False,
+        losses=LossWeights(adversarial=0, perceptual=0),
+        optimiser=replace(settings.optimiser, rate=Constant(0.02)),
+    )
+    pairs, runs_on = striped_pairs(2), accelerator(settings.launch)
+    begun = train(pairs, tiny_pretrained(), replace(settings, steps=1), accelerator=runs_on)
+    trained = train(pairs, tiny_pretrained(), settings, accelerator=runs_on)
+    first, last = (evaluate(each, pairs, settings, runs_on) for each in (begun, trained))
+    assert last["validation/square"] < 0.5 * first["validation/square"]
+    assert last["validation/dice"] > first["validation/dice"]
+
+
+@pytest.mark.slow
+def test_both_ways_of_a_step_follow_the_same_losses() -> None:
+    found = {}
+    for two_pass in (False, True):
+        settings = replace(tiny_settings(), steps=1, two_pass=two_pass)
+        said: list[dict[str, float]] = []
+        run = _Listening(said)
+        train(striped_pairs(), tiny_pretrained(), settings, run=run)  # type: ignore[arg-type]
+        found[two_pass] = said[0]
+    assert found[True].keys() == found[False].keys()
+    for name in ("train/square", "train/perceptual"):
+        assert found[True][name] == pytest.approx(found[False][name], rel=1e-5)
+
+
+class _Listening:
+    """A run that keeps what it is told and writes nothing."""
+
+    def __init__(self, said: list[dict[str, float]]) -> None:
+        self.said = said
+
+    def restore(self, models: object, states: object) -> int:
+        return 0
+
+    def log(self, step: int, values: dict[str, float]) -> None:
+        self.said.append(dict(values))
+
+    def save(self, *args: object, **kwargs: object) -> None: ...
+
+    def finish(self, *args: object, **kwargs: object) -> None: ...
+
+
+def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
+    clip = tiny_pretrained().clip
+    heads = DiscriminatorHeads(clip.config.hidden_size, clip.config.projection_dim)
+    side = losses.Side(heads, torch.optim.AdamW(heads.parameters()), 1.0)
+    judges = losses.Judges(LossWeights(), None, ClipFeatures(clip), side)
+    made = (torch.rand(1, 3, SIDE, SIDE) * 2 - 1).requires_grad_()
+    nothing = torch.zeros(1)
+    batch = losses.Batch(nothing, nothing, nothing, None, None, torch.Generator())
+    losses._fooling(made, batch, judges, accelerator(LaunchSettings(device="cpu"))).backward()
+    assert made.grad is not None
+    assert float(made.grad.abs().sum()) > 0
+    assert all(each.grad is None and each.requires_grad for each in heads.parameters())
+
+
+def test_a_translator_starts_from_the_trained_autoencoder_in_all_three_places() -> None:
+    images = striped_pairs().images
+    few = _vae_settings("vae_rank=3", "steps=1")
+    adapter = train_vae.train_vae(images, tiny_pretrained().vae, few).adapter()
+    made = tiny_pretrained()
+    state = build(made.unet, made.vae, tiny_settings(), vae_adapter=adapter).state_dict()
+    assert any(float(each.abs().max()) > 0 for name, each in adapter.items() if "lora_B" in name)
+    for name, each in adapter.items():
+        assert torch.equal(state[f"vae.{name}"], each)
+        if name.startswith("encoder."):
+            assert torch.equal(state[f"reference.{name}"], each)
+
+
+@pytest.mark.slow
+def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: Path) -> None:
+    settings = _vae_settings("accumulation=2", "steps=2")
+    images, states = striped_pairs().images, []
+    for name, stops in (("whole", (2,)), ("halves", (1, 2))):
+        for stop in stops:
+            done: list[int] = []
+            with RunFolder.open(tmp_path / name, "marker-vae", settings, "x", True) as run:
+                network = train_vae.train_vae(
+                    images,
+                    tiny_pretrained().vae,
+                    settings,
+                    validation=images[:2],
+                    run=run,
+                    stopping=lambda done=done, stop=stop: done[-1] == stop,
+                    progress=lambda step, _, done=done: done.append(step),
+                )
+        states.append(network.state_dict())
+    assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
+    fresh = dict(tiny_pretrained().vae.named_parameters())
+    kept = {
+        name.replace(".base_layer", ""): each
+        for name, each in network.vae.named_parameters()
+        if ".lora_" not in name
+    }
+    assert all(torch.equal(each, fresh[name]) for name, each in kept.items())
+    begun = train_vae.MarkerVae(tiny_pretrained().vae, settings).state_dict()
+    assert not [name for name, each in begun.items() if torch.equal(each, states[0][name])]
+    line = json.loads((tmp_path / "whole" / METRICS).read_text().splitlines()[-1])
+    assert "validation/loss" in line
+
+
+def test_the_authors_decoder_is_given_scaled_latents() -> None:
+    images = torch.rand(1, 1, SIDE, SIDE)
+    plain, scaled = (
+        train_vae.MarkerVae(tiny_pretrained().vae, _vae_settings(f"decode_scaled={said}"))
+        for said in ("false", "true")
+    )
+    given = []
+    for network in (plain, scaled):
+        decoder = network.vae.post_quant_conv
+        decoder.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
+        network(images)
+    torch.testing.assert_close(given[0] * 0.18215, given[1])
+
+
+def test_pairs_that_do_not_fit_together_are_refused() -> None:
+    images = torch.zeros(2, 8, 8, dtype=torch.uint8)
+    one = torch.zeros(2, dtype=torch.int64)
+    with pytest.raises(LearningError, match=r"images: found torch\.float32"):
+        ImagePairs(images.float(), one, images[:1], one, one)
+    with pytest.raises(LearningError, match="references: found"):
+        ImagePairs(images, one, torch.zeros(1, 4, 4, dtype=torch.uint8), one, one)
+    with pytest.raises(LearningError, match="target: found rows beyond 0 to 1"):
+        ImagePairs(images, one, images[:1], one, one + 2)
+    none = ImagePairs(images, one, images[:1], one[:0], one[:0])
+    with pytest.raises(LearningError, match="pairs: found none"):
+        train(none, tiny_pretrained(), tiny_settings())
+
+
+def test_losses_need_what_judges_them() -> None:
+    bare = replace(tiny_pretrained(), clip=None, perceptual=None)
+    with pytest.raises(LearningError, match="needs LPIPS, or 0"):
+        train(striped_pairs(), bare, tiny_settings())
+
+
+@pytest.mark.slow
+def test_the_full_size_check_measures_and_writes(tmp_path: Path) -> None:
+    out = tmp_path / "full-size.json"
+    found = check(
+        [1, 2],
+        out,
+        steps=diffusion_full_size.WARM + 1,
+        overrides=["launch={device: cpu, mixed_precision: no}"],
+        networks=lambda device: diffusion_full_size.random_pretrained(
+            UNET, DEEP_VAE, CLIP, VGG, device
+        ),
+        side=64,
+    )
+    assert json.loads(out.read_text()) == found
+    assert [row["batch"] for row in found["measured"]] == [1, 2]
+    assert all(row["training_images_per_s"] > 0 for row in found["measured"])
+    assert "mean square on 4 pairs" in table(found)
+    assert len(overfitted_pairs(3, SIDE, torch.device("cpu"))) == 3

@@ -1,0 +1,148 @@
+"""Errors of forces against hand values, and predictions on disk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.predicted_forces import TRUE, predictions
+
+from learning.errors import LearningError
+from learning.evaluation.predictions import (
+    ALL,
+    csv_text,
+    force_rows,
+    gain_line,
+    merged,
+    read_predictions,
+)
+from learning.metrics import (
+    force_errors,
+    mean_absolute_error,
+    r_squared,
+    spread_and_range,
+    with_magnitude,
+)
+
+
+def test_the_mean_absolute_error_is_that_of_each_axis_and_of_the_magnitude() -> None:
+    predicted = TRUE + np.array([0.1, -0.2, 0.0])
+    predicted[1] = [0.0, 0.0, -4.0]  # of magnitude 5, said to be 4
+    errors = force_errors(TRUE[:2], predicted[:2], np.array([1.0, 2.0, 4.0, 0.5]))
+    magnitude = np.sqrt(0.01 + 0.04 + 1) - 1
+    expected = np.array([1.55, 0.1, 0.0, (magnitude + 1) / 2])
+    assert errors.mae == pytest.approx(tuple(expected))
+    assert errors.relative == pytest.approx(tuple(expected / [1, 2, 4, 0.5]))
+    assert errors.shear == pytest.approx((1.55 + 0.1) / 2)
+
+
+def test_the_total_force_is_the_magnitude() -> None:
+    assert with_magnitude(TRUE)[:, 3] == pytest.approx([1, 5, 1, np.sqrt(3)])
+
+
+def test_r2_is_one_for_the_truth_zero_for_the_mean_and_below_for_worse() -> None:
+    true = np.array([[1.0], [2.0], [6.0]])
+    assert r_squared(true, true) == pytest.approx([1])
+    assert r_squared(true, np.full((3, 1), 3.0)) == pytest.approx([0])
+    # Labels are -2, -1 and 3 off their mean, 14 of squares; what is said is 5, 4 and 0 off, 41.
+    assert r_squared(true, np.full((3, 1), 6.0)) == pytest.approx([1 - 41 / 14])
+
+
+def test_r2_of_labels_that_never_change_is_no_number() -> None:
+    assert np.isnan(r_squared(np.ones((4, 1)), np.zeros((4, 1))))
+
+
+@pytest.mark.parametrize("which", ["true", "predicted"])
+def test_a_force_that_is_no_number_is_refused(which: str) -> None:
+    values = {"true": TRUE.copy(), "predicted": TRUE.copy()}
+    values[which][2, 1] = np.nan
+    with pytest.raises(LearningError, match=f"row 2 of {which}"):
+        mean_absolute_error(values["true"], values["predicted"])
+
+
+def test_errors_of_no_frames_are_refused() -> None:
+    with pytest.raises(LearningError, match="one frame or more"):
+        mean_absolute_error(TRUE[:0], TRUE[:0])
+
+
+def test_the_spread_leaves_out_frames_without_a_label() -> None:
+    labels = np.concatenate([TRUE, np.full((1, 3), np.nan)])
+    std, range_ = spread_and_range(labels)
+    assert std[2] == pytest.approx(TRUE[:, 2].std())
+    assert range_ == pytest.approx([3, 1, 4, 4])
+
+
+def test_predictions_come_back_as_they_were_written(tmp_path: Path) -> None:
+    one = predictions("transferred", translator="field")
+    one.write(tmp_path / "one.npz")
+    back = read_predictions(tmp_path / "one.npz")
+    assert back.key == one.key
+    assert back.true.tolist() == one.true.tolist()
+    assert back.indenter.tolist() == one.indenter.tolist()
+    assert [path.name for path in tmp_path.iterdir()] == ["one.npz"]
+
+
+def test_predictions_that_are_no_number_are_refused() -> None:
+    one = predictions()
+    wrong = one.predicted.copy()
+    wrong[3, 0] = np.nan
+    with pytest.raises(LearningError, match="predicted force that is no number in row 3"):
+        replace(one, predicted=wrong)
+
+
+def test_a_file_that_is_cut_short_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "one.npz"
+    predictions().write(path)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(LearningError, match=r"one\.npz: found no results"):
+        read_predictions(path)
+
+
+def test_an_npz_of_something_else_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "other.npz", weights=np.zeros(3))
+    with pytest.raises(LearningError, match=r"other\.npz: found no results"):
+        read_predictions(tmp_path / "other.npz")
+
+
+def test_an_unknown_method_is_refused() -> None:
+    with pytest.raises(LearningError, match="'finetuned'; allowed: source-only"):
+        predictions("finetuned")
+
+
+def test_predictions_of_one_pair_in_several_files_are_one() -> None:
+    seen = predictions(roles=("new_press",), first=100)
+    unseen = predictions(roles=("new_indenter",))
+    (one,) = merged([unseen, seen])
+    assert one.rows.tolist() == [*range(4), *range(100, 104)]
+    assert one.role[[0, 7]].tolist() == ["new_indenter", "new_press"]
+
+
+def test_a_frame_that_was_predicted_twice_is_refused() -> None:
+    with pytest.raises(LearningError, match="row 0 twice"):
+        merged([predictions(), predictions(off=0.1)])
+
+
+def test_one_variant_by_two_models_is_refused() -> None:
+    other = replace(predictions(first=100), model="b" * 64)
+    with pytest.raises(LearningError, match="allowed: one"):
+        merged([predictions(), other])
+
+
+def test_the_table_has_a_row_for_each_role_and_one_for_all() -> None:
+    rows = force_rows([predictions(off=0.5)])
+    assert [row.role for row in rows] == ["new_indenter", "new_press", ALL]
+    assert [row.errors.frames for row in rows] == [4, 4, 8]
+    assert rows[2].value("mae_fz_n") == pytest.approx(0.5)
+    assert rows[2].value("mae_fz_over_std") == pytest.approx(0.5 / TRUE[:, 2].std())
+
+
+def test_the_line_of_gains_says_before_then_after() -> None:
+    rows = force_rows([predictions("transferred", off=0.0, translator="flow"), predictions()])
+    assert gain_line(rows).startswith("source-only R2 0.574  ")
+    assert gain_line(rows).endswith("  transferred, flow R2 1.000")
+
+
+def test_a_number_that_there_is_not_is_left_empty_in_a_csv() -> None:
+    assert csv_text([{"a": 1.5, "b": float("nan"), "c": "x,y"}]) == 'a,b,c\n1.5,,"x,y"\n'

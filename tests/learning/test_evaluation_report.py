@@ -1,0 +1,251 @@
+"""The report of made-up predictions, and scores of translations whose quality is known."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.made_up_archives import made_up_archive
+from support.predicted_forces import predictions
+
+from learning.cli import evaluate
+from learning.data.splits import Split, make_split
+from learning.errors import LearningError
+from learning.evaluation.distribution import MarkerGrid
+from learning.evaluation.paper_figures import PAPER, beside_the_paper, group_of
+from learning.evaluation.predictions import force_rows
+from learning.evaluation.report import write_report
+from learning.evaluation.translation import (
+    FLOOR,
+    NEAREST,
+    REFERENCE,
+    SOURCE,
+    TRANSLATED,
+    TranslationScores,
+    half_of_locations,
+    paired_rows,
+    read_scores,
+    require_alone,
+    score_translation,
+)
+from learning.translation.archive import Model, Pair, translate_archive
+from recorder import MarkerArchive
+
+
+class Still:
+    """A translator that always shows the untouched target."""
+
+    name = "still"
+
+    def translate(
+        self,
+        source: torch.Tensor,
+        target_reference: torch.Tensor,
+        source_reference: torch.Tensor | None = None,
+        *,
+        ordered: bool = False,
+    ) -> torch.Tensor:
+        return target_reference.expand_as(source)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("archive") / "made-up.markers.zarr"
+    return made_up_archive(
+        path, indenters=("cone", "prism"), unseen=("cone",), targets=12, frames_per_phase=1
+    )
+
+
+@pytest.fixture(scope="module")
+def split(archive: MarkerArchive) -> Split:
+    return make_split(archive, validation=0.1, new_press=0.1, seed=0)
+
+
+@pytest.fixture(scope="module")
+def translated(archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    out = tmp_path_factory.mktemp("translated") / "still.markers.zarr"
+    translate_archive(archive, out, [Pair("dots", "grid")], Model(Still(), "still", "0" * 64))
+    return MarkerArchive(out)
+
+
+@pytest.fixture(scope="module")
+def scores(archive: MarkerArchive, split: Split, translated: MarkerArchive) -> TranslationScores:
+    return score_translation(
+        archive, translated["dots-to-grid"], split, ["new_indenter"], MarkerGrid(), frames=40
+    )
+
+
+def test_a_translator_that_shows_the_reference_scores_as_the_reference(
+    scores: TranslationScores,
+) -> None:
+    paired = {row.method: row for row in scores.paired}
+    assert paired[TRANSLATED].dice == paired[REFERENCE].dice
+    assert paired[TRANSLATED].epe_px == paired[REFERENCE].epe_px
+    distances = {row.method: row for row in scores.distances}
+    assert distances[TRANSLATED].frechet == distances[REFERENCE].frechet
+
+
+def test_real_frames_beside_themselves_are_perfect(scores: TranslationScores) -> None:
+    (floor,) = [row for row in scores.paired if row.method == FLOOR]
+    assert (floor.dice, floor.iou, floor.count_mismatch) == (1, 1, 0)
+    assert floor.centroid_px == 0
+    # Markers that are bent have their centres elsewhere than their middles go, by little.
+    others = [row.epe_px for row in scores.paired if row.method in (REFERENCE, NEAREST)]
+    assert floor.epe_px < 0.5 < min(others)
+
+
+def test_the_source_as_it_is_is_told_from_the_target_and_the_floor_is_not(
+    scores: TranslationScores,
+) -> None:
+    distances = {row.method: row for row in scores.distances}
+    assert distances[SOURCE].classifier > 0.95
+    assert distances[SOURCE].mixing < 0.1
+    assert distances[FLOOR].frechet < 0.2 * distances[SOURCE].frechet
+    assert distances[FLOOR].mixing > 0.5
+
+
+def test_pixels_become_millimetres_by_the_target(scores: TranslationScores) -> None:
+    (row,) = [row for row in scores.paired if row.method == REFERENCE]
+    assert row.centroid_mm == pytest.approx(0.03 * row.centroid_px)
+    assert row.epe_mm == pytest.approx(0.03 * row.epe_px)
+
+
+def test_halves_share_no_location() -> None:
+    location = np.repeat(np.arange(11), 4)
+    half = half_of_locations(location, seed=1)
+    assert not set(location[half]) & set(location[~half])
+    assert len(set(location[half])) == 5
+
+
+def test_scores_come_back_as_they_were_written(tmp_path: Path, scores: TranslationScores) -> None:
+    scores.write(tmp_path / "x.npz")
+    back = read_scores(tmp_path / "x.npz")
+    assert repr(back.paired) == repr(scores.paired)  # NaN is not equal to itself
+    assert back.distances == scores.distances
+    assert back.features.keys() == {SOURCE, TRANSLATED, FLOOR}
+
+
+def test_other_features_add_distances_and_no_paired_rows(scores: TranslationScores) -> None:
+    others = [replace(row, extractor="marker-ae@sha256:0") for row in scores.distances]
+    again = replace(scores, distances=tuple(others))
+    require_alone([scores, again])
+    assert [row for _, row in paired_rows([scores, again])] == list(scores.paired)
+    with pytest.raises(LearningError, match="twice"):
+        require_alone([scores, again, scores])
+
+
+def test_an_archive_that_was_not_translated_is_refused(
+    archive: MarkerArchive, split: Split
+) -> None:
+    with pytest.raises(LearningError, match="allowed: frames translated from and to"):
+        score_translation(archive, archive["grid"], split, ["new_indenter"], MarkerGrid())
+
+
+def test_a_report_tells_before_and_after_in_one_page_and_in_tables(
+    tmp_path: Path, scores: TranslationScores
+) -> None:
+    made = [
+        predictions("source-only", ("array-i", "circle-i"), off=1.5),
+        predictions("transferred", ("array-i", "circle-i"), off=0.25, translator="flow"),
+        predictions("target", ("circle-i", "circle-i"), off=0.125),
+    ]
+    report = write_report(made, [scores], tmp_path / "report")
+    page = report.files[0].read_text()
+    assert "array-i to circle-i" in page
+    assert "frechet, kernel [marker-grid-8x8]" in page
+    assert "FID, KID [" not in page
+    assert page.count("data:image/png;base64,") >= 6
+    assert "http" not in page  # nothing is fetched from elsewhere
+    with (tmp_path / "report/force.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    (line,) = [
+        each
+        for each in lines
+        if (each["source"], each["method"], each["role"])
+        == ("array-i", "transferred", "new_indenter")
+    ]
+    assert float(line["mae_fz_n"]) == pytest.approx(0.25)
+    assert {path.name for path in (tmp_path / "report").iterdir()} == {
+        "report.html",
+        "force.csv",
+        "translation.csv",
+        "distances.csv",
+        "paper.csv",
+    }
+    assert report.lines[-1].startswith("new_indenter: source-only R2 -")
+
+
+def test_a_report_of_nothing_is_refused_and_writes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="neither predictions nor translation scores"):
+        write_report([], [], tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+def test_the_papers_figures_stand_beside_ours_of_the_same_pairs_alone() -> None:
+    made = [
+        predictions("transferred", ("circle-ii", "diamond-i"), off=0.5, translator="flow"),
+        predictions("transferred", ("array-i", "circle-i"), off=0.25, translator="flow"),
+        predictions("transferred", ("mine", "yours"), off=9, translator="flow"),
+    ]
+    beside = beside_the_paper(force_rows(made))
+    assert {one.figure.group for one in beside} == {"homogeneous"}
+    (pair,) = [one for one in beside if one.figure.statistic == "pair"]
+    assert (pair.figure.value, pair.held_out, pair.pairs, pair.of) == (0.96, 0.5, 1, 1)
+    (largest,) = [
+        one for one in beside if (one.figure.statistic, one.figure.measure) == ("max", "fz")
+    ]
+    assert (largest.held_out, largest.pairs, largest.of) == (0.5, 2, 20)
+    assert largest.our_share == pytest.approx(0.5 / 4)
+
+
+def test_every_figure_of_the_paper_names_pairs_of_its_test() -> None:
+    for figure in PAPER:
+        if figure.pair:
+            assert group_of(*figure.pair) == figure.group
+        assert (figure.statistic == "pair") <= (figure.pair is not None)
+
+
+def run(*words: str) -> int:
+    parser = argparse.ArgumentParser()
+    evaluate.add_to(parser.add_subparsers())
+    options = parser.parse_args(["evaluate", *words])
+    return int(options.run(options))
+
+
+@pytest.mark.slow
+def test_evaluate_scores_translations_keeps_them_and_reports(
+    tmp_path: Path,
+    archive: MarkerArchive,
+    translated: MarkerArchive,
+    split: Split,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    predictions("source-only", off=1.0).write(tmp_path / "results/a/one.npz")
+    split.write(tmp_path / "split.json")
+    places = ["--archive", archive.name, "--translated", translated.name]
+    places += ["--split", str(tmp_path / "split.json")]
+    folder, out = str(tmp_path / "results"), str(tmp_path / "report")
+    assert run(folder, "--out", out, *places) == 0
+    assert (tmp_path / "results/dots-to-grid.still.marker-grid-8x8.npz").exists()
+    assert (tmp_path / "report/distances.csv").exists()
+    assert "report.html: written" in capsys.readouterr().out
+
+
+def test_evaluate_without_a_split_says_what_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="--split: missing"):
+        run(str(tmp_path), "--out", str(tmp_path / "r"), "--archive", "a", "--translated", "b")
+
+
+def test_evaluate_refuses_results_that_are_cut_short(tmp_path: Path) -> None:
+    predictions().write(tmp_path / "one.npz")
+    shutil.copy(tmp_path / "one.npz", tmp_path / "two.npz")
+    (tmp_path / "two.npz").write_bytes((tmp_path / "two.npz").read_bytes()[:100])
+    with pytest.raises(LearningError, match=r"two\.npz"):
+        run(str(tmp_path), "--out", str(tmp_path / "report"))
+    assert not (tmp_path / "report").exists()

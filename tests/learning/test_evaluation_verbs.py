@@ -1,0 +1,101 @@
+"""`predict` with a model of a few weights, and what it refuses."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+import torch
+from support.force_models import TOY
+from support.made_up_archives import made_up_archive
+
+from learning.cli import predict
+from learning.data.splits import make_split
+from learning.errors import LearningError
+from learning.evaluation.predictions import read_predictions
+from learning.force.model import ForceModel
+from learning.force.predict import KIND
+from learning.training.run import RunFolder
+from recorder import MarkerArchive
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an archive, a split, and models that nobody trained."""
+    folder = tmp_path_factory.mktemp("lab")
+    archive = made_up_archive(
+        folder / "x.markers.zarr", targets=3, frames_per_phase=1, unlabelled=("grid",)
+    )
+    make_split(archive, validation=0.2, new_press=0.2).write(folder / "split.json")
+    torch.manual_seed(0)
+    for name, sensors in (("own", ["grid"]), ("carried", ["grid-to-dots"]), ("all", ["a", "b"])):
+        model = ForceModel(TOY.network, TOY.input)
+        with RunFolder.open(
+            folder / name, KIND, TOY, "data", False, facts={"sensors": sensors}
+        ) as run:
+            run.finish(1, {"model": model})
+    return folder
+
+
+def run(lab: Path, model: str, *words: str, sensor: str = "dots") -> int:
+    parser = argparse.ArgumentParser()
+    predict.add_to(parser.add_subparsers())
+    places = [str(lab / model), str(lab / "x.markers.zarr"), "--split", str(lab / "split.json")]
+    options = parser.parse_args(["predict", *places, "--sensor", sensor, *words])
+    return int(options.run(options))
+
+
+def test_predict_writes_what_a_model_says_of_whole_held_out_presses(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(lab, "own", "--out", str(tmp_path / "p.npz")) == 0
+    found = read_predictions(tmp_path / "p.npz")
+    assert found.key == ("grid", "dots", "source-only", "")
+    table = MarkerArchive(lab / "x.markers.zarr")["dots"].table
+    assert found.true.tolist() == table["wrench"][found.rows, :3].tolist()
+    assert set(found.role.tolist()) == {"new_indenter", "new_press"}
+    assert set(found.indenter[found.role == "new_indenter"].tolist()) == {"cone"}
+    assert len(found) == 5 * len(set(found.location.tolist()))
+    assert f"{len(found)} frames, MAE [N]" in capsys.readouterr().out
+
+
+def test_a_model_of_translated_frames_is_transferred(lab: Path, tmp_path: Path) -> None:
+    out = str(tmp_path / "p.npz")
+    with pytest.raises(LearningError, match="--translator: missing"):
+        run(lab, "carried", "--out", out)
+    assert run(lab, "carried", "--translator", "flow", "--out", out) == 0
+    assert read_predictions(Path(out)).key == ("grid", "dots", "transferred", "flow")
+    with pytest.raises(LearningError, match="allowed: 'dots'"):
+        run(lab, "carried", "--translator", "flow", "--out", out, sensor="grid")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--role", "test"], "role: found 'test'"),
+        (["--method", "target"], "found target from grid to dots"),
+        (["--translator", "flow"], "allowed: none, as --method is source-only"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    lab: Path, tmp_path: Path, words: list[str], message: str
+) -> None:
+    with pytest.raises(LearningError, match=message):
+        run(lab, "own", *words, "--out", str(tmp_path / "p.npz"))
+    assert not (tmp_path / "p.npz").exists()
+
+
+def test_frames_without_labels_are_refused(lab: Path, tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="grid: found no label in row"):
+        run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="grid")
+
+
+def test_a_sensor_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="found 'dense'; known: dots, grid"):
+        run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="dense")
+
+
+def test_a_model_of_several_sensors_has_to_be_told_its_source(lab: Path, tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="trained on a, b"):
+        run(lab, "all", "--out", str(tmp_path / "p.npz"))

@@ -1,0 +1,330 @@
+"""An experiment makes everything once, goes on where it was, and refuses to become another."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.made_up_archives import made_up_archive
+
+from learning.config import preset_names, read_settings
+from learning.data.images import shrink_masks
+from learning.data.splits import make_split
+from learning.errors import LearningError
+from learning.evaluation.predictions import read_predictions
+from learning.experiment import forces, running, worker
+from learning.experiment.forces import force_settings
+from learning.experiment.parts import (
+    as_images,
+    frames_of_a_press,
+    look_of,
+    pairs_of,
+    thinned,
+    trained_on,
+)
+from learning.experiment.settings import PRESETS, ExperimentSettings
+from learning.experiment.translating import Blind, flow_fields, translate_presses, warp_presses
+from learning.experiment.worker import Done
+from learning.metrics import force_errors
+from learning.translation.flow import FlowTranslator
+from learning.translation.translator import SensorView
+from recorder import MarkerArchive
+
+CPU = torch.device("cpu")
+SMALL = (
+    'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
+    '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
+    "fine_tuning=[]",
+    "scored_presses=0",
+    "compensation=[compensated, priors]",
+)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("experiment") / "made-up.markers.zarr"
+    return made_up_archive(path, targets=3, frames_per_phase=2, force_depth=2)
+
+
+def settings(*changed: str) -> ExperimentSettings:
+    return read_settings(ExperimentSettings, PRESETS, "demo", (*SMALL, *changed))
+
+
+def run(archive: MarkerArchive, out: Path, *changed: str) -> list[str]:
+    said: list[str] = []
+    report = running.run_experiment(
+        archive.path, out, settings(*changed), pairs=["dots:grid"], say=said.append
+    )
+    return [*said, running.gained(report.force)]
+
+
+@pytest.fixture(scope="module")
+def done(
+    archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list[str]]:
+    """A whole experiment: its folder, and what it said."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    return out, run(archive, out)
+
+
+def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
+    archive: MarkerArchive, done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, said = done
+    assert said[-1].startswith("source-only R2 ")
+    best = read_predictions(out / "results" / "dots-to-grid.priors.flow.npz")
+    unseen = best.only(best.role == "new_indenter")
+    errors = force_errors(unseen.true, unseen.predicted, unseen.label_std)
+    assert said[-1].endswith(f"transferred R2 {errors.r2_mean:.3f}")
+    assert (out / "report" / "report.html").is_file()
+    found = read_predictions(out / "results" / "dots-to-grid.compensated.flow.npz")
+    assert set(found.role) == {"new_press", "new_indenter"}
+    assert set(found.indenter[found.role == "new_indenter"]) == {"cone"}
+
+    def refuse(*arguments: object, **options: object) -> None:
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr(forces, "train_force", refuse)
+    assert run(archive, out) == [line for line in said if not line.startswith("python")]
+    with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
+        run(archive, out, "seed=1")
+
+
+@pytest.mark.slow
+def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
+    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
+) -> None:
+    out, said = done
+    also: list[str] = []
+    running.run_experiment(
+        archive.path, tmp_path, settings(), pairs=["dots:grid"], jobs=2, say=also.append
+    )
+    assert sorted(line for line in also if " to " in line) == sorted(
+        line for line in said if " to " in line
+    )
+    file = Path("results") / "dots-to-grid.compensated.flow.npz"
+    alone, together = (read_predictions(place / file) for place in (out, tmp_path))
+    assert np.array_equal(alone.predicted, together.predicted)
+
+
+def test_models_trained_together_say_what_those_trained_alone_say(
+    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
+) -> None:
+    run(archive, tmp_path, "together=4")
+    file = Path("results") / "dots-to-grid.compensated.flow.npz"
+    alone, together = (read_predictions(place / file) for place in (done[0], tmp_path))
+    assert np.abs(alone.predicted - together.predicted).max() < 1e-3
+    assert not np.array_equal(alone.predicted, together.predicted)
+
+
+def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, quick = ("train", "slow"), ("train", "quick")
+    after_slow, after_quick = ("carried", "slow"), ("carried", "quick")
+    begun, went_on = [], threading.Event()
+
+    def do(piece: tuple[str, ...]) -> tuple[Done, list[str]]:
+        begun.append(piece)
+        if piece == slow:
+            assert went_on.wait(10)
+        if piece == after_quick:
+            went_on.set()
+        return Done(), [" ".join(piece)]
+
+    monkeypatch.setattr(worker, "_do", do)
+    pieces: dict[tuple[str, ...], set[tuple[str, ...]]] = {
+        slow: set(),
+        after_slow: {slow},
+        quick: set(),
+        after_quick: {quick},
+    }
+    said: list[str] = []
+    with ThreadPoolExecutor(2) as pool:
+        assert len(worker._done(pool, pieces, said.append)) == 4
+    # The slow one ends only when what waits for the quick one has begun.
+    assert begun[2:] == [after_quick, after_slow]
+    assert set(begun) == set(pieces)
+    for name in ("slow", "quick"):
+        assert said.index(f"train {name}") < said.index(f"carried {name}")
+    assert len(said) == len(pieces)
+
+
+def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun = []
+
+    class Stopped:
+        def do(self, piece: tuple[str, ...]) -> None:
+            begun.append(piece)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(worker, "_worker", Stopped())
+    monkeypatch.setattr(worker, "_stopped", False)
+    for name in ("one", "two"):
+        with pytest.raises(KeyboardInterrupt):
+            worker._do(("own", name))
+    assert begun == [("own", "one")]
+
+
+def test_a_process_without_memory_says_that_jobs_are_too_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Full:
+        def do(self, piece: tuple[str, ...]) -> None:
+            raise torch.OutOfMemoryError("tried to allocate 150 MiB")
+
+    monkeypatch.setattr(worker, "_worker", Full())
+    with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
+        worker._do(("own", "one"))
+
+
+def test_presses_translated_together_are_those_translated_one_by_one(
+    archive: MarkerArchive,
+) -> None:
+    source, target = archive["dots"], archive["grid"]
+    split = make_split(archive)
+    packed = trained_on(source, split, "train", settings(), CPU)
+    assert packed is not None
+    look = look_of(target, packed, CPU)
+    views = SensorView.of(source), SensorView.of(target)
+    warped = warp_presses(packed, look, flow_fields(packed, *views))
+    translator = FlowTranslator(*views)
+    for press in range(len(packed)):
+        rows = packed.rows[packed.starts[press] : packed.starts[press + 1]].numpy()
+        alone = translator.translate(
+            torch.from_numpy(source.masks(rows)),
+            torch.from_numpy(target.reference(0)),
+            torch.from_numpy(source.reference(0)),
+            ordered=True,
+        )
+        together = warped.images[packed.starts[press] : packed.starts[press + 1]]
+        # Fields are kept in 16 bits: an edge may fall on the pixel beside.
+        assert (together.int() - shrink_masks(alone).int()).abs().float().mean() < 0.5
+    assert (warped.wrench == packed.wrench).all()
+    assert warped.sensor == "dots-to-grid"
+
+
+def test_without_memory_every_frame_is_untouched_before(archive: MarkerArchive) -> None:
+    packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
+    assert packed is not None
+    alone = packed.each_frame_alone()
+    assert len(alone) == alone.frames == packed.frames > len(packed)
+    assert torch.equal(alone.of_frame, torch.arange(packed.frames))
+    assert torch.equal(alone.location, packed.location[packed.of_frame])
+    assert alone.images is packed.images
+    assert frames_of_a_press(archive) == 9
+    batch = {
+        memory: force_settings(settings(f"memory={memory}"), archive, CPU).sequences.batch
+        for memory in ("true", "false")
+    }
+    assert batch["false"] == 9 * batch["true"]
+
+
+def test_a_blind_translator_is_told_nothing_of_the_source() -> None:
+    told: list[object] = []
+
+    class Asked(Same):
+        def translate(
+            self,
+            source: torch.Tensor,
+            target_reference: torch.Tensor,
+            source_reference: torch.Tensor | None = None,
+            *,
+            ordered: bool = False,
+        ) -> torch.Tensor:
+            told.append((source_reference, ordered))
+            return source
+
+    masks = torch.zeros(2, 480, 640, dtype=torch.bool)
+    Blind(Asked()).translate(masks, masks[0], masks[1], ordered=True)
+    assert told == [(None, False)]
+
+
+class Same:
+    """A translator that shows the source as it is."""
+
+    name = "same"
+
+    def translate(
+        self,
+        source: torch.Tensor,
+        target_reference: torch.Tensor,
+        source_reference: torch.Tensor | None = None,
+        *,
+        ordered: bool = False,
+    ) -> torch.Tensor:
+        assert source_reference is not None
+        return source
+
+
+def test_frames_keep_their_places_in_translation(archive: MarkerArchive) -> None:
+    packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
+    assert packed is not None
+    shown = translate_presses(packed, look_of(archive["grid"], packed, CPU), Same())
+    assert torch.equal(shown.images, as_images(packed).images)
+    assert not torch.equal(shown.references, as_images(packed).references)
+
+
+def test_a_thinner_split_moves_what_it_leaves_out_and_nothing_else(archive: MarkerArchive) -> None:
+    split = make_split(archive, new_press=0.3, validation=0.0)
+    few = thinned(split, 1, seed=0)
+    assert len(few.locations("new_indenter")) == len(few.locations("new_press")) == 1
+    assert np.array_equal(few.locations("train"), split.locations("train"))
+    assert len(few.presses) == len(split.presses)
+    few.check(archive)
+
+
+def test_pairs_are_all_directed_ones_or_those_asked_for(archive: MarkerArchive) -> None:
+    assert len(pairs_of(archive, None)) == 2
+    with pytest.raises(LearningError, match="found 'dots:dots'; allowed: SOURCE:TARGET"):
+        pairs_of(archive, ["dots:dots"])
+    with pytest.raises(LearningError, match="two of dots, grid"):
+        pairs_of(archive, ["dots:squares"])
+
+
+@pytest.mark.parametrize("name", preset_names(PRESETS))
+def test_presets_can_be_read(name: str) -> None:
+    assert read_settings(ExperimentSettings, PRESETS, name).translators
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ("translators=[]", "translators: found"),
+        ("translators=[flow, flow]", "each once"),
+        ("source_reference=false", "or direct alone"),
+        ("together=0", "together: found 0"),
+        ("train_presses=0", "train_presses: found 0; allowed: 1 and more, or none"),
+        ("scored_presses=-1", "scored_presses: found -1"),
+    ],
+)
+def test_senseless_experiments_are_refused(changed: str, said: str) -> None:
+    with pytest.raises(LearningError, match=said):
+        settings(changed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_learned_translators_are_trained_by_their_own_commands(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    said = run(
+        archive,
+        out,
+        "translators=[field, direct]",
+        "compensation=[]",
+        "scored_presses=1",
+        'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}',
+        'autoencoder={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
+        'direct={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
+    )
+    commands = [line.split()[3] for line in said if line.startswith("python")]
+    assert commands == ["train-field", "train-autoencoder", "train-direct"]
+    for name in ("field", "direct"):
+        assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()
+        assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()

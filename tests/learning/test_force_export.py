@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from onnx import TensorProto, helper
+from support.force_models import TOY, noise_presses
+
+from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
+from benchmarks.learning.latency.costs import Variant, costs, sample_of, sample_of_noise
+from learning.data.presses import ForceRange
+from learning.errors import LearningError
+from learning.force.export import export_onnx, torch_stream
+from learning.force.model import ForceModel
+from learning.force.predict import ForcePredictor
+from learning.force.stream import ForceStream, open_exported
+
+
+@pytest.fixture(scope="module")
+def predictor() -> ForcePredictor:
+    torch.manual_seed(0)
+    model = ForceModel(TOY.network, TOY.input).eval()
+    model.set_range(ForceRange((-4.0, -4.0, -18.0), (4.0, 4.0, 1.0)))
+    return ForcePredictor(model, TOY)
+
+
+@pytest.fixture(scope="module")
+def exported(predictor: ForcePredictor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("exported") / "model.onnx"
+    assert export_onnx(predictor, path) < 1e-4
+    return path
+
+
+def _along(stream: ForceStream) -> np.ndarray:
+    presses = noise_presses(2)
+    found = []
+    for first, end in zip(presses.starts, presses.starts[1:], strict=False):
+        stream.reset(presses.references[0].numpy())
+        found += [stream.step(frame) for frame in presses.images[first:end].numpy()]
+    return np.array(found)
+
+
+def test_onnx_runtime_says_what_torch_says(predictor: ForcePredictor, exported: Path) -> None:
+    whole = predictor.predict(noise_presses(2))
+    assert np.allclose(_along(open_exported(exported.parent, threads=1)), whole, atol=1e-4)
+    assert np.allclose(_along(torch_stream(predictor)), whole, atol=1e-4)
+
+
+def test_a_reset_forgets_what_was_seen(exported: Path) -> None:
+    stream = open_exported(exported)
+    presses = noise_presses(1)
+    stream.reset(presses.references[0].numpy())
+    first = stream.step(presses.images[0].numpy())
+    second = stream.step(presses.images[0].numpy())
+    assert not np.array_equal(first, second)
+    stream.reset()
+    assert np.array_equal(stream.step(presses.images[0].numpy()), first)
+
+
+def test_frames_that_do_not_fit_a_stream_are_refused(exported: Path) -> None:
+    stream = open_exported(exported)
+    image = np.zeros((256, 256), np.uint8)
+    with pytest.raises(LearningError, match="reference: missing"):
+        stream.step(image)
+    with pytest.raises(LearningError, match=r"reference: found \(64, 64\) uint8"):
+        stream.reset(image[:64, :64])
+    stream.reset(image)
+    with pytest.raises(LearningError, match=r"frame: found \(256, 256\) float64"):
+        stream.step(image.astype(np.float64))
+
+
+def test_files_that_are_no_exported_model_are_refused(tmp_path: Path, exported: Path) -> None:
+    with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
+        open_exported(tmp_path)
+    (tmp_path / "broken.onnx").write_bytes(exported.read_bytes()[:200])
+    with pytest.raises(LearningError, match="not an ONNX model that runs"):
+        open_exported(tmp_path / "broken.onnx")
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        [helper.make_node("Identity", ["x"], ["y"])],
+        "other",
+        [value("x", TensorProto.FLOAT, [1])],
+        [value("y", TensorProto.FLOAT, [1])],
+    )
+    other = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    onnx.save(other, tmp_path / "other.onnx")
+    with pytest.raises(LearningError, match="found inputs x; allowed: frame, state, reference"):
+        open_exported(tmp_path / "other.onnx")
+    with pytest.raises(LearningError, match="runtime: found tensorrt"):
+        open_exported(exported, runtime="tensorrt")
+
+
+def test_an_export_overwrites_nothing(predictor: ForcePredictor, exported: Path) -> None:
+    before = exported.read_bytes()
+    with pytest.raises(LearningError, match="exists; allowed: a new file"):
+        export_onnx(predictor, exported)
+    assert exported.read_bytes() == before
+
+
+FEW = (Variant("torch", "fp32"), Variant("torch", "bf16"), Variant("onnxruntime", "int8"))
+
+
+@pytest.mark.slow
+def test_costs_are_of_every_way_to_run_a_model(
+    predictor: ForcePredictor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The calibration's progress bar would keep a thread for the life of the process.
+    monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
+    sample = sample_of(noise_presses(2), predictor)
+    rows = costs("toy", predictor, sample, tmp_path, threads=1, least_frames=3, variants=FEW)
+    assert [(row.runtime, row.precision) for row in rows] == [
+        ("torch", "fp32"),
+        ("torch", "bf16"),
+        ("onnxruntime", "int8"),
+    ]
+    assert rows[0].difference_n == 0.0
+    assert all(row.mae_n is not None and 0 < row.difference_n < 1 for row in rows[1:])
+    noise = costs(
+        "noise", predictor, sample_of_noise(predictor, 3), tmp_path, threads=1, variants=FEW[:1]
+    )
+    assert noise[0].mae_n is None
+    write_csv(rows, tmp_path / "bench.csv")
+    assert len((tmp_path / "bench.csv").read_text().splitlines()) == 4
+    assert markdown(rows).count("| toy |") == 3
+    draw(rows, tmp_path / "bench.png")
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_runtime_that_is_missing_is_a_line_with_its_reason(
+    predictor: ForcePredictor, exported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "openvino", None)
+    with pytest.raises(LearningError, match="openvino: not installed"):
+        open_exported(exported, runtime="openvino")

@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from support.force_models import TOY, toy
+from torch.utils.flop_counter import FlopCounterMode
+
+from learning.config import preset_names, read_settings
+from learning.errors import LearningError
+from learning.force.data import error
+from learning.force.model import (
+    PRESETS,
+    ForceModel,
+    ForceSettings,
+    InputSettings,
+    NetworkSettings,
+    prepare,
+)
+
+
+def _preset(name: str) -> ForceModel:
+    settings = read_settings(ForceSettings, PRESETS, name)
+    with torch.device("meta"):
+        return ForceModel(settings.network, settings.input)
+
+
+def _count(module: torch.nn.Module) -> int:
+    return sum(weight.numel() for weight in module.parameters())
+
+
+def _model(**changes: Any) -> ForceModel:
+    torch.manual_seed(0)
+    return ForceModel(toy(**changes).network, toy(**changes).input)
+
+
+def test_the_papers_network_has_as_many_weights_as_its_description_gives() -> None:
+    # RAFT's encoder, three 3 x 3 gates of 256 to 128, ResNet-18's blocks to 256 and 512.
+    model = _preset("paper")
+    assert _count(model.encoder) == 1_050_336
+    assert _count(model.memory) == 3 * (256 * 128 * 9 + 128)
+    assert _count(model.tail) == 4_592_128
+    assert _count(model.head) == 512 * 3 + 3
+    assert round(_count(model) / 1e6, 2) == 6.53
+
+
+def test_the_smaller_presets_are_as_small_as_they_say() -> None:
+    assert round(_count(_preset("half")) / 1e6, 2) == 1.63
+    assert round(_count(_preset("quarter")) / 1e6, 2) == 0.41
+
+
+def test_a_frame_costs_the_papers_network_as_many_operations_as_were_measured() -> None:
+    model = _preset("paper")
+    with FlopCounterMode(display=False) as counted, torch.device("meta"):
+        model.step(torch.empty(1, 3, 256, 256))
+    assert counted.get_total_flops() / 1e9 == pytest.approx(11.62, abs=0.01)
+
+
+@pytest.mark.parametrize("name", preset_names(PRESETS))
+def test_presets_make_models_that_take_what_they_say(name: str) -> None:
+    model = _preset(name)
+    frame = torch.empty(2, model.inputs.planes, model.inputs.side, model.inputs.side, device="meta")
+    force, state = model.step(frame)
+    assert force.shape == (2, 3)
+    assert state.shape == (2, *model.state_shape) == model.untouched(2).shape
+
+
+@pytest.mark.parametrize("norm", ["instance", "batch"])
+def test_streaming_frame_by_frame_is_the_whole_sequence(norm: str) -> None:
+    network = NetworkSettings(
+        encoder=(4, 4, 8),
+        blocks=1,
+        memory=8,
+        tail=(8, 8),
+        encoder_norm="instance" if norm == "instance" else "batch",
+        tail_norm="batch",
+    )
+    model = _model(network=network)
+    frames = torch.randn(2, 6, 2, 32, 32)
+    model.train()
+    model(frames)  # so that the statistics of batch norm are those of something
+    model.eval()
+    with torch.no_grad():
+        whole, last = model(frames)
+        state, found = None, []
+        for time in range(6):
+            force, state = model.step(frames[:, time], state)
+            found.append(force)
+    assert torch.allclose(torch.stack(found, 1), whole, atol=1e-6)
+    assert state is not None
+    assert torch.allclose(state, last, atol=1e-6)
+
+
+def test_a_sequence_may_be_given_in_parts() -> None:
+    model = _model().eval()
+    frames = torch.randn(2, 6, 2, 32, 32)
+    with torch.no_grad():
+        whole, _ = model(frames)
+        first, state = model(frames[:, :2])
+        rest, _ = model(frames[:, 2:], state)
+    assert torch.allclose(torch.cat((first, rest), 1), whole, atol=1e-6)
+
+
+def _gradients(model: ForceModel, frames: torch.Tensor, lengths: tuple[int, ...]) -> torch.Tensor:
+    model.zero_grad()
+    forces, _ = model(frames, lengths=lengths)
+    error(forces, torch.zeros_like(forces), lengths).backward()
+    return torch.cat([weight.grad.flatten() for weight in model.parameters()])
+
+
+def test_padding_changes_neither_forces_nor_gradients_nor_statistics() -> None:
+    network = NetworkSettings(
+        encoder=(4, 4, 8), blocks=1, memory=8, tail=(8, 8), encoder_norm="batch", tail_norm="batch"
+    )
+    frames = torch.randn(3, 5, 2, 32, 32)
+    other = frames.clone()
+    other[0, 2:], other[2, 4:] = torch.nan, 1e6
+    one, two = _model(network=network), _model(network=network)
+    assert torch.equal(_gradients(one, frames, (2, 5, 4)), _gradients(two, other, (2, 5, 4)))
+    assert all(torch.equal(a, b) for a, b in zip(one.buffers(), two.buffers(), strict=True))
+
+
+def test_gradients_of_a_padded_batch_are_those_of_its_sequences() -> None:
+    model = _model()
+    frames = torch.randn(2, 5, 2, 32, 32)
+    together = _gradients(model, frames, (2, 5))
+    alone = [_gradients(model, frames[[row], :n], (n,)) for row, n in ((0, 2), (1, 5))]
+    assert torch.allclose(together, (2 * alone[0] + 5 * alone[1]) / 7, atol=1e-6)
+
+
+def test_truncation_keeps_forces_and_stops_gradients() -> None:
+    model = _model()
+    frames = torch.randn(1, 5, 2, 32, 32, requires_grad=True)
+    whole, _ = model(frames)
+    cut, _ = model(frames, truncate=2)
+    assert torch.equal(whole, cut)
+    (grown,) = torch.autograd.grad(cut[0, 3].sum(), frames)
+    assert [bool(grown[0, time].any()) for time in range(5)] == [False, False, True, True, False]
+
+
+def test_newtons_and_shares_are_inverse() -> None:
+    model = _model()
+    model.low.copy_(torch.tensor([-4.0, -3.0, -18.0]))
+    model.high.copy_(torch.tensor([4.0, 5.0, 1.0]))
+    forces = torch.tensor([[0.5, -2.0, -9.0]])
+    assert torch.allclose(model.newtons(model.shares(forces)), forces)
+    assert torch.equal(model.newtons(torch.ones(3)), model.high)
+
+
+def test_an_untrained_model_begins_at_the_mean_label() -> None:
+    model = _model().eval()
+    model.start_at(torch.tensor([0.2, 0.5, 0.9]))
+    force, _ = model.step(torch.randn(4, 2, 32, 32))
+    assert torch.allclose(force.mean(0), torch.tensor([0.2, 0.5, 0.9]), atol=0.1)
+
+
+def test_inputs_show_what_they_are_named_for() -> None:
+    frames = torch.randint(0, 256, (2, 256, 256), dtype=torch.uint8)
+    references = torch.randint(0, 256, (2, 256, 256), dtype=torch.uint8)
+    small = frames.float().view(2, 64, 4, 64, 4).mean(dim=(2, 4)) / 255
+    image = prepare(frames, None, InputSettings(form="image", side_px=64))
+    assert torch.allclose(image[:, 0], small, atol=1e-6)
+    both = prepare(frames, references, InputSettings(form="both", side_px=64))
+    difference = prepare(frames, references, InputSettings(form="difference", side_px=64))
+    assert torch.equal(both, torch.cat((image, difference), 1))
+    same = prepare(frames, frames, InputSettings(form="difference"))
+    assert not same.any()
+    colour = prepare(frames, None, InputSettings(form="image", channels=3, imagenet=True))
+    assert torch.allclose(colour[:, 1] * 0.224 + 0.456, frames / 255, atol=1e-6)
+    field = torch.full((1, 3, 32, 32), 20.0)
+    assert prepare(field, None, InputSettings(form="field"))[0, :, 0, 0].tolist() == [2, 2, 20]
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        (torch.zeros(2, 128, 128, dtype=torch.uint8), r"frames: found \(2, 128, 128\) uint8"),
+        (torch.zeros(2, 256, 256), "float32; allowed"),
+        (torch.zeros(2, 256, 256, dtype=torch.uint8), "reference: missing"),
+    ],
+)
+def test_frames_that_do_not_fit_are_refused(frames: torch.Tensor, message: str) -> None:
+    with pytest.raises(LearningError, match=message):
+        prepare(frames, None, TOY.input)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("input.side_px=100", "side_px: found 100"),
+        ("network.memory=30", "multiples of 4"),
+        ("input.channels=3", "where form is image or difference"),
+        ("stages=[]", "stages: found none"),
+        ("sequences.batch=0", "batch: found 0"),
+    ],
+)
+def test_settings_that_make_no_model_are_refused(override: str, message: str) -> None:
+    with pytest.raises(LearningError, match=message):
+        read_settings(ForceSettings, PRESETS, "tiny", [override])

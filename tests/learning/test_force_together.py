@@ -1,0 +1,107 @@
+"""Models trained side by side are those that would have been trained alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.force_models import TOY, noise_presses, toy
+
+from learning.data.presses import Presses
+from learning.errors import LearningError
+from learning.force.model import ForceSettings, OptimiserSettings, SequenceSettings, StageSettings
+from learning.force.train import train_force, train_together
+
+SETTINGS = toy(
+    stages=(
+        StageSettings(epochs=2, learning_rate=3e-3, schedule="cosine", warm_up_steps=1),
+        StageSettings(epochs=1, learning_rate=1e-3),
+    ),
+    network=replace(TOY.network, encoder_norm="instance", tail_norm="group"),
+    optimiser=OptimiserSettings(name="adamw", weight_decay=0.01, clip=0.05),
+    range_margin=0.05,
+)
+
+
+def _shown() -> list[Presses]:
+    """The same presses, as three sensors show them."""
+    return [replace(noise_presses(3, 4, seed=seed), sensor=name) for seed, name in enumerate("abc")]
+
+
+def _softer(
+    forces: np.ndarray[Any, Any], depth: object, phase: object
+) -> tuple[np.ndarray[Any, Any], int]:
+    return forces / 2, 0
+
+
+@pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, False), (True, True)])
+def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
+    """Predictions, since a bias before a norm does nothing: Adam moves it by round-off alone."""
+    presses = _shown()
+    settings = replace(SETTINGS, sequences=replace(SETTINGS.sequences, flips=flips))
+    start = train_force(noise_presses(4, 3, seed=7), settings) if begun else None
+    changes = [None, _softer, None]
+    together = train_together(presses, settings, start_from=start, compensation=changes)
+    assert together is not None
+    for each, change, found in zip(presses, changes, together, strict=True):
+        alone = train_force(each, settings, start_from=start, compensation=change)
+        np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
+    assert not np.allclose(together[0].predict(presses[0]), together[2].predict(presses[0]))
+
+
+def test_sgd_and_many_frames_are_shared_too() -> None:
+    settings = toy(
+        optimiser=OptimiserSettings(name="sgd", momentum=0.9, weight_decay=1e-3),
+        sequences=SequenceSettings(batch=2, presses=2, truncate_frames=3, padding="last_frame"),
+    )
+    presses = _shown()[:2]
+    together = train_together(presses, settings)
+    assert together is not None
+    for each, found in zip(presses, together, strict=True):
+        alone = train_force(each, settings)
+        for name, weight in alone.model.state_dict().items():
+            torch.testing.assert_close(found.model.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
+
+
+def test_it_stops_when_it_is_asked_to() -> None:
+    asked = iter([False, True])
+    seen: list[tuple[int, int]] = []
+    found = train_together(
+        _shown(),
+        SETTINGS,
+        stopped=lambda: next(asked),
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert found is None
+    assert seen == [(1, 6)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        (toy(network=replace(TOY.network, tail_norm="batch")), "network.tail_norm"),
+        (toy(ema=0.9), "ema"),
+    ],
+)
+def test_what_models_cannot_share_is_refused(settings: ForceSettings, key: str) -> None:
+    with pytest.raises(LearningError, match=f"{key}: found what models have to be trained for"):
+        train_together(_shown(), settings)
+
+
+def test_other_presses_are_refused() -> None:
+    with pytest.raises(LearningError, match="presses of noise: found others than those of a"):
+        train_together([_shown()[0], noise_presses(2, 4)], SETTINGS)
+    with pytest.raises(LearningError, match="found none"):
+        train_together([], SETTINGS)
+
+
+def test_a_loss_that_is_no_number_names_the_sensor() -> None:
+    presses = _shown()
+    broken = replace(presses[1], references=presses[1].references, wrench=presses[1].wrench * 0)
+    settings = replace(SETTINGS, stages=(StageSettings(epochs=2, learning_rate=1e30),))
+    with pytest.raises(LearningError, match=r"loss of [abc]: found"):
+        train_together([presses[0], broken], settings)

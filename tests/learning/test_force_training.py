@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.force_models import TOY, noise_presses, toy
+
+from learning.data.presses import AUTHORS, Presses
+from learning.errors import LearningError
+from learning.force import load_force_model
+from learning.force.data import Sequences, epoch, force_range, forces_of, frames_of, labels_of
+from learning.force.model import ForceSettings, InputSettings, SequenceSettings, StageSettings
+from learning.force.predict import KIND, ForcePredictor
+from learning.force.train import train_force
+from learning.training.run import RunFolder
+
+EVERYTHING = toy(
+    stages=(
+        StageSettings(epochs=3, learning_rate=3e-3, schedule="authors", one_sensor=True),
+        StageSettings(epochs=3, learning_rate=1e-2, schedule="cosine", warm_up_steps=2),
+    ),
+    network=replace(TOY.network, encoder_norm="batch", tail_norm="batch", dropout=0.1),
+    sequences=SequenceSettings(batch=2, flips=True, presses=2, truncate_frames=3),
+    ema=0.9,
+    patience_epochs=2,
+)
+"""All that a run has to remember."""
+
+
+def _open(path: Path, settings: ForceSettings = TOY, *, resume: bool = False) -> RunFolder:
+    return RunFolder.open(path, KIND, settings, "data", resume)
+
+
+def _after(steps: int) -> Callable[[], bool]:
+    asked = iter(range(steps))
+    return lambda: next(asked, None) is None
+
+
+def _weights(predictor: ForcePredictor) -> dict[str, torch.Tensor]:
+    return predictor.model.state_dict()
+
+
+def _left(predictor: ForcePredictor, presses: Presses) -> float:
+    """Return the error as a share of what saying the mean would leave."""
+    wanted = presses.wrench.numpy()
+    off = np.abs(predictor.predict(presses) - wanted).mean()
+    return float(off / np.abs(wanted - wanted.mean(axis=0)).mean())
+
+
+def test_it_overfits_a_batch() -> None:
+    presses = noise_presses(2)
+    settings = toy(stages=(StageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),))
+    assert _left(train_force(presses, settings), presses) < 0.25
+
+
+def test_a_displacement_model_learns_from_marker_fields() -> None:
+    presses = noise_presses(2, form="field")
+    settings = toy(
+        input=InputSettings(form="field"),
+        stages=(StageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),),
+    )
+    assert _left(train_force(presses, settings), presses) < 0.25
+
+
+@pytest.mark.parametrize("steps", [3, 7])
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path: Path, steps: int) -> None:
+    presses = [noise_presses(4, seed=1), noise_presses(5, seed=2)]
+    held = noise_presses(2, seed=3)
+    with _open(tmp_path / "whole", EVERYTHING) as run:
+        whole = train_force(presses, EVERYTHING, run, validation=held)
+    with _open(tmp_path / "parts", EVERYTHING) as run:
+        train_force(presses, EVERYTHING, run, validation=held, stopped=_after(steps))
+        assert not run.finished
+    with _open(tmp_path / "parts", EVERYTHING, resume=True) as run:
+        parts = train_force(presses, EVERYTHING, run, validation=held)
+    assert all(
+        torch.equal(one, other)
+        for one, other in zip(_weights(whole).values(), _weights(parts).values(), strict=True)
+    )
+    logs = [(tmp_path / name / "metrics.jsonl").read_text() for name in ("whole", "parts")]
+    assert logs[0] == logs[1]
+
+
+def test_a_finished_run_is_a_model_that_predicts_the_same(tmp_path: Path) -> None:
+    presses = noise_presses(3)
+    with _open(tmp_path / "run") as run:
+        trained = train_force(presses, TOY, run)
+    opened = load_force_model(tmp_path / "run")
+    assert opened.settings == TOY
+    assert np.array_equal(opened.predict(presses), trained.predict(presses))
+
+
+def test_what_a_model_is_made_of_must_fit(tmp_path: Path) -> None:
+    with _open(tmp_path / "run") as run:
+        train_force(noise_presses(3), TOY, run)
+    config = (tmp_path / "run" / "config.yaml").read_text()
+    (tmp_path / "run" / "config.yaml").write_text(config.replace("memory: 8", "memory: 12"))
+    with pytest.raises(LearningError, match="memory"):
+        load_force_model(tmp_path / "run")
+    (tmp_path / "run" / "config.yaml").write_text(config.replace("kind: force", "kind: direct"))
+    with pytest.raises(LearningError, match="found kind 'direct'"):
+        load_force_model(tmp_path / "run")
+    with pytest.raises(LearningError, match="nowhere"):
+        load_force_model(tmp_path / "nowhere")
+
+
+def test_validation_keeps_the_best_weights_and_ends_a_stage() -> None:
+    presses, held = noise_presses(3, seed=1), noise_presses(2, seed=2)
+    patient = toy(stages=(StageSettings(epochs=30, learning_rate=0.1),), patience_epochs=2)
+    steps: list[int] = []
+    predictor = train_force(
+        presses, patient, validation=held, progress=lambda done, total: steps.append(done)
+    )
+    assert len(steps) < 30 * 2
+    best = np.abs(predictor.predict(held) - held.wrench.numpy()).mean()
+    endless = train_force(presses, replace(patient, patience_epochs=None))
+    assert best <= np.abs(endless.predict(held) - held.wrench.numpy()).mean()
+
+
+def test_starting_from_a_model_begins_with_its_weights() -> None:
+    presses = noise_presses(3)
+    first = train_force(presses, TOY)
+    still = toy(stages=(StageSettings(epochs=1, learning_rate=1e-12),))
+    second = train_force(presses, still, start_from=first)
+    assert np.allclose(first.predict(presses), second.predict(presses), atol=1e-4)
+    wider = replace(TOY, network=replace(TOY.network, memory=12))
+    with pytest.raises(LearningError, match="start_from: not the weights of this network"):
+        train_force(presses, wider, start_from=first)
+
+
+def test_compensation_changes_labels_before_their_range_is_taken() -> None:
+    presses = noise_presses(3)
+
+    def doubled(wrench: Any, depth: Any, phase: Any) -> tuple[Any, int]:
+        assert depth.shape == phase.shape == (len(wrench),)
+        return wrench * np.where(depth > 0, 2.0, 1.0)[:, None], 0
+
+    plain = train_force(presses, TOY).model
+    changed = train_force(presses, TOY, compensation=doubled).model
+    assert torch.allclose(changed.low, 2 * plain.low)
+    with pytest.raises(LearningError, match="not all finite"):
+        labels_of(presses, lambda wrench, depth, phase: (wrench * np.nan, 0))
+
+
+def test_presses_that_cannot_be_learned_from_are_refused_and_nothing_is_written(
+    tmp_path: Path,
+) -> None:
+    presses = noise_presses(3)
+    missing = replace(presses, wrench=presses.wrench.clone())
+    missing.wrench[5] = torch.nan
+    with _open(tmp_path / "run") as run:
+        with pytest.raises(LearningError, match="found no wrench in 1 of"):
+            train_force(missing, TOY, run)
+        with pytest.raises(LearningError, match="found field; allowed: images"):
+            train_force(noise_presses(form="field"), TOY, run)
+        with pytest.raises(LearningError, match="found none of a sensor"):
+            train_force([], TOY, run)
+        assert run.latest() is None
+        assert not run.finished
+
+
+def test_a_loss_that_is_no_number_ends_training_and_leaves_the_last_checkpoint(
+    tmp_path: Path,
+) -> None:
+    wild = toy(stages=(StageSettings(epochs=4, learning_rate=1e38),))
+    wild = replace(wild, optimiser=replace(wild.optimiser, name="sgd", clip=None))
+    with (
+        _open(tmp_path / "run", wild) as run,
+        pytest.raises(LearningError, match="loss: found nan"),
+    ):
+        train_force(noise_presses(4), wild, run)
+    assert not run.finished
+
+
+def test_the_box_of_forces_is_that_of_the_labels_or_of_the_authors() -> None:
+    labels = [torch.tensor([[1.0, -2.0, -6.0], [0.0, 1.0, 0.0]])]
+    assert force_range(labels, TOY).low == (0.0, -2.0, -6.0)
+    mirrored = toy(sequences=SequenceSettings(flips=True))
+    assert force_range(labels, mirrored).high == (1.0, 2.0, 0.0)
+    assert force_range(labels, toy(force_range="authors")) == AUTHORS
+    assert force_range(labels, toy(range_margin=0.5)).low[2] == pytest.approx(-9.0)
+
+
+STARTS = [np.array([0, 5, 9, 16]), np.array([0, 6])]
+
+
+def test_sequences_begin_untouched_and_are_a_function_of_seed_and_step() -> None:
+    settings = SequenceSettings(batch=2)
+    passes = epoch(STARTS, (0, 1), settings, seed=3, number=1)
+    assert passes.steps(ranks=1) == 2
+    seen = []
+    for step in range(2):
+        one, again = passes.sequences(step), passes.sequences(step)
+        assert np.array_equal(one.rows, again.rows)
+        for sensor, rows, length in zip(one.sensor, one.rows, one.lengths, strict=True):
+            assert rows[0] in STARTS[sensor][:-1]
+            assert 2 <= length <= one.rows.shape[1]
+            assert np.array_equal(rows[:length], rows[0] + np.arange(length))
+            assert (rows[length:] == rows[length - 1]).all()
+            seen.append((int(sensor), int(rows[0])))
+    assert sorted(seen) == [(0, 0), (0, 5), (0, 9), (1, 0)]
+
+
+def test_lengths_are_anything_from_two_frames_to_the_longest_press() -> None:
+    lengths = {
+        max(epoch(STARTS, (0,), SequenceSettings(batch=3), 0, number).sequences(0).lengths)
+        for number in range(60)
+    }
+    assert lengths == set(range(2, 8))
+
+
+def test_processes_share_a_pass() -> None:
+    passes = epoch(STARTS, (0, 1), SequenceSettings(batch=1), seed=0, number=0)
+    first = {
+        (int(s.sensor[0]), int(s.rows[0, 0]))
+        for rank in range(2)
+        for step in range(passes.steps(ranks=2))
+        for s in [passes.sequences(step, rank, 2)]
+    }
+    assert len(first) == 4
+
+
+def test_presses_are_strung_together_within_a_sensor() -> None:
+    settings = SequenceSettings(batch=1, presses=2, lengths="whole")
+    passes = epoch([np.array([0, 5, 9, 16, 18]), STARTS[1]], (0, 1), settings, seed=1, number=0)
+    found = [passes.sequences(step) for step in range(passes.steps(ranks=1))]
+    joined = sorted(np.concatenate([s.rows[0] for s in found if s.sensor[0] == 0]).tolist())
+    assert joined == list(range(18))
+    assert [s.lengths[0] for s in found if s.sensor[0] == 1] == [6]
+
+
+def test_mirroring_a_frame_mirrors_its_shear() -> None:
+    presses = noise_presses(1, form="field")
+    columns, down = [
+        Sequences(np.array([0]), np.array([[0]]), (1,), np.array([flips]))
+        for flips in ((True, False), (False, True))
+    ]
+    inputs, device = InputSettings(form="field"), torch.device("cpu")
+    plain = presses.images[0] / torch.tensor([10.0, 10.0, 1.0])[:, None, None]
+    across = frames_of([presses], columns, inputs, device)[0, 0]
+    assert torch.equal(across[0], -plain[0].flip(-1))
+    assert torch.equal(across[1:], plain[1:].flip(-1))
+    assert torch.equal(frames_of([presses], down, inputs, device)[0, 0, 1], -plain[1].flip(-2))
+    force = presses.wrench[0] * torch.tensor([-1.0, 1.0, 1.0])
+    assert torch.equal(forces_of([presses.wrench], columns, device)[0, 0], force)

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.made_up_archives import made_up_archive
+
+from learning.data.splits import make_split
+
+SMALL = ["--preset", "tiny", "--set", "stages=[{epochs: 1, learning_rate: 0.001}]"]
+
+
+def _learning(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "learning", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
+    archive = made_up_archive(tmp_path / "x.markers.zarr", targets=3, frames_per_phase=1)
+    split, model = tmp_path / "split.json", tmp_path / "model"
+    make_split(archive, validation=0.2, new_press=0.2).write(split)
+    train = ["train-force", archive.path, "--sensor", "dots", "--split", split, "--out", model]
+    done = _learning(*train, *SMALL)
+    assert done.returncode == 0, done.stderr
+    assert "trained on 4 presses" in done.stdout
+    assert _learning(*train, *SMALL).returncode == 2, "a run that is there is not begun anew"
+    again = _learning(*train, *SMALL, "--resume")
+    assert "is finished" in again.stdout, again.stderr
+    assert _learning("export-onnx", model).returncode == 0
+    shown = ["--archive", archive.path, "--sensor", "grid", "--split", split]
+    few = ["--frames", 2, "--presses", 1, "--threads", 1, "--runtimes", "torch,onnxruntime"]
+    done = _learning("bench", "--model", model, *shown, *few, "--out", tmp_path / "bench")
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "bench" / "bench.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["runtime"], row["precision"]) for row in rows] == [
+        ("torch", "fp32"),
+        ("torch", "bf16"),
+        ("onnxruntime", "fp32"),
+        ("onnxruntime", "int8"),
+    ]
+    assert all(float(row["mae_n"]) > 0 for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (["--sensor", "other"], "--sensor: found other; known: dots, grid"),
+        (["--set", "input.sides=3"], "unknown sides"),
+        (["--pair", "dots-to-grid"], "--pair: found without --compensation"),
+        (["--start-from", "nowhere"], "nowhere: found no config.yaml"),
+    ],
+)
+def test_wrong_input_begins_no_run(tmp_path: Path, change: list[str], message: str) -> None:
+    archive = made_up_archive(tmp_path / "x.markers.zarr", frames_per_phase=1)
+    make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
+    out = tmp_path / "model"
+    done = _learning(
+        *["train-force", archive.path, "--sensor", "dots", "--split", tmp_path / "split.json"],
+        *["--out", out, *SMALL, *change],
+    )
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not out.exists()

@@ -1,0 +1,517 @@
+"""Published GenForce folders, built here to their description: read, written, and refused."""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.learning_sessions import record
+
+from learning.__main__ import main
+from learning.data.genforce import (
+    Compensation,
+    export_training,
+    import_folder,
+    layout_of,
+    read_coefficients,
+    read_compensation,
+    read_mask,
+    write_coefficients,
+)
+from learning.data.genforce.importing import Choices
+from learning.errors import LearningError
+from learning.indenters import NAMES
+from learning.markers import archive_sessions
+from recorder import MarkerArchive, SessionError, check
+from recorder.archive import location_pairs
+from recorder.convert import export
+from recorder.markers import pack, unpack
+
+Change = Callable[[Path], None]
+
+LAST = (4, 7, 9, 12)
+"""Last frames of the phases of every press."""
+FRAMES = LAST[-1] + 1
+SENSORS, INDENTERS, POINTS = ("Array1", "uskin_a"), ("cone", "sphere"), 2
+HEADER = "Fx(N),Fy(N),Fz(N),Tx(Nmm),Ty(Nmm),Tz(Nmm)"
+
+
+@functools.cache
+def mask_of(number: int) -> Any:
+    y, x = np.mgrid[:480, :640]
+    return ((x - 15 - number % 7) % 50 < 20) & ((y - 15 - number % 3) % 50 < 20)
+
+
+def force_of(number: int) -> Any:
+    return np.array([[0.1 * k, -0.02 * k, -number - k / 8, k, 2 * k, -k] for k in range(FRAMES)])
+
+
+def training_folder(root: Path, *, depths: bool = True, suffix: str = ".npy") -> Path:
+    """Write a training folder as the published ones are."""
+    images = root / "img" / suffix[1:]
+    for s, sensor in enumerate(SENSORS):
+        for i, indenter in enumerate(INDENTERS):
+            for point in range(1, POINTS + 1):
+                place = Path(sensor) / indenter / str(point)
+                folder = images / place
+                folder.mkdir(parents=True)
+                for frame in range(FRAMES):
+                    write(folder / f"{frame:04d}{suffix}", mask_of(s + i + point + frame))
+                names = [f"C:\\data\\{point}\\{frame:04d}{suffix}" for frame in LAST]
+                (folder / "last.csv").write_text("\n".join(names) + "\n")
+                forces = root / "force" / place
+                forces.mkdir(parents=True)
+                rows = [",".join(f"{v:.6f}" for v in row) for row in force_of(10 * i + point)]
+                (forces / "ft.csv").write_text("\n".join([HEADER, *rows]) + "\n")
+                if depths:
+                    folder = root / "depth" / place
+                    folder.mkdir(parents=True)
+                    depth = np.interp(np.arange(FRAMES), [0, 4, 9, 12], [0, point, point, 0]) / 5
+                    np.savetxt(folder / "inc_z.csv", depth[:8])
+                    np.savetxt(folder / "dec_z.csv", depth[8:])
+        write(images / f"{sensor}_ref{suffix}", mask_of(100 * s))
+    return root
+
+
+def write(path: Path, mask: Any) -> None:
+    if path.suffix == ".npy":
+        np.save(path, np.packbits(mask.astype(np.uint8)))
+    else:
+        Image.fromarray((mask * 255).astype(np.uint8)).save(path, quality=90)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return training_folder(tmp_path_factory.mktemp("training") / "homo")
+
+
+@pytest.fixture(scope="module")
+def archive(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    out = tmp_path_factory.mktemp("archive") / "a.markers.zarr"
+    frames = len(SENSORS) * len(INDENTERS) * POINTS * FRAMES
+    assert import_folder(folder, out) == frames
+    assert check(out) == []
+    return MarkerArchive(out)
+
+
+def test_masks_and_labels_of_a_training_folder_are_in_the_archive(archive: MarkerArchive) -> None:
+    assert tuple(archive) == SENSORS
+    for s, name in enumerate(SENSORS):
+        sensor, table = archive[name], archive[name].table
+        np.testing.assert_array_equal(sensor.reference(0), mask_of(100 * s))
+        for i, indenter in enumerate(INDENTERS):
+            for point in range(1, POINTS + 1):
+                code = NAMES.index(indenter)
+                rows = np.flatnonzero((table["indenter"] == code) & (table["target"] == point - 1))
+                expected = [mask_of(s + i + point + frame) for frame in range(FRAMES)]
+                np.testing.assert_array_equal(sensor.masks(rows), expected)
+                force = force_of(10 * i + point)
+                np.testing.assert_allclose(table["wrench"][rows, :3], force[:, :3], atol=1e-6)
+                np.testing.assert_allclose(table["wrench"][rows, 3:], force[:, 3:] / 1e3)
+                np.testing.assert_array_equal(table["frame"][rows], np.arange(FRAMES))
+                phases = np.repeat([0, 1, 2, 3], [5, 3, 2, 3])
+                np.testing.assert_array_equal(table["phase"][rows], phases)
+                assert table["depth"][rows].max() == pytest.approx(point / 5 * 1e-3)
+                assert set(table["location"][rows]) == {code * POINTS + point - 1}
+        seen = np.isin(table["indenter"], [NAMES.index("sphere")])
+        np.testing.assert_array_equal(table["seen"], seen)  # a cone is held out
+        assert not table["t_ns"].any()
+    assert archive["uskin_a"].attrs["marker_check"] is None
+    assert archive["Array1"].attrs["depth"] == "inc_z.csv and dec_z.csv, mm"
+    assert "t_ns is 0" in archive["Array1"].attrs["times"]
+
+
+def test_a_frame_that_lost_a_marker_is_flagged_and_kept(folder: Path, tmp_path: Path) -> None:
+    root = tmp_path / "homo"
+    shutil.copytree(folder, root)
+    path = root / "img" / "npy" / "Array1" / "sphere" / "1" / "0006.npy"
+    mask = unpack(np.load(path)).copy()
+    mask[200:260, 300:350] = False
+    np.save(path, pack(mask))
+    import_folder(root, tmp_path / "a.markers.zarr")
+    sensor = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"]
+    said = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
+    (row,) = (row for row, one in enumerate(said) if "marker_flag" in one)
+    assert "missing" in said[row]["marker_flag"]
+    assert (said[row]["folder"], sensor.table["frame"][row]) == ("img/npy/Array1/sphere/1", 6)
+    np.testing.assert_array_equal(sensor.masks([row])[0], mask)
+    np.save(root / "img" / "npy" / "Array1_ref.npy", np.zeros(38400, np.uint8))
+    with pytest.raises(LearningError, match="Array1: reference 0 has no marker of 12 px or more"):
+        import_folder(root, tmp_path / "b.markers.zarr")
+
+
+def test_points_of_two_sensors_are_pairs(archive: MarkerArchive) -> None:
+    one, other = (archive[name].table for name in SENSORS)
+    pairs = location_pairs(one, other)
+    assert len(pairs) == len(INDENTERS) * POINTS * 4
+    assert set(one["frame"][pairs.source]) == set(LAST)
+    theirs = location_pairs(one, other, "authors_code")
+    assert set(one["frame"][theirs.source]) == {0, *LAST[:3]}
+
+
+def test_an_archive_that_is_written_out_and_read_again_is_the_same(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    assert export_training(archive.path, tmp_path / "out") == ()
+    assert layout_of(tmp_path / "out") == "training"
+    import_folder(tmp_path / "out", tmp_path / "again.markers.zarr")
+    again = MarkerArchive(tmp_path / "again.markers.zarr")
+    for name in SENSORS:
+        rows = slice(0, len(archive[name]))
+        np.testing.assert_array_equal(again[name].packed(rows), archive[name].packed(rows))
+        np.testing.assert_array_equal(again[name].references, archive[name].references)
+        for column, values in archive[name].table.items():
+            if column in ("wrench", "depth"):
+                np.testing.assert_allclose(again[name].table[column], values, rtol=1e-14)
+            elif column != "source":
+                np.testing.assert_array_equal(again[name].table[column], values)
+
+
+def test_what_is_written_is_what_their_scripts_read(archive: MarkerArchive, tmp_path: Path) -> None:
+    export_training(archive.path, tmp_path / "out")
+    point = tmp_path / "out" / "img" / "npy" / "Array1" / "sphere" / "2"
+    image = np.load(point / "0003.npy")
+    assert (image.shape, image.dtype) == ((38400,), np.uint8)
+    np.testing.assert_array_equal(np.unpackbits(image).reshape(480, 640), mask_of(0 + 1 + 2 + 3))
+    last = np.loadtxt(point / "last.csv", dtype=str)
+    assert [Path(name).name for name in last] == [f"{frame:04d}.npy" for frame in LAST]
+    lines = (tmp_path / "out/force/Array1/sphere/2/ft.csv").read_text().splitlines()
+    assert lines[0] == HEADER
+    assert len(lines) == FRAMES + 1
+    z = [np.loadtxt(tmp_path / f"out/depth/Array1/sphere/2/{n}_z.csv") for n in ("inc", "dec")]
+    assert [len(part) for part in z] == [8, 5]
+    np.testing.assert_allclose(np.concatenate(z).max(), 0.4)
+
+
+def test_pictures_lists_apart_and_missing_depths_and_forces_are_read(tmp_path: Path) -> None:
+    root = training_folder(tmp_path / "jpg", depths=False, suffix=".jpg")
+    shutil.rmtree(root / "force" / "uskin_a")
+    for path in (root / "img" / "jpg").rglob("last.csv"):
+        apart = root / "img" / "jpg_csv" / path.relative_to(root / "img" / "jpg")
+        apart.parent.mkdir(parents=True)
+        path.rename(apart)
+    import_folder(root, tmp_path / "a.markers.zarr")
+    archive = MarkerArchive(tmp_path / "a.markers.zarr")
+    np.testing.assert_array_equal(archive["Array1"].masks([0])[0], mask_of(1))
+    assert archive["Array1"].attrs["depth"] == "unknown: 0"
+    assert np.isfinite(archive["Array1"].table["wrench"]).all()
+    assert np.isnan(archive["uskin_a"].table["wrench"]).all()
+    export_training(archive.path, tmp_path / "out")
+    assert not (tmp_path / "out" / "depth").exists()
+    assert not (tmp_path / "out" / "force" / "uskin_a").exists()
+
+
+def test_heights_become_depths_below_the_surface(folder: Path, tmp_path: Path) -> None:
+    root = tmp_path / "hetero"
+    shutil.copytree(folder, root)
+    place = root / "depth" / "Array1" / "cone" / "1"
+    np.savetxt(place / "inc_z.csv", np.linspace(1.2, 0.0, 8))
+    choices = Choices(surfaces_mm={"Array1": 1.0})
+    import_folder(root, tmp_path / "a.markers.zarr", choices=choices)
+    table = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"].table
+    rows = (table["indenter"] == NAMES.index("cone")) & (table["target"] == 0)
+    expected = np.maximum(1.0 - np.linspace(1.2, 0.0, 8), 0) * 1e-3
+    np.testing.assert_allclose(table["depth"][rows][:8], expected, atol=1e-15)
+
+
+def cut(name: str, size: int) -> Change:
+    return lambda root: (root / name).write_bytes((root / name).read_bytes()[:size])
+
+
+def text(name: str, change: Callable[[list[str]], list[str]]) -> Change:
+    def apply(root: Path) -> None:
+        lines = (root / name).read_text().splitlines()
+        (root / name).write_text("\n".join(change(lines)) + "\n")
+
+    return apply
+
+
+IMAGES, FORCES, DEPTHS = (f"{name}/Array1/sphere/2" for name in ("img/npy", "force", "depth"))
+MALFORMED: dict[str, tuple[Change, str]] = {
+    "a mask cut short": (cut(f"{IMAGES}/0003.npy", 20_000), r"2/0003\.npy: 20000 bytes, no whole"),
+    "a mask without bytes": (cut(f"{IMAGES}/0003.npy", 0), r"2/0003\.npy: 0 bytes, no whole"),
+    "a mask of another shape": (
+        lambda root: np.save(root / IMAGES / "0003.npy", np.zeros((240, 320), np.uint8)),
+        r"2/0003\.npy: found uint8 \(240, 320\); expected uint8 \(38400,\)",
+    ),
+    "a mask with NaN": (
+        lambda root: np.save(root / IMAGES / "0003.npy", np.full((480, 640), np.nan)),
+        r"2/0003\.npy: found NaN",
+    ),
+    "a sensor without indenters": (
+        lambda root: (root / "img/npy/Circle1").mkdir(),
+        r"npy/Circle1: found no folder of an indenter",
+    ),
+    "no reference": (
+        lambda root: (root / "img/npy/Array1_ref.npy").unlink(),
+        r"Array1_ref\.npy: no such file, nor \.jpg; expected the untouched",
+    ),
+    "a frame that is missing": (
+        lambda root: (root / IMAGES / "0005.npy").unlink(),
+        r"sphere/2: found 0006\.npy; expected frame 0005",
+    ),
+    "no forces of a point": (
+        lambda root: (root / FORCES / "ft.csv").unlink(),
+        r"force/Array1/sphere/2/ft\.csv: no such file",
+    ),
+    "a force less": (
+        text(f"{FORCES}/ft.csv", lambda lines: lines[:-1]),
+        r"2/ft\.csv: found 12 rows; .*img/npy/Array1/sphere/2 has 13 frames",
+    ),
+    "a force that is NaN": (
+        text(f"{FORCES}/ft.csv", lambda lines: [*lines[:3], "nan,0,0,0,0,0", *lines[4:]]),
+        r"2/ft\.csv: line 4: found NaN",
+    ),
+    "a force that is cut": (
+        text(f"{FORCES}/ft.csv", lambda lines: [*lines[:-1], "0.1,0.2"]),
+        r"2/ft\.csv: line 14: found 2 values; expected 6",
+    ),
+    "a word among forces": (
+        text(f"{FORCES}/ft.csv", lambda lines: [*lines[:-1], "a,0,0,0,0,0"]),
+        r"2/ft\.csv: line 14: found .*; expected numbers",
+    ),
+    "forces in another unit": (
+        text(f"{FORCES}/ft.csv", lambda lines: [lines[0].replace("(Nmm)", "(Nm)"), *lines[1:]]),
+        r"2/ft\.csv: found columns Fx\(N\).*Tx\(Nm\).*; expected Fx\(N\)",
+    ),
+    "no list of last frames": (
+        lambda root: (root / IMAGES / "last.csv").unlink(),
+        r"2/last\.csv: no such file",
+    ),
+    "three last frames": (
+        text(f"{IMAGES}/last.csv", lambda lines: lines[:3]),
+        r"2/last\.csv: found .*; expected the names of four frames",
+    ),
+    "last frames in disorder": (
+        text(f"{IMAGES}/last.csv", lambda lines: [lines[1], lines[0], *lines[2:]]),
+        r"2/last\.csv: found frames \(7, 4, 9, 12\); expected them in ascending order",
+    ),
+    "a last frame beyond the last": (
+        text(f"{IMAGES}/last.csv", lambda lines: [*lines[:3], "0013.npy"]),
+        r"2/last\.csv: says that the last frame is 13; its folder has 13 frames",
+    ),
+    "a depth less": (
+        text(f"{DEPTHS}/dec_z.csv", lambda lines: lines[1:]),
+        r"depth/Array1/sphere/2: inc_z\.csv and dec_z\.csv have 8 and 4 values; .* has 13 frames",
+    ),
+    "depths of some points": (
+        lambda root: shutil.rmtree(root / DEPTHS),
+        r"depth/Array1: has depths of some points; expected of all",
+    ),
+    "a point that is no number": (
+        lambda root: (root / IMAGES).rename(root / "img/npy/Array1/sphere/b"),
+        r"sphere/b: found no number; expected contact points 1, 2",
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), MALFORMED.values(), ids=MALFORMED.keys())
+def test_a_malformed_folder_is_refused_by_the_name_of_its_file(
+    change: Change, message: str, folder: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "homo"
+    shutil.copytree(folder, root)
+    change(root)
+    out = tmp_path / "a.markers.zarr"
+    with pytest.raises(LearningError, match=message):
+        import_folder(root, out)
+    # Labels are read before anything is written; a mask only when its turn has come.
+    assert not out.exists() or MarkerArchive(out).status == "writing"
+
+
+def test_what_is_no_folder_of_theirs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="no such folder"):
+        layout_of(tmp_path / "none")
+    with pytest.raises(LearningError, match="found no img, no <Pattern>_ref"):
+        layout_of(tmp_path)
+
+
+def test_masks_are_read_from_every_kind_of_file(tmp_path: Path) -> None:
+    mask = mask_of(3)
+    for name, values in (("grey", mask * 255), ("flags", mask), ("floats", mask * 1.0)):
+        kind = np.float32 if name == "floats" else np.uint8
+        np.save(tmp_path / f"{name}.npy", values.astype(kind))
+        np.testing.assert_array_equal(unpack(read_mask(tmp_path / f"{name}.npy")), mask)
+    Image.fromarray(np.where(mask, 51, 50).astype(np.uint8)).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(unpack(read_mask(tmp_path / "a.png")), mask)
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(tmp_path / "small.jpg")
+    with pytest.raises(LearningError, match=r"small\.jpg: found 64 x 48 pixels; expected 640 x 4"):
+        read_mask(tmp_path / "small.jpg")
+    (tmp_path / "torn.jpg").write_bytes((tmp_path / "small.jpg").read_bytes()[:100])
+    with pytest.raises(LearningError, match=r"torn\.jpg: no whole picture"):
+        read_mask(tmp_path / "torn.jpg")
+
+
+def test_simulated_pictures_are_numbered_as_simulated_archives_are(tmp_path: Path) -> None:
+    root = tmp_path / "sim"
+    states = [(x, y, d) for x in (-4, 0) for y in (0, 4) for d in (0.3, 1.5)]
+    for name in ("Array1", "Circle1"):
+        for indenter in ("cone", "torus"):
+            (root / indenter / name).mkdir(parents=True)
+            for number, (x, y, depth) in enumerate(states):
+                write(root / indenter / name / f"{x}_{y}_{depth}.jpg", mask_of(number))
+        write(root / f"{name}_ref.jpg", mask_of(50))
+    import_folder(root, tmp_path / "a.markers.zarr")
+    archive = MarkerArchive(tmp_path / "a.markers.zarr")
+    table = archive["Circle1"].table
+    first = slice(0, len(states))
+    np.testing.assert_allclose(table["depth"][first], [1e-3 * state[2] for state in states])
+    places = [(1e-3 * x, 1e-3 * y) for x, y, _ in states]
+    np.testing.assert_allclose(table["position"][first], places)
+    expected = NAMES.index("cone") * 8 + np.arange(8)
+    np.testing.assert_array_equal(table["location"][first], expected)
+    np.testing.assert_array_equal(archive["Array1"].masks([5])[0], mask_of(5))
+    assert (table["phase"] == -1).all()
+    assert len(location_pairs(table, archive["Array1"].table)) == 16
+    (root / "cone" / "Array1" / "deep.jpg").write_bytes(b"")
+    with pytest.raises(LearningError, match=r"deep\.jpg: expected a name <x>_<y>_<depth>\.jpg"):
+        import_folder(root, tmp_path / "b.markers.zarr")
+
+
+@pytest.mark.parametrize("kind", ["camera", "taxels"])
+def test_runs_as_they_were_collected_give_the_archive_of_their_session(
+    kind: str, tmp_path: Path
+) -> None:
+    session = record(tmp_path / "s.zarr", kind)
+    export(session, tmp_path / "data", "genforce")
+    assert layout_of(tmp_path / "data") == "raw"
+    import_folder(tmp_path / "data", tmp_path / "raw.markers.zarr")
+    archive_sessions([session], tmp_path / "own.markers.zarr")
+    raw = MarkerArchive(tmp_path / "raw.markers.zarr")
+    own = MarkerArchive(tmp_path / "own.markers.zarr")
+    ((name, sensor),) = raw.items()
+    rows = slice(0, len(own[name]))
+    if kind == "camera":
+        np.testing.assert_array_equal(sensor.packed(rows), own[name].packed(rows))
+    else:
+        # Their files hold whole counts: a rim moves by less than a pixel.
+        assert np.mean(sensor.masks(rows) == own[name].masks(rows)) > 0.9999
+    for column in ("indenter", "seen", "location", "target", "phase", "frame", "reference"):
+        np.testing.assert_array_equal(sensor.table[column], own[name].table[column])
+    np.testing.assert_allclose(sensor.table["wrench"], own[name].table["wrench"], rtol=1e-12)
+    shift = np.ptp(sensor.table["position"][:, 0] - own[name].table["position"][:, 0])
+    assert shift < 1e-12
+
+
+def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(
+    tmp_path: Path,
+) -> None:
+    export(record(tmp_path / "s.zarr", "taxels"), tmp_path / "data", "genforce")
+    for modality in ("force", "pose", "uskin_raw"):
+        (run,) = (tmp_path / "data" / "uskin" / modality).iterdir()
+        again = run.with_name("sphere-20270101_000000")
+        shutil.copytree(run, again)
+        for point in (path for path in again.iterdir() if path.is_dir()):
+            for name in ("shear_inc", "shear_dec"):
+                shutil.rmtree(point / name)
+            (point / "normal_inc").rename(point / "down")
+            (point / "normal_dec").rename(point / "up")
+    import_folder(tmp_path / "data", tmp_path / "a.markers.zarr")
+    table = MarkerArchive(tmp_path / "a.markers.zarr")["uskin"].table
+    behind = table["location"] < 0
+    assert set(table["target"][~behind]) == {0, 1}
+    assert set(table["target"][behind]) == {2, 3}
+    assert set(table["phase"][behind]) == {0, 3}
+    assert np.isfinite(table["wrench"]).all()
+
+
+def test_raw_runs_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
+    export(record(tmp_path / "c.zarr"), tmp_path / "data", "genforce")
+    (run,) = (tmp_path / "data" / "gelsight" / "image").iterdir()
+    picture = run / "2" / "normal_inc" / "0001.jpg"
+    picture.write_bytes(picture.read_bytes()[:50])
+    with pytest.raises(LearningError, match=r"2/normal_inc/0001\.jpg: jpeg:"):
+        import_folder(tmp_path / "data", tmp_path / "c.markers.zarr")
+    (run / "ref.jpg").unlink()
+    with pytest.raises(LearningError, match=r"ref\.jpg: no such file; expected the untouched"):
+        import_folder(tmp_path / "data", tmp_path / "d.markers.zarr")
+    shutil.rmtree(tmp_path / "data")
+    export(record(tmp_path / "s.zarr", "taxels"), tmp_path / "data", "genforce")
+    (run,) = (tmp_path / "data" / "uskin" / "uskin_raw").iterdir()
+    counts = run / "1" / "shear_inc" / "0001.npy"
+    np.save(counts, np.zeros((4, 4, 3)))
+    with pytest.raises(LearningError, match=r"0001\.npy: found float64 \(4, 4, 3\); expected num"):
+        import_folder(tmp_path / "data", tmp_path / "a.markers.zarr")
+    shutil.copytree(run, run.with_name("sphere-20260202_000000"))
+    with pytest.raises(LearningError, match="found sphere, as in sphere-2026"):
+        import_folder(tmp_path / "data", tmp_path / "b.markers.zarr")
+    shutil.rmtree(run.with_name("sphere-20260202_000000"))
+    shutil.rmtree(run / "2" / "normal_dec")
+    with pytest.raises(LearningError, match=r"2/normal_dec: no such folder; expected normal_inc"):
+        import_folder(tmp_path / "data", tmp_path / "b.markers.zarr")
+
+
+def test_coefficients_come_back_as_they_were(tmp_path: Path) -> None:
+    values = (-1.25, 0.1 + 0.2, 3e-7)
+    write_coefficients(tmp_path / "r6_down.csv", values)
+    np.savetxt(tmp_path / "r6_up.csv", [-2.0, 0.5, 0.0], delimiter=",")
+    assert read_coefficients(tmp_path / "r6_down.csv") == values
+    (both,) = read_compensation(tmp_path).values()
+    depth = np.array([0.0, 0.4, 1.2])
+    np.testing.assert_allclose(both.force(depth, loading=True), np.poly1d(values)(depth))
+    np.testing.assert_allclose(both.force(depth, loading=False), -2 * depth**2 + 0.5 * depth)
+    (tmp_path / "line.csv").write_text("1.0,2.0,3.0\n")
+    assert read_coefficients(tmp_path / "line.csv") == (1.0, 2.0, 3.0)
+    for content, message in (("", "is empty"), ("1,b", "expected numbers"), ("1,nan", "found NaN")):
+        (tmp_path / "bad.csv").write_text(content)
+        with pytest.raises(LearningError, match=rf"bad\.csv: .*{message}"):
+            read_coefficients(tmp_path / "bad.csv")
+    (tmp_path / "r6_up.csv").unlink()
+    with pytest.raises(LearningError, match=r"r6_up\.csv: no such file"):
+        read_compensation(tmp_path)
+
+
+def test_the_commands_import_and_export_with_coefficients(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    priors, out = tmp_path / "material", tmp_path / "a.markers.zarr"
+    priors.mkdir()
+    for half in ("down", "up"):
+        write_coefficients(priors / f"Array1_{half}.csv", (-1.0, 0.5, 0.0))
+    own = ["--compensation", str(priors), "--mm-per-px", "Array1=0.03", "--unseen", "sphere"]
+    assert main(["import-genforce", str(folder), "--out", str(out), *own]) == 0
+    told = capsys.readouterr().out
+    assert "Array1: 52 frames, 1 references; marker count: 0 flagged" in told
+    sensor = MarkerArchive(out)["Array1"]
+    assert sensor.mm_per_px == 0.03
+    assert not sensor.table["seen"][sensor.table["indenter"] == NAMES.index("sphere")].any()
+    assert main(["export-genforce", str(out), "--out", str(tmp_path / "back")]) == 0
+    back = read_compensation(tmp_path / "back" / "material_compensation")
+    assert back == {"Array1": Compensation((-1.0, 0.5, 0.0), (-1.0, 0.5, 0.0))}
+    capsys.readouterr()
+    assert main(["export-genforce", str(out), "--out", str(tmp_path / "back")]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["import-genforce", str(tmp_path), "--out", str(out)]) == 2
+    assert "expected one of the layouts training, states, raw" in capsys.readouterr().err
+    assert main(["import-genforce", str(folder), "--out", str(out), "--mm-per-px", "b"]) == 2
+    assert "--mm-per-px: found 'b'; allowed: NAME=NUMBER" in capsys.readouterr().err
+
+
+def test_another_folder_is_not_mixed_into_an_archive(
+    folder: Path, archive: MarkerArchive, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(folder, other)
+    np.save(other / "img/npy/Array1_ref.npy", pack(mask_of(9)))
+    with pytest.raises(SessionError, match="is not the archive that was planned"):
+        import_folder(other, Path(str(archive.path)))
+
+
+def test_presses_that_lack_a_phase_are_left_out_and_told_of(
+    folder: Path, archive: MarkerArchive, tmp_path: Path
+) -> None:
+    root = tmp_path / "sim"
+    (root / "cone" / "Array1").mkdir(parents=True)
+    write(root / "cone" / "Array1" / "0_0_0.3.jpg", mask_of(1))
+    write(root / "Array1_ref.jpg", mask_of(0))
+    import_folder(root, tmp_path / "a.markers.zarr")
+    with pytest.raises(LearningError, match="no press has all of normal_inc"):
+        export_training(tmp_path / "a.markers.zarr", tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,169 @@
+"""Frames become forces one by one, from the untouched sensor on, and memory ends with contact."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.marker_truth import VIEWS
+
+from learning.data.images import shrink
+from learning.errors import LearningError
+from learning.force.live import Contact, ContactRule, LivePredictor, open_live
+from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
+from learning.markers import Segmenter, preset, taxel_masks
+from learning.markers.displacement import FieldReader
+from learning.markers.segment import CameraPreset, TaxelPreset
+from recorder.markers import pack
+from rig.mock.world.picture import MarkerCamera, Surface
+
+REST = np.full((16, 3), 30_000.0)
+SHAPE = (1, 256, 256)
+
+
+class Stub:
+    """A network that counts its steps in its state and says what it was shown."""
+
+    def __init__(self) -> None:
+        self.frames: list[np.ndarray[Any, Any]] = []
+        self.references: list[np.ndarray[Any, Any]] = []
+
+    def __call__(self, given: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        self.frames.append(given[FRAME][0])
+        self.references += list(given.get(REFERENCE, []))
+        after = given[STATE] + 1
+        steps = float(after[0, 0, 0, 0])
+        return np.array([[steps, 0.0, -float(given[FRAME].mean())]], np.float32), after
+
+    def stream(self) -> ForceStream:
+        return ForceStream(self, StepInputs(SHAPE, True, (1, 1, 1, 1), True))
+
+
+def touched(taxel: int = 5, z: float = 4000.0) -> np.ndarray[Any, Any]:
+    counts = REST.copy()
+    counts[taxel, 2] += z
+    return counts
+
+
+def uskin() -> tuple[LivePredictor, Stub]:
+    chosen = preset("uskin")
+    assert isinstance(chosen, TaxelPreset)
+    stub = Stub()
+    return LivePredictor(stub.stream(), chosen, start_frames=3), stub
+
+
+def test_the_first_frames_are_the_reference_and_say_no_force() -> None:
+    predictor, stub = uskin()
+    assert [predictor.step(REST + offset) for offset in (-1, 0, 1)] == [None, None, None]
+    found = predictor.step(REST)
+    assert found is not None
+    assert not found.contact
+    assert found.motion_px == 0.0
+    reference = predictor.reference
+    assert reference is not None
+    image = shrink(pack(taxel_masks(REST[None], REST, TaxelPreset("still"))))[0]
+    assert np.array_equal(stub.references[-1], image)
+    assert np.array_equal(stub.frames[-1], image)
+
+
+def test_memory_is_carried_while_touched_and_cleared_when_contact_has_ended() -> None:
+    predictor, _ = uskin()
+    predictor.begin(np.stack([REST] * 3))
+    rule = ContactRule()
+    frames = [REST, REST, touched(), touched(), REST, touched(), *[REST] * (rule.frames + 2)]
+    found = [predictor.step(frame) for frame in frames]
+    steps = [one.force[0] for one in found if one is not None]
+    # Untouched frames each begin anew; a moment without contact does not clear the memory.
+    assert steps[:6] == [1, 1, 2, 3, 4, 5]
+    assert steps[6:] == [6, 7, 8, 9, 1, 1, 1]
+    contact = [one.contact for one in found if one is not None]
+    assert contact == [step > 1 for step in steps]
+
+
+def test_a_picture_goes_the_way_of_the_training_data() -> None:
+    chosen = preset("bench-gelsight")
+    assert isinstance(chosen, CameraPreset)
+    camera = MarkerCamera(VIEWS["bench-gelsight"], grey_noise=1.0)
+    untouched = [camera.image(Surface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)]
+    pressed = camera.image(Surface((0.0, 0.0), 0.5e-3, 2e-3, 4e-3, (0.3e-3, 0.0)))
+    stub = Stub()
+    predictor = LivePredictor(stub.stream(), chosen, start_frames=3)
+    assert [predictor.step(picture) for picture in untouched[:3]] == [None] * 3
+    quiet, found = predictor.step(untouched[3]), predictor.step(pressed)
+    assert quiet is not None
+    assert not quiet.contact
+    assert found is not None
+    assert found.contact
+    assert found.motion_px > 0.5
+    image = shrink(pack(Segmenter(chosen).mask(pressed))[None])[0]
+    assert np.array_equal(stub.frames[-1], image)
+
+
+def test_a_light_touch_is_contact_and_noise_is_not() -> None:
+    random = np.random.default_rng(0)
+    chosen = TaxelPreset("noise")
+    scans = REST + random.normal(scale=2.1, size=(60, 16, 3))
+    masks = taxel_masks(scans, REST, chosen)
+    contact = Contact(masks[:10])
+    assert not any(contact.step(mask) for mask in masks[10:])
+    assert contact.step(taxel_masks(touched(z=400.0), REST, chosen))
+
+
+def test_a_sensor_that_is_touched_at_the_beginning_is_refused() -> None:
+    predictor, _ = uskin()
+    predictor.step(REST)
+    predictor.step(REST)
+    with pytest.raises(LearningError, match="was the sensor touched"):
+        predictor.step(REST + 4000.0)
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (np.zeros((4, 3)), "taxels: found"),
+        (np.full((16, 3), np.nan), "taxels: found"),
+    ],
+)
+def test_frames_of_another_sensor_are_refused(frame: np.ndarray[Any, Any], message: str) -> None:
+    predictor, _ = uskin()
+    predictor.begin(np.stack([REST] * 3))
+    with pytest.raises(LearningError, match=message):
+        predictor.step(frame)
+
+
+def test_a_black_picture_has_no_reference() -> None:
+    predictor = LivePredictor(Stub().stream(), preset("bench-gelsight"), start_frames=1)
+    with pytest.raises(LearningError, match="found no markers"):
+        predictor.step(np.zeros((480, 640, 3), np.uint8))
+
+
+def test_a_model_of_marker_fields_is_shown_those_of_the_training_data() -> None:
+    chosen = preset("uskin")
+    assert isinstance(chosen, TaxelPreset)
+    stub = Stub()
+    network = ForceStream(stub, StepInputs((1, 3, 32, 32), False, (1, 1, 1, 1), False))
+    predictor = LivePredictor(network, chosen)
+    predictor.begin(np.stack([REST] * 3))
+    steps = np.linspace(0.0, 1.0, 4)
+    scans = np.array([REST + (touched() - REST + 900.0 * (REST > 0)) * step for step in steps])
+    for scan in scans:
+        predictor.step(scan)
+    due = FieldReader(Contact(taxel_masks(REST[None], REST, chosen)).reference).maps(
+        taxel_masks(scans, REST, chosen), ordered=True
+    )
+    assert np.allclose(np.array(stub.frames), due, atol=1e-5)
+    assert np.abs(due[-1]).max() > 1.0
+
+
+def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
+    odd = ForceStream(Stub(), StepInputs((1, 2, 8, 8), False, (1, 1, 1, 1), False))
+    with pytest.raises(LearningError, match=r"takes frames \(2, 8, 8\)"):
+        LivePredictor(odd, preset("uskin")).begin(np.stack([REST] * 3))
+    for runtime in ("onnx", "openvino", "openvino-bf16"):
+        with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
+            open_live(tmp_path, sensor="uskin", runtime=runtime)
+    with pytest.raises(LearningError, match="none is meant for sensor nobody"):
+        open_live(tmp_path, sensor="nobody")
+    with pytest.raises(LearningError, match="runtime: found 'paper'"):
+        open_live(tmp_path, sensor="uskin", runtime="paper")

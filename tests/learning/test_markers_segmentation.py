@@ -1,0 +1,256 @@
+"""Presets, masks and centres: measured against pictures whose markers are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from support import marker_truth
+
+from learning.errors import LearningError
+from learning.markers import (
+    CameraPreset,
+    Segmenter,
+    TaxelPreset,
+    find_centres,
+    grey,
+    names,
+    preset,
+    preset_of_sensor,
+    read_preset,
+    taxel_masks,
+)
+from learning.markers.segment import BlurDifference, ColourBelow, Contrast, Dark, Morphology, Region
+from recorder.markers import draw_discs, place_discs
+
+
+def camera_preset(name: str) -> CameraPreset:
+    found = preset(name)
+    assert isinstance(found, CameraPreset)
+    return found
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_preset_that_is_shipped_can_be_read(name: str) -> None:
+    found = preset(name)
+    assert found.description
+    for sensor in found.sensors:
+        assert preset_of_sensor(sensor) == name
+
+
+def test_the_authors_numbers_are_theirs() -> None:
+    lit, white, tip = (camera_preset(name) for name in ("gelsight", "gelsight-white", "tacpalm"))
+    assert lit.detectors == (BlurDifference(15, 5.0, 150 - 128), Dark(70))
+    assert white.detectors == (BlurDifference(15, 5.0, 160 - 128), Dark(70))
+    assert [step.size_px for step in (*lit.morphology, *white.morphology)] == [5] * 3 + [3] * 3
+    assert tip.detectors == (ColourBelow(100, 100, 30),)
+    assert (tip.region.rows, tip.region.columns) == ((50, 380), (180, 510))
+    assert len(tip.region.polygon) == 6
+    assert tip.equalise
+    assert tip.invert
+    assert (lit.box_px, tip.box_px) == (15, 12)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("kind: lidar\n", r"x\.yaml\.kind: found 'lidar'; allowed: camera, taxels"),
+        ("kind: camera\ndescription: a\n", "missing detectors"),
+        ("kind: taxels\ndescription: a\ncolour: red\n", "unknown colour; known: description"),
+        ("kind: taxels\ndescription: 3\n", r"description: found int 3; allowed: str"),
+        ("kind: taxels\ndescription: a\nmm_per_px: .nan\n", "mm_per_px: found nan"),
+        (
+            "kind: camera\ndescription: a\ndetectors: [{kind: sonar}]\n",
+            r"detectors\[0\]\.kind: found 'sonar'; allowed: contrast, blur_difference",
+        ),
+        (
+            "kind: camera\ndescription: a\ndetectors: [{kind: dark, below: 70}]\narea_px: [9]\n",
+            r"area_px: found 1 values; allowed: 2",
+        ),
+        (
+            "kind: camera\ndescription: a\n"
+            "detectors: [{kind: blur_difference, kernel_px: 4, sigma_px: 1, least: 3}]\n",
+            r"kernel_px: found 4; allowed: odd",
+        ),
+        ("[1, 2]\n", r"found list \[1, 2\]; allowed: a mapping of keys"),
+        ("kind: [\n", "not YAML"),
+    ],
+)
+def test_a_preset_that_is_wrong_is_refused_with_file_and_key(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    with pytest.raises(LearningError, match=message) as error:
+        read_preset(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_preset_that_is_not_there_is_refused_with_those_that_are() -> None:
+    with pytest.raises(LearningError, match="found 'gelsite'; known: bench-gelsight"):
+        preset("gelsite")
+    with pytest.raises(LearningError, match="no such file"):
+        preset("/nowhere/own.yaml")
+
+
+@pytest.mark.parametrize("name", list(marker_truth.VIEWS))
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_markers_of_the_mock_benches_are_found_where_they_are(name: str, noise: float) -> None:
+    known = list(marker_truth.mock_pictures(marker_truth.VIEWS[name], grey_noise=noise, frames=4))
+    found = marker_truth.measure(known, name)
+    assert found.missed == 0
+    assert found.iou > 0.95
+    assert found.mask_rms_px < 0.15
+    assert found.grey_rms_px < 0.05 < found.mask_rms_px
+    assert found.worst_px < 0.15
+
+
+@pytest.mark.slow
+def test_markers_of_the_simulated_gelsight_are_found_under_coloured_lamps() -> None:
+    known = list(marker_truth.simulated_pictures())
+    ours = marker_truth.measure(known, "bench-gelsight")
+    assert ours.missed == 0
+    assert ours.iou > 0.97
+    assert ours.grey_rms_px < 0.03
+    for name in ("gelsight", "gelsight-white"):
+        theirs = marker_truth.measure(known, name)
+        assert theirs.missed == 0
+        assert 0.6 < theirs.iou < ours.iou
+
+
+def test_the_authors_tactip_pipeline_finds_white_pins_in_its_hexagon() -> None:
+    picture = np.full((480, 640, 3), 70, np.uint8)
+    inside = [(345 + 40 * i, 215 + 45 * j) for i in (-2, -1, 0, 1, 2) for j in (-1, 0, 1)]
+    for column, row in [*inside, (60, 60), (600, 400)]:
+        cv2.circle(picture, (column, row), 7, (255, 255, 255), -1)
+    mask = Segmenter(camera_preset("tacpalm")).mask(picture)
+    centres = find_centres(mask)
+    expected = [
+        ((c - 180 + 0.5) * 640 / 330 - 0.5, (r - 50 + 0.5) * 480 / 330 - 0.5) for c, r in inside
+    ]
+    assert len(centres) == len(inside)
+    apart = np.linalg.norm(np.array(expected)[:, None] - centres.place[None], axis=-1)
+    assert apart.min(axis=1).max() < 2.0
+
+
+def test_nothing_is_found_where_there_is_nothing() -> None:
+    noise = np.random.default_rng(1).normal(120, 3, (480, 640, 3))
+    picture = np.clip(noise, 0, 255).astype(np.uint8)
+    for name in ("bench-gelsight", "bench-tacpalm"):
+        assert not Segmenter(camera_preset(name)).mask(picture).any()
+    assert len(find_centres(np.zeros((480, 640), np.bool_), picture[..., 0])) == 0
+
+
+def test_patches_of_the_wrong_size_are_dropped_and_others_kept() -> None:
+    picture = np.full((480, 640, 3), 200, np.uint8)
+    for column, radius in ((100, 3), (300, 10), (500, 40)):
+        cv2.circle(picture, (column, 240), radius, (0, 0, 0), -1)
+    own = CameraPreset("", (Dark(100),), area_px=(100, 1000))
+    assert find_centres(Segmenter(own).mask(picture)).place.tolist() == [[300.0, 240.0]]
+
+
+def test_detectors_are_put_together_and_morphology_goes_in_order() -> None:
+    picture = np.full((480, 640, 3), 200, np.uint8)
+    picture[100:120, 100:120] = 0
+    picture[300:320, 300:320] = (90, 90, 20)
+    own = CameraPreset("", (Dark(50),))
+    both = replace(own, detectors=(Dark(50), ColourBelow(100, 100, 30)))
+    grown = replace(own, morphology=(Morphology("dilate", 3, shape="square"),))
+    opened = replace(
+        own,
+        morphology=(Morphology("open", 31, shape="square"), Morphology("dilate", 3)),
+    )
+    areas = [Segmenter(one).mask(picture).sum() for one in (own, both, grown, opened)]
+    assert areas == [400, 800, 22 * 22, 0]
+
+
+def test_a_region_is_cut_and_resized_and_a_picture_that_lacks_it_refused() -> None:
+    picture = np.full((240, 320, 3), 200, np.uint8)
+    cv2.circle(picture, (160, 120), 10, (0, 0, 0), -1)
+    own = CameraPreset("", (Dark(100),), region=Region(rows=(60, 180), columns=(80, 240)))
+    (place,) = find_centres(Segmenter(own).mask(picture)).place
+    # Column 160 of the picture is 80.5 from the left of the region, 160 wide.
+    np.testing.assert_allclose(place, [80.5 * 4 - 0.5, 60.5 * 4 - 0.5], atol=0.3)
+    with pytest.raises(LearningError, match=r"region\.rows: found 60 to 180; the picture has 100"):
+        Segmenter(own).mask(picture[:100])
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((480, 640), np.uint8),
+        np.zeros((480, 640, 4), np.uint8),
+        np.zeros((480, 640, 3), np.float32),
+    ],
+)
+def test_what_is_no_picture_is_refused(picture: np.ndarray[Any, Any]) -> None:
+    with pytest.raises(LearningError, match="allowed: uint8"):
+        Segmenter(camera_preset("bench-gelsight")).mask(picture)
+
+
+def test_centres_say_which_markers_the_border_cuts() -> None:
+    mask = np.zeros((480, 640), np.bool_)
+    mask[0:10, 100:120] = mask[200:210, 300:320] = mask[460:480, 620:640] = True
+    centres = find_centres(mask)
+    assert centres.whole.tolist() == [False, True, False]
+    assert centres.area.tolist() == [200, 200, 400]
+
+
+def test_greys_place_a_marker_finer_than_its_patch() -> None:
+    y, x = np.mgrid[:480, :640]
+    for shift in np.linspace(0, 0.9, 7):
+        edge = np.clip(9.0 - np.hypot(x - 320 - shift, y - 240 + shift / 2) + 0.5, 0, 1)
+        light = (180 - 150 * edge).astype(np.uint8)
+        (place,) = find_centres(light < 105, light).place
+        np.testing.assert_allclose(place, [320 + shift, 240 - shift / 2], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mask", "light"),
+    [
+        (np.zeros((480, 640), np.uint8), None),
+        (np.zeros((480, 640), np.bool_), np.zeros((240, 640), np.uint8)),
+    ],
+)
+def test_centres_of_what_is_no_mask_are_refused(mask: Any, light: Any) -> None:
+    with pytest.raises(LearningError, match="allowed"):
+        find_centres(mask, light)
+
+
+def test_luma_weighs_colours_as_the_standard_does() -> None:
+    picture = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], np.uint8)
+    assert grey(picture).tolist() == [[76, 150, 29]]
+
+
+def test_contrast_follows_uneven_light() -> None:
+    column = np.mgrid[:480, :640][1]
+    light = (60 + column / 4).astype(np.uint8)
+    picture = np.repeat(light[..., None], 3, axis=2)
+    places = [(60 + 80 * k, 240) for k in range(8)]
+    for place in places:
+        dark = tuple(int(v) // 4 for v in picture[place[1], place[0]])
+        cv2.circle(picture, place, 10, dark, -1)
+    own = CameraPreset("", (Contrast(49, 30),), area_px=(100, 900))
+    centres = find_centres(Segmenter(own).mask(picture))
+    assert sorted(centres.place[:, 0].round().tolist()) == [place[0] for place in places]
+
+
+def test_taxels_are_drawn_less_the_untouched_ones() -> None:
+    counts = np.zeros((2, 16, 3))
+    counts[1, 5] = (1500, -1000, 4000)
+    untouched = np.random.default_rng(0).integers(20_000, 40_000, (16, 3))
+    plain, turned = TaxelPreset(""), TaxelPreset("", rows_from_top=True)
+    masks = taxel_masks(counts + untouched, untouched, plain)
+    np.testing.assert_array_equal(masks, draw_discs(counts))
+    # Taxel 5 is in the second row from the top: where taxel 9 is, with y turned over.
+    mirrored = np.zeros((16, 3))
+    mirrored[9] = (1500, 1000, 4000)
+    np.testing.assert_array_equal(
+        taxel_masks(counts + untouched, untouched, turned)[1], draw_discs(mirrored)
+    )
+    centre, _ = place_discs(mirrored)
+    assert centre[9, 1] < 288 - 10

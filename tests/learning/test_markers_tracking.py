@@ -1,0 +1,126 @@
+"""Markers keep their names through a sequence, whatever is missed or seen in between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support import marker_truth
+
+from learning.errors import LearningError
+from learning.markers import Segmenter, Tracker, find_centres, grey, preset
+from rig.mock.world.picture import MarkerCamera, Surface
+
+
+def grid(columns: int = 9, rows: int = 7, pitch: float = 60.0) -> np.ndarray[Any, Any]:
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    return np.stack([x.ravel(), y.ravel()], axis=1) * pitch + 60.0
+
+
+def bulge(places: np.ndarray[Any, Any], share: float) -> np.ndarray[Any, Any]:
+    """Return how far markers move: outwards and to the right, most around the middle."""
+    away = places - [300.0, 240.0]
+    bell = np.exp(-np.sum(away**2, axis=1) / 2 / 120.0**2)[:, None]
+    return share * (bell * [55.0, 20.0] + 0.25 * bell * away)
+
+
+def shuffled(places: np.ndarray[Any, Any], random: np.random.Generator) -> Any:
+    """Return places in another order, and where each of them went."""
+    order = random.permutation(len(places))
+    return places[order], np.argsort(order)
+
+
+def test_names_are_kept_beyond_half_a_pitch_of_motion() -> None:
+    reference, random = grid(), np.random.default_rng(1)
+    tracker = Tracker(reference)
+    for share in [*np.linspace(0, 1, 9), *np.linspace(1, 0, 9)]:
+        truth = reference + bulge(reference, share)
+        given, order = shuffled(truth + random.normal(0, 0.1, truth.shape), random)
+        track = tracker.step(given)
+        np.testing.assert_array_equal(track.found, order)
+        np.testing.assert_allclose(track.place, truth, atol=0.6)
+    assert np.linalg.norm(bulge(reference, 1), axis=1).max() > 0.8 * 60
+
+
+def test_a_leap_of_three_quarters_of_a_pitch_is_followed_by_their_neighbours() -> None:
+    reference = grid()
+    moved = bulge(reference, 0.7)
+    assert np.linalg.norm(moved, axis=1).max() > 0.7 * 60
+    track = Tracker(reference).step(reference + moved)
+    np.testing.assert_array_equal(track.found, np.arange(len(reference)))
+
+
+def test_markers_that_are_lost_are_found_again_under_their_names() -> None:
+    reference, random = grid(), np.random.default_rng(2)
+    tracker = Tracker(reference)
+    shares = [*np.linspace(0, 1, 12), *np.linspace(1, 0, 12)]
+    hidden = random.choice(len(reference), 9, replace=False)
+    for number, share in enumerate(shares):
+        truth = reference + bulge(reference, share)
+        seen = np.ones(len(truth), bool)
+        if 4 <= number < 16:
+            seen[hidden] = False
+        names = np.flatnonzero(seen)
+        false = np.array([[20.0, 20.0], [590.0, 30.0]])
+        track = tracker.step(np.concatenate([truth[names], false]))
+        expected = np.full(len(truth), -1)
+        expected[names] = np.arange(len(names))
+        np.testing.assert_array_equal(track.found, expected)
+        assert np.isnan(track.place[track.lost]).all()
+        # A marker that is lost is still expected near where it is.
+        assert np.linalg.norm(track.expected - truth, axis=1).max() < 25
+
+
+def test_a_frame_without_markers_loses_all_and_the_next_finds_them() -> None:
+    tracker = Tracker(grid())
+    assert tracker.step(np.zeros((0, 2))).lost.all()
+    assert not tracker.step(grid() + 3.0).lost.any()
+    tracker.restart()
+    assert not tracker.step(grid()).lost.any()
+
+
+def test_one_marker_is_a_reference_too() -> None:
+    tracker = Tracker(np.array([[320.0, 240.0]]))
+    np.testing.assert_array_equal(tracker.step(np.array([[330.0, 240.0]])).place, [[330.0, 240.0]])
+    assert tracker.step(np.array([[500.0, 100.0]])).lost.all()
+
+
+def test_pictures_of_the_mock_bench_are_tracked_to_a_tenth_of_a_pixel() -> None:
+    view = marker_truth.VIEWS["bench-tacpalm"]
+    camera = MarkerCamera(view, grey_noise=1.0)
+    segmenter = Segmenter(preset("bench-tacpalm"))  # type: ignore[arg-type]
+    tracker, order = None, np.zeros(0, int)
+    for share in np.linspace(0, 1, 6):
+        surface = Surface((1e-3, 0.0), 4e-3 * share, 3e-3, 12e-3, (1.5e-3 * share, 0.0))
+        picture, truth = camera.image(surface), camera.pixels(surface)
+        centres = find_centres(segmenter.mask(picture), grey(picture))
+        if tracker is None:
+            tracker = Tracker(centres.place)
+            apart = np.linalg.norm(truth[:, None] - centres.place[None], axis=-1)
+            order = apart.argmin(axis=0)
+        track = tracker.step(centres.place)
+        assert not track.lost.any()
+        np.testing.assert_allclose(track.place, truth[order], atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("reference", "options", "message"),
+    [
+        (np.zeros((0, 2)), {}, "allowed"),
+        (np.zeros((4, 3)), {}, "found shape"),
+        (np.full((4, 2), np.nan), {}, "found NaN"),
+        (grid(), {"gate": 0.0}, "gate, speed"),
+        (grid(), {"speed": 2.0}, "gate, speed"),
+    ],
+)
+def test_a_tracker_that_cannot_be_is_refused(
+    reference: Any, options: dict[str, float], message: str
+) -> None:
+    with pytest.raises(LearningError, match=message):
+        Tracker(reference, **options)
+
+
+def test_centres_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(LearningError, match="finite"):
+        Tracker(grid()).step(np.array([[np.nan, 1.0]]))

@@ -1,0 +1,85 @@
+"""Trainings of several processes: two that see half of each batch are one that sees all of it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from learning.training.checkpoint import read_model_folder
+
+SCRIPT = """
+import sys
+from dataclasses import dataclass
+import torch
+from torch import nn
+from learning.training.launch import LaunchSettings, accelerator, described
+from learning.training.run_folder import RunFolder
+from learning.training.sampling import batch, generator, seed_torch
+from learning.training.stopping import Stop
+
+@dataclass(frozen=True)
+class Toy:
+    batch: int
+
+folder, whole, stop_at = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+launched = accelerator(LaunchSettings(device="cpu"))
+print(described(launched), flush=True)
+rank, ranks = launched.process_index, launched.num_processes
+values = torch.from_numpy(generator(0, "values").normal(size=(24, 3))).float()
+seed_torch(0, "weights")
+net = nn.Linear(3, 1)
+optimiser = torch.optim.SGD(net.parameters(), lr=0.1)
+wrapped, optimiser = launched.prepare(net, optimiser)
+stop = Stop()
+with RunFolder.open(folder, "force", Toy(whole), "data", writes=launched.is_main_process) as run:
+    for step in range(20):
+        chosen = batch(0, step, whole // ranks, len(values), rank=rank, ranks=ranks)
+        seen = values[torch.from_numpy(chosen)]
+        loss = (wrapped(seen) - seen.sum(1, keepdim=True)).square().mean()
+        optimiser.zero_grad()
+        launched.backward(loss)
+        optimiser.step()
+        run.log(step + 1, {"loss": loss.item()})
+        # The last process alone is asked; all of them stop.
+        stop.asked = stop.asked or (rank == ranks - 1 and step == stop_at)
+        if stop.agreed(launched):
+            break
+    run.finish(step + 1, {"model": launched.unwrap_model(wrapped)})
+launched.end_training()
+"""
+
+
+def _run(path: Path, folder: Path, processes: int, stop_at: int) -> str:
+    path.write_text(SCRIPT)
+    many = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    arguments = [*(many if processes > 1 else []), str(path), str(folder), "8", str(stop_at)]
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=55,
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_two_processes_learn_and_stop_as_one(tmp_path: Path) -> None:
+    said = _run(tmp_path / "toy.py", tmp_path / "two", 2, 11)
+    assert "2 processes, cpu" in said
+    _run(tmp_path / "toy.py", tmp_path / "one", 1, 11)
+    folders = [read_model_folder(tmp_path / name, "force") for name in ("one", "two")]
+    assert [folder.config.step for folder in folders] == [12, 12]
+    one, two = (folder.weights() for folder in folders)
+    for name, value in one.items():
+        assert torch.allclose(value, two[name], atol=1e-6), name
+    lines = (tmp_path / "two/metrics.jsonl").read_text().splitlines()
+    assert len(lines) == 12

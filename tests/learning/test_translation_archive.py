@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.made_up_archives import made_up_archive
+
+from learning.archive_writer import UNIT_ROWS
+from learning.cli import translate as verb
+from learning.data.splits import make_split
+from learning.errors import LearningError
+from learning.training.checkpoint import Config
+from learning.translation import archive as translating
+from learning.translation import load_translator
+from learning.translation.archive import Model, Pair, dice, hash_of, translate_archive
+from learning.translation.flow import FlowTranslator
+from learning.translation.translator import SensorView, aimed
+from recorder import MarkerArchive, SessionError
+from recorder.archive import check_archive, location_pairs
+from recorder.store.files import LOCAL
+
+FLOW = Model(FlowTranslator(), "flow", hash_of("flow"))
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("archives") / "made-up.markers.zarr"
+    return made_up_archive(path, indenters=("sphere", "cone"), force_depth=1, invalid=(4,))
+
+
+@pytest.fixture(scope="module")
+def translated(archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    out = tmp_path_factory.mktemp("translated") / "flow.markers.zarr"
+    translate_archive(archive, out, [Pair("dots", "grid")], FLOW)
+    return MarkerArchive(out)
+
+
+@dataclass(frozen=True, slots=True)
+class Same:
+    """Gives the frames as they are, and notes how it was asked."""
+
+    asked: list[tuple[int, bool]]
+    name: str = "same"
+
+    def translate(self, source, target_reference, source_reference=None, *, ordered=False):
+        self.asked.append((len(source), ordered))
+        return source.clone()
+
+
+def test_frames_are_those_of_the_target_and_far_better_than_its_reference(archive, translated):
+    made, target = translated["dots-to-grid"], archive["grid"]
+    pairs = location_pairs(made.table, target.table)
+    true = target.masks(pairs.target)
+    still = target.reference(0)
+    scores = [dice(*both) for both in zip(made.masks(pairs.source), true, strict=True)]
+    base = [dice(still, one) for one in true]
+    assert len(pairs) == 16
+    assert np.mean(scores) > 0.97
+    assert np.mean(scores) > np.mean(base) + 0.05
+    assert min(scores) > 0.93
+
+
+def test_labels_are_those_of_the_source_and_references_those_of_the_target(archive, translated):
+    made, source, target = translated["dots-to-grid"], archive["dots"], archive["grid"]
+    for name in ("indenter", "location", "target", "phase", "depth", "wrench", "frame", "valid"):
+        np.testing.assert_array_equal(made.table[name], source.table[name])
+    np.testing.assert_array_equal(made.references, target.references)
+    assert made.mm_per_px == target.mm_per_px
+    assert translated.indenters == archive.indenters
+    said = {key: made.attrs[key] for key in ("source", "target", "model", "model_sha256")}
+    assert said == {
+        "source": "dots",
+        "target": "grid",
+        "model": "flow",
+        "model_sha256": FLOW.sha256,
+    }
+    assert made.sources[made.table["source"][0]] == "made up"
+
+
+def test_a_translated_archive_is_a_sound_archive(translated):
+    assert translated.warning is None
+    codes = {each.code for each in check_archive(LOCAL, translated.path)}
+    assert codes <= {"marker-count"}
+
+
+def test_a_frame_that_is_not_there_stays_away(translated):
+    made = translated["dots-to-grid"]
+    assert not made.table["valid"][4]
+    assert not made.packed([4]).any()
+
+
+def test_presses_are_translated_whole_and_in_order(archive, tmp_path):
+    asked: list[tuple[int, bool]] = []
+    model = Model(Same(asked), "same", "0")
+    translate_archive(archive, tmp_path / "same.markers.zarr", [Pair("grid", "dots")], model)
+    assert asked == [(8, True), *[(9, True)] * 4]
+    made = MarkerArchive(tmp_path / "same.markers.zarr")["grid-to-dots"]
+    np.testing.assert_array_equal(made.packed(slice(None)), archive["grid"].packed(slice(None)))
+
+
+def test_a_stopped_run_goes_on_to_the_same_bytes(archive, tmp_path, monkeypatch):
+    assert len(archive["grid"]) < UNIT_ROWS
+    monkeypatch.setattr(translating, "UNIT_ROWS", 5)
+    monkeypatch.setattr(translating, "CHUNK_ROWS", 5)
+    pairs = [Pair("grid", "dots")]
+    model = Model(Same([]), "same", "0")
+    whole, out = tmp_path / "whole.markers.zarr", tmp_path / "stopped.markers.zarr"
+    translate_archive(archive, whole, pairs, model)
+
+    def stop(done: int, total: int) -> None:
+        if done >= 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        translate_archive(archive, out, pairs, model, progress=stop)
+    assert MarkerArchive(out).warning is not None
+    assert translate_archive(archive, out, pairs, model) == len(archive["grid"]) - 20
+    files = sorted(each.relative_to(whole) for each in whole.rglob("*") if each.is_file())
+    assert files == sorted(each.relative_to(out) for each in out.rglob("*") if each.is_file())
+    assert all((whole / each).read_bytes() == (out / each).read_bytes() for each in files)
+
+
+def test_another_model_does_not_go_on_with_an_archive(archive, translated):
+    other = Model(Same([]), "same", "1")
+    before = translated["dots-to-grid"].packed([1])
+    with pytest.raises(SessionError, match="is not the archive that was planned"):
+        translate_archive(archive, translated.path, [Pair("dots", "grid")], other)
+    np.testing.assert_array_equal(translated["dots-to-grid"].packed([1]), before)
+
+
+def test_a_part_of_a_split_is_translated_alone(archive, tmp_path):
+    split = make_split(archive, validation=0.0, new_press=0.5)
+    out = tmp_path / "part.markers.zarr"
+    roles = ("new_indenter", "new_press")
+    model = Model(Same([]), "same", "0")
+    translate_archive(archive, out, [Pair("dots", "grid")], model, split=split, roles=roles)
+    table = MarkerArchive(out)["dots-to-grid"].table
+    assert set(split.role(table["location"])) == set(roles)
+    assert len(table["location"]) == len(split.rows(archive["dots"].table, roles))
+
+
+def test_flow_needs_a_source_reference_or_an_ordered_press(archive):
+    masks = torch.from_numpy(archive["dots"].masks(slice(0, 4)))
+    target = torch.from_numpy(archive["grid"].reference(0))
+    flow = FlowTranslator()
+    with pytest.raises(LearningError, match="source_reference: missing"):
+        flow.translate(masks, target)
+    without = flow.translate(masks, target, ordered=True)
+    assert torch.equal(without, flow.translate(masks, target, masks[0], ordered=True))
+    assert without.dtype == torch.bool
+    assert flow.translate(masks[:0], target, masks[0]).shape == (0, 480, 640)
+
+
+def test_masks_of_another_shape_or_type_are_refused(archive):
+    masks = torch.from_numpy(archive["dots"].masks(slice(0, 2)))
+    flow = FlowTranslator()
+    with pytest.raises(LearningError, match=r"source: found bool \(2, 10, 10\)"):
+        flow.translate(masks[:, :10, :10], masks[0], masks[0])
+    with pytest.raises(LearningError, match=r"target_reference: found float32"):
+        flow.translate(masks, masks[0].float(), masks[0])
+    with pytest.raises(LearningError, match=r"source_reference: found bool \(1, 480, 640\)"):
+        flow.translate(masks, masks[0], masks[:1])
+
+
+def test_the_untouched_press_gives_the_target_reference_back(archive):
+    source = torch.from_numpy(archive["dots"].reference(0))
+    target = torch.from_numpy(archive["grid"].reference(0))
+    made = FlowTranslator().translate(source[None], target, source)
+    assert dice(made[0].numpy(), target.numpy()) > 0.999
+
+
+def test_a_pair_of_other_scales_is_told_to_those_who_need_it():
+    one, other = SensorView("a", 0.02, 0.02), SensorView("b", 0.04, 0.04)
+    told = aimed(FlowTranslator(), one, other)
+    assert (told.source, told.target) == (one, other)
+    same = Same([])
+    assert aimed(same, one, other) is same
+
+
+def folder(path: Path, kind: str) -> Path:
+    Config(kind, {}, "data", "code").write(path)
+    return path
+
+
+def test_what_is_no_translator_is_refused(tmp_path):
+    with pytest.raises(LearningError, match=r"found no config\.yaml"):
+        load_translator(tmp_path)
+    with pytest.raises(LearningError, match="found kind 'force'; allowed: field, direct, diffu"):
+        load_translator(folder(tmp_path, "force"))
+
+
+def test_weights_tell_models_apart(tmp_path):
+    folder(tmp_path, "direct")
+    with pytest.raises(LearningError, match=r"found no model\.safetensors"):
+        hash_of(tmp_path)
+    (tmp_path / "model.safetensors").write_bytes(b"weights")
+    assert hash_of(tmp_path) != hash_of("flow")
+    assert load_translator("flow").name == "flow"
+
+
+def run(*given: object) -> int:
+    parser = argparse.ArgumentParser()
+    verb.add_to(parser.add_subparsers())
+    options = parser.parse_args(["translate", *map(str, given)])
+    return int(options.run(options))
+
+
+def test_the_verb_translates_and_draws(tmp_path, capsys):
+    small = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
+    out, sheet = tmp_path / "x.markers.zarr", tmp_path / "x.png"
+    assert run(small.path, "--all", "--out", out, "--sheet", sheet) == 0
+    assert f"{out}: 2 pairs, 10 frames made" in capsys.readouterr().out
+    assert list(MarkerArchive(out)) == ["dots-to-grid", "grid-to-dots"]
+    assert sheet.read_bytes().startswith(b"\x89PNG")
+    assert run(small.path, "--all", "--out", out) == 0
+    assert "0 frames made" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--source", "dots"], "--source, --target: missing"),
+        (["--source", "dots", "--target", "dots"], "--target: found dots, the source itself"),
+        (["--source", "dots", "--target", "grid", "--all"], "--all: found"),
+        (["--source", "lost", "--target", "grid"], "found no sensor 'lost'; known: dots, grid"),
+        (["--all", "--role", "train"], "--split, --role: found one"),
+        (["--all", "--model", "nowhere"], "nowhere: found no config.yaml"),
+    ],
+)
+def test_wrong_options_are_refused_and_nothing_is_written(archive, tmp_path, given, said):
+    out = tmp_path / "x.markers.zarr"
+    with pytest.raises(LearningError, match=said):
+        run(archive.path, *given, "--out", out)
+    assert not out.exists()
+
+
+def test_an_archive_that_is_half_written_is_refused(tmp_path):
+    half = made_up_archive(tmp_path / "half.markers.zarr", indenters=("sphere",), finish=False)
+    with pytest.raises(LearningError, match="still being written"):
+        run(half.path, "--all", "--out", tmp_path / "x.markers.zarr")
+
+
+def test_a_damaged_archive_is_an_error_and_the_rest_can_be_made_later(tmp_path):
+    small = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
+    shard = small.path / "dots/markers/c.0.0"
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[: len(whole) // 2])
+    out, pair = tmp_path / "x.markers.zarr", [Pair("dots", "grid")]
+    with pytest.raises(SessionError, match="dots"):
+        translate_archive(MarkerArchive(small.path), out, pair, FLOW)
+    shard.write_bytes(whole)
+    assert translate_archive(MarkerArchive(small.path), out, pair, FLOW) == 5
+
+
+def test_a_sensor_without_a_reference_is_refused(tmp_path):
+    archive = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
+    archive["grid"].references[:] = 0
+    with pytest.raises(LearningError, match="reference 0 of grid is without a marker"):
+        translate_archive(archive, tmp_path / "x.markers.zarr", [Pair("dots", "grid")], FLOW)

@@ -1,0 +1,328 @@
+"""Each planted fault is found, at its place, and nothing else is."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.sessions import T0, make_session
+
+from recorder import Session, SessionError, StreamWriter
+from recorder.check.check import check
+from recorder.findings import CODES
+from recorder.session.frames import write_frames
+
+Columns = dict[str, Any]
+
+
+def only_in(name: str, change: Callable[[Columns], Columns]) -> Callable[[str, Columns], Columns]:
+    """Return a change of one stream that leaves the others alone."""
+    return lambda stream, columns: change(columns) if stream == name else columns
+
+
+def without(rows: slice) -> Callable[[Columns], Columns]:
+    """Return the change that loses rows."""
+
+    def change(columns: Columns) -> Columns:
+        keep = np.delete(np.arange(len(columns["t_ns"])), rows)
+        return {name: [values[row] for row in keep] for name, values in columns.items()}
+
+    return change
+
+
+def repeated(rows: slice) -> Callable[[Columns], Columns]:
+    """Return the change that repeats the first value of some rows in all of them."""
+
+    def change(columns: Columns) -> Columns:
+        values = list(columns["value"])
+        values[rows] = [values[rows.start]] * len(values[rows])
+        return {**columns, "value": values}
+
+    return change
+
+
+def shifted(column: str, rows: slice, by: Any) -> Callable[[Columns], Columns]:
+    """Return the change that adds something to a column in some rows."""
+
+    def change(columns: Columns) -> Columns:
+        values = np.array(columns[column])
+        values[rows] += by
+        return {**columns, column: values}
+
+    return change
+
+
+RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
+    "frozen image": ("frozen", "streams/camera", only_in("camera", repeated(slice(50, 140)))),
+    "frozen force": ("frozen", "streams/force", only_in("force", repeated(slice(500, 1700)))),
+    "gap in images": ("gap", "streams/camera", only_in("camera", without(slice(60, 70)))),
+    "gap in poses": ("gap", "streams/pose", only_in("pose", without(slice(60, 70)))),
+    "repeated time": (
+        "time-order",
+        "streams/pose",
+        only_in("pose", shifted("t_ns", slice(70, 71), -8_300_000)),
+    ),
+    "host clock steps forward": (
+        "clock-step",
+        "streams/camera",
+        only_in("camera", shifted("t_ns", slice(100, None), 250_000_000)),
+    ),
+    "host clock steps back": (
+        "clock-step",
+        "streams/camera",
+        only_in("camera", shifted("t_ns", slice(100, None), -250_000_000)),
+    ),
+    "device clock restarts": (
+        "clock-step",
+        "streams/pose",
+        only_in("pose", shifted("device_t", slice(200, None), -1.5)),
+    ),
+    "device pauses and loses no number": (
+        "gap",
+        "streams/force",
+        only_in("force", shifted("t_ns", slice(1500, None), 250_000_000)),
+    ),
+    "few samples dropped": ("dropped", "streams/force", only_in("force", without(slice(900, 903)))),
+    "many samples dropped": (
+        "dropped",
+        "streams/force",
+        only_in("force", without(slice(900, 1100))),
+    ),
+    "stream ends early": ("truncated", "streams/pose", only_in("pose", without(slice(250, None)))),
+    "empty stream": ("truncated", "streams/pose", only_in("pose", without(slice(0, None)))),
+    "NaN": ("nan", "streams/force/value", only_in("force", shifted("value", slice(7, 8), np.nan))),
+    "phase before the streams": (
+        "segment-outside",
+        "segments",
+        only_in("segments", shifted("start_ns", slice(0, 1), -400_000_000)),
+    ),
+    "phase of a target that is not there": (
+        "segment-outside",
+        "segments",
+        only_in("segments", shifted("target", slice(2, 3), 50)),
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", RECORDED)
+def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path: Path) -> None:
+    code, where, change = RECORDED[fault]
+    extra = 50 if fault == "phase of a target that is not there" else 0
+    path = make_session(tmp_path / "s.zarr", change=change, finish=not extra)
+    if extra:
+        edit_json(path / "zarr.json", lambda document: document["attributes"].update(status="x"))
+        write_frames_without_offsets(path)
+    assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
+
+
+def write_frames_without_offsets(path: Path) -> None:
+    """Build frames for a session whose segments point to targets that are not there."""
+    shutil.rmtree(path / "targets" / "point")
+    write_frames(path, 40)
+    edit_json(path / "zarr.json", lambda d: d["attributes"].update(rate_hz=40))
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session with nothing wrong."""
+    return make_session(tmp_path_factory.mktemp("sound") / "s.zarr")
+
+
+def edit_json(path: Path, edit: Callable[[dict[str, Any]], Any]) -> None:
+    document = json.loads(path.read_text())
+    edit(document)
+    path.write_text(json.dumps(document))
+
+
+def flip(path: Path, place: int) -> None:
+    """Change one bit of a file."""
+    data = bytearray(path.read_bytes())
+    data[place] ^= 4
+    path.write_bytes(data)
+
+
+def cut_jpeg(session: Path) -> None:
+    """Replace a session's images by ones whose end the camera never sent."""
+
+    def change(columns: Columns) -> Columns:
+        values = list(columns["value"])
+        values[5] = values[5][:-40]
+        return {**columns, "value": values}
+
+    shutil.rmtree(session)
+    make_session(session, change=only_in("camera", change))
+
+
+CAMERA, FORCE = "streams/camera", "streams/force"
+ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
+    "status never written": (
+        "unfinished",
+        ".",
+        lambda s: edit_json(s / "zarr.json", lambda d: d["attributes"].update(status="recording")),
+    ),
+    "broken metadata": (
+        "metadata",
+        FORCE,
+        lambda s: (s / FORCE / "zarr.json").write_text("{"),
+    ),
+    "shard missing": (
+        "missing-chunk",
+        f"{CAMERA}/value",
+        lambda s: (s / CAMERA / "value/c/1/0/0/0").unlink(),
+    ),
+    "chunk missing": (
+        "missing-chunk",
+        f"{FORCE}/seq",
+        lambda s: (
+            edit_json(s / FORCE / "seq/zarr.json", lambda d: None)
+            or (s / FORCE / "seq/c/0").unlink()
+        ),
+    ),
+    "chunk of a table missing": (
+        "missing-chunk",
+        "targets/depth",
+        lambda s: (s / "targets/depth/c/0").unlink(),
+    ),
+    "flipped bit in an image": (
+        "bad-crc",
+        f"{CAMERA}/value",
+        lambda s: flip(s / CAMERA / "value/c/1/0/0/0", 700),
+    ),
+    "flipped bit in a value": (
+        "bad-crc",
+        f"{FORCE}/value",
+        lambda s: flip(s / FORCE / "value/c/0/0", 5000),
+    ),
+    "flipped bit in a record's time": (
+        "bad-crc",
+        f"{FORCE}/value",
+        lambda s: flip(s / FORCE / "value/c/0/0", 14),
+    ),
+    "flipped bit in an index": (
+        "bad-crc",
+        f"{CAMERA}/value",
+        lambda s: flip(s / CAMERA / "value/c/0/0/0/0", -100),
+    ),
+    "flipped bit in the frames": (
+        "bad-crc",
+        "frames/wrench",
+        lambda s: flip(s / "frames/wrench/c/0/0", -300),
+    ),
+    "shard cut short": (
+        "bad-crc",
+        f"{FORCE}/value",
+        lambda s: (s / FORCE / "value/c/0/0").write_bytes(
+            (s / FORCE / "value/c/0/0").read_bytes()[:-9]
+        ),
+    ),
+    "torn tail": (
+        "torn-tail",
+        CAMERA,
+        lambda s: (s / CAMERA / "value/c/3/0/0/0.partial").write_bytes(b"TRL1 and then nothing"),
+    ),
+    "journal left": (
+        "journal-left",
+        FORCE,
+        lambda s: (s / FORCE / "t_ns/journal-3600").write_bytes(b""),
+    ),
+    "wrong dtype": (
+        "wrong-dtype",
+        f"{FORCE}/seq",
+        lambda s: edit_json(s / FORCE / "seq/zarr.json", lambda d: d.update(data_type="float64")),
+    ),
+    "wrong unit": (
+        "wrong-dtype",
+        f"{FORCE}/value",
+        lambda s: edit_json(
+            s / FORCE / "value/zarr.json", lambda d: d["attributes"].update(units="kg")
+        ),
+    ),
+    "no unit": (
+        "missing-units",
+        f"{FORCE}/value",
+        lambda s: edit_json(s / FORCE / "value/zarr.json", lambda d: d["attributes"].pop("units")),
+    ),
+    "unequal lengths": (
+        "unequal-lengths",
+        FORCE,
+        lambda s: edit_json(s / FORCE / "seq/zarr.json", lambda d: d.update(shape=[3000])),
+    ),
+    "frames of other segments": (
+        "frames-length",
+        "frames",
+        lambda s: append_all_segments(s),
+    ),
+    "frames missing": ("frames-length", "frames", lambda s: shutil.rmtree(s / "frames")),
+    "image without an end": ("bad-image", f"{CAMERA}/value", cut_jpeg),
+}
+
+
+def append_all_segments(session: Path) -> None:
+    """Add a phase that the frames view does not know of."""
+    row = {"target": [0], "phase": [0], "outcome": [0], "run": [0]}
+    times = {"start_ns": [T0 + 3_400_000_000], "end_ns": [T0 + 3_500_000_000]}
+    with StreamWriter.open(session / "segments") as stream:
+        stream.append(**{name: values[0] for name, values in {**row, **times}.items()})
+
+
+@pytest.mark.parametrize("fault", ON_DISK)
+def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, sound: Path, tmp_path: Path) -> None:
+    code, where, plant = ON_DISK[fault]
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sound, path)
+    plant(path)
+    assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
+
+
+def test_every_code_has_a_planted_fault() -> None:
+    planted = {code for code, _, _ in (*RECORDED.values(), *ON_DISK.values())}
+    assert planted == set(CODES)
+
+
+def test_a_source_that_is_said_to_be_still_may_repeat_itself(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", change=only_in("force", repeated(slice(500, 1700))))
+    edit_json(path / FORCE / "zarr.json", lambda d: d["attributes"].update(source_motion="still"))
+    assert check(path) == []
+
+
+def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
+    """A stall delays some samples and then delivers them at once; the clocks still agree."""
+
+    def stall(columns: Columns) -> Columns:
+        t_ns = np.array(columns["t_ns"])
+        t_ns[100:103] = t_ns[103] - np.array([300_000, 200_000, 100_000])
+        return {**columns, "t_ns": t_ns}
+
+    path = make_session(tmp_path / "s.zarr", change=only_in("camera", stall))
+    assert [finding.code for finding in check(path)] == ["gap"]
+
+
+def test_reading_a_missing_chunk_is_an_error_not_a_zero(sound: Path, tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sound, path)
+    (path / FORCE / "value/c/0/0").unlink()
+    with pytest.raises(SessionError, match="shard missing"):
+        Session(path).streams["force"].array("value")
+
+
+def test_what_is_no_session_is_said_to_be_none(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="no such session"):
+        check(tmp_path / "nowhere")
+    (tmp_path / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group"}')
+    with pytest.raises(SessionError, match="found format None"):
+        check(tmp_path)
+
+
+@pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force", "pose")])
+@pytest.mark.parametrize("codec", ["jpeg", "zstd"])
+def test_nothing_is_found_in_a_sound_session(
+    names: tuple[str, ...], codec: str, tmp_path: Path
+) -> None:
+    path = make_session(tmp_path / "s.zarr", names=names, codec=codec)
+    assert check(path) == []
+    session = Session(path)
+    assert session.warning is None
+    assert session.frames["valid"].all()

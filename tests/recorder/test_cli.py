@@ -1,0 +1,105 @@
+"""The command line: what it prints, how it exits, and a picture worth looking at."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.sessions import make_session
+
+from recorder import SessionError, contact_sheet
+from recorder.__main__ import main
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
+
+
+def test_info_tells_rows_rates_frames_and_outcomes(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(recorded)]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
+    assert lines["camera"].split()[1:4] == ["216", "60", "60.00"]
+    assert lines["force"].split()[1:3] == ["3600", "1000"]
+    assert "status complete" in lines[str(recorded)]
+    assert "complete 8, force_limited 0" in lines["segments"]
+    assert "120 at 40 Hz, 120 valid, 60 to 60" in lines["frames"]
+
+
+def test_check_exits_with_what_it_found(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(recorded)]) == 0
+    assert capsys.readouterr().out == f"{recorded}: nothing found\n"
+    path = tmp_path / "s.zarr"
+    shutil.copytree(recorded, path)
+    (path / "streams/force/seq/c/0").unlink()
+    assert main(["check", str(path)]) == 1
+    assert capsys.readouterr().out.startswith("missing-chunk   streams/force/seq: 1 found")
+
+
+def test_recover_prints_what_it_brought_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = make_session(tmp_path / "s.zarr", finish=False)
+    (path / "streams/force/t_ns/journal-3600").write_bytes(b"torn")
+    assert main(["recover", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "3600 rows, 0 of them brought back, 4 torn bytes and 0 half rows dropped" in out
+    assert out.endswith("recovered, status recovered\n")
+    assert main(["recover", str(path)]) == 0
+    assert capsys.readouterr().out.endswith("nothing to do, status recovered\n")
+
+
+def test_repack_writes_a_copy_or_says_why_not(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "p.zarr"
+    assert main(["repack", str(recorded), str(copy), "--profile", "portable"]) == 0
+    assert main(["repack", str(recorded), str(copy)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == f"{copy}: written, profile portable\n"
+    assert captured.err == f"error: {copy}: exists already\n"
+
+
+@pytest.mark.parametrize("command", ["info", "check", "recover", "sheet"])
+def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "recorder", command, str(tmp_path / "nowhere")],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[2],
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"error: {tmp_path / 'nowhere'}: no such session\n"
+
+
+@pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force"), ("camera",)])
+def test_a_sheet_shows_frames_and_curves(names: tuple[str, ...], tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", names=names)
+    assert main(["sheet", str(path), "--output", str(tmp_path / "s.png"), "--count", "7"]) == 0
+    with Image.open(tmp_path / "s.png") as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert pixels.shape[1] == 1600
+    colored = (np.ptp(pixels, axis=2) > 60).mean(axis=1)
+    curves, thumbs = colored[-440:], colored[84 : 84 + 186]
+    assert ("force" in names) == bool((curves[:220] > 0.002).any())
+    assert ("pose" in names) == bool((curves[240:] > 0.002).any())
+    assert "taxels" not in names or thumbs.max() > 0.01
+    first, second = pixels[90:260, 60:250], pixels[90:260, 60 + 264 : 250 + 264]
+    assert np.abs(first - second).max() > 20
+
+
+def test_a_sheet_needs_frames(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", finish=False, names=("force",))
+    with pytest.raises(SessionError, match="has no frames to show"):
+        contact_sheet(path, tmp_path / "s.png")
+    recorded = make_session(tmp_path / "t.zarr", names=("force",))
+    with pytest.raises(SessionError, match="expected at least 1"):
+        contact_sheet(recorded, tmp_path / "t.png", count=0)

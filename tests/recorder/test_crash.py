@@ -1,0 +1,285 @@
+"""Killed at any moment, a stream keeps every accepted row, invents none and recovers the same way.
+
+Twice: by SIGKILL at random moments of a real process, and by stopping, one after the other, in
+front of every single file system call that the writer makes.
+"""
+
+import mmap
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+from numpy.typing import NDArray
+from support.crashes import FailingCalls, Killed
+
+from recorder import StreamSpec, StreamWriter, camera_spec, force_spec
+from recorder.session import stream_writer
+from recorder.session.reader import Stream
+from recorder.session.stream_writer import survey, unfinished_files
+from recorder.store.background import Background
+from recorder.store.layout import StreamLayout, create_stream
+
+BLOCK = 64
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flush nothing: a killed process is no power cut, and flushing is most of the time."""
+    monkeypatch.setattr(os, "fsync", lambda fd: None)
+    monkeypatch.setattr(os, "fdatasync", lambda fd: None)
+
+
+def image_rows(rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """Return the columns of rows that say everywhere which ones they are, never all zero."""
+    pixels = np.empty((len(rows), 4, 4, 3), np.uint8)
+    pixels[...] = (rows % 251 + 1)[:, None, None, None]
+    pixels[:, 0, 0] = np.stack([rows & 255, rows >> 8 & 255, rows >> 16], axis=1)
+    return {"value": pixels, "device_t": rows.astype(float), "t_ns": 10**15 + rows}
+
+
+def force_rows(rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    value = np.repeat(rows[:, None] + 0.5, 6, axis=1)
+    return {"value": value, "seq": rows + 1, "status": rows % 7, "t_ns": 10**15 + rows}
+
+
+def image_row(row: int) -> dict[str, Any]:
+    return {name: values[0] for name, values in image_rows(np.array([row])).items()}
+
+
+def force_row(row: int) -> dict[str, Any]:
+    return {name: values[0] for name, values in force_rows(np.array([row])).items()}
+
+
+def lossless_camera(rate_hz: float) -> StreamSpec:
+    return camera_spec(rate_hz, height=4, width=4, codec="zstd")
+
+
+def assert_every_row_is_itself(path: Path) -> int:
+    """Check that all that a reader sees is what was appended, and return the rows."""
+    stream = Stream(path)
+    expected = (force_rows if "value" in stream.small else image_rows)(np.arange(len(stream)))
+    for name, values in expected.items():
+        found = stream.array(name) if name in stream.small else stream.images(slice(None))
+        np.testing.assert_array_equal(found, values, name)
+    return len(stream)
+
+
+def assert_zarr_agrees(path: Path) -> None:
+    """Check that every array, to its own declared length, is what was appended."""
+    for column in StreamLayout.load(path).columns:
+        found = np.asarray(zarr.open_array(column.path, mode="r"))
+        make = image_rows if (path / "device_t").exists() else force_rows
+        expected = make(np.arange(len(found)))[column.column.name]
+        np.testing.assert_array_equal(found, expected, column.column.name)
+
+
+def recover(path: Path) -> int:
+    StreamWriter.open(path).close()
+    assert unfinished_files(StreamLayout.load(path)) == ()
+    return assert_every_row_is_itself(path)
+
+
+def record_until_killed(path: Path, accepted: mmap.mmap, slot: int, make: Any) -> None:
+    """Append as fast as possible, counting the accepted rows where the parent can see them."""
+    with StreamWriter.open(path, sync_interval=0.01) as stream:
+        while True:
+            row = stream.append(**make(stream.rows))
+            accepted[8 * slot : 8 * slot + 8] = (row + 1).to_bytes(8, "little")
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=() if seed < 4 else pytest.mark.slow) for seed in range(10)]
+)
+def test_sigkill_loses_at_most_the_row_in_flight(seed: int, tmp_path: Path) -> None:
+    dice = random.Random(seed)
+    paths = [tmp_path / "camera", tmp_path / "force"]
+    create_stream(paths[0], lossless_camera(60))
+    create_stream(paths[1], force_spec(100))
+    context = multiprocessing.get_context("fork")
+    least = [0, 0]
+    for _ in range(2):  # a killed stream is resumed, and killed again
+        accepted = mmap.mmap(-1, 16)
+        children = [
+            context.Process(target=record_until_killed, args=(path, accepted, slot, make))
+            for slot, (path, make) in enumerate(zip(paths, (image_row, force_row), strict=True))
+        ]
+        for child in children:
+            child.start()
+        time.sleep(dice.uniform(0.01, 0.08))
+        for child in children:
+            os.kill(child.pid or 0, signal.SIGKILL)
+            child.join()
+        for slot, path in enumerate(paths):
+            assert_every_row_is_itself(path)  # also before any recovery
+            assert_zarr_agrees(path)
+            counted = int.from_bytes(accepted[8 * slot : 8 * slot + 8], "little")
+            least[slot] = max(least[slot], counted)
+            rows = survey(StreamLayout.load(path)).rows
+            assert rows >= least[slot]
+            assert rows <= least[slot] + 1 or not counted
+            least[slot] = rows
+        accepted.close()
+    for slot, path in enumerate(paths):
+        assert recover(path) == least[slot]
+        assert recover(path) == least[slot]
+        assert_zarr_agrees(path)
+
+
+class InlineBackground(Background):
+    """Does the background work on the spot, so that a crash point is the same every time.
+
+    Or never, as if the disk did not keep up.
+    """
+
+    keeps_up = True
+
+    def __init__(self, flush: Callable[[], None], *, interval: float, name: str) -> None:
+        self.failure = None
+
+    def submit(self, job: Callable[[], None]) -> None:
+        if self.keeps_up:
+            job()
+
+    def stop(self) -> None:
+        pass
+
+    def drain(self) -> None:
+        pass
+
+
+def open_files() -> set[int]:
+    listed = [int(name) for name in os.listdir("/proc/self/fd")]
+    return {fd for fd in listed if Path(f"/proc/self/fd/{fd}").exists()}
+
+
+@contextmanager
+def killed_at(call: int | None) -> Iterator[None]:
+    """Kill what runs inside in front of its file operation number `call`, or at the end of it."""
+    before = open_files()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stream_writer, "Background", InlineBackground)
+        FailingCalls(patch, call)
+        with suppress(Killed):
+            yield
+    for left in open_files() - before:
+        os.close(left)
+
+
+def append_rows(path: Path, make: Callable[[int], dict[str, Any]], count: int) -> Iterator[int]:
+    """Resume, append and close; yield the number of rows that exist for certain."""
+    stream = StreamWriter.open(path)
+    yield stream.rows
+    for _ in range(count):
+        stream.append(**make(stream.rows))
+        yield stream.rows
+    stream.close()
+
+
+SCENARIOS = {
+    "begin and end within a block": (0, 3),
+    "resume a short block": (5, 3),
+    "fill a block and a shard of images exactly": (BLOCK - 2, 2),
+    "cross a block and a shard of images": (BLOCK - 2, 4),
+    "resume on the boundary": (BLOCK, 2),
+    "resume and add nothing": (BLOCK + 1, 0),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "scenario"),
+    [("images", scenario) for scenario in SCENARIOS]
+    + [("numbers", "resume a short block"), ("numbers", "cross a block and a shard of images")],
+)
+def test_dying_in_front_of_any_file_operation_loses_nothing(
+    kind: str, scenario: str, tmp_path: Path
+) -> None:
+    before, count = SCENARIOS[scenario]
+    make = image_row if kind == "images" else force_row
+    origin = tmp_path / "origin"
+    create_stream(origin, lossless_camera(60) if kind == "images" else force_spec(60))
+    list(append_rows(origin, make, before))
+    check_every_crash_point(tmp_path, origin, lambda path: append_rows(path, make, count))
+
+
+@pytest.mark.parametrize("keeps_up", [True, False], ids=["idle", "behind"])
+def test_dying_in_front_of_any_file_operation_of_a_recovery_loses_nothing(
+    keeps_up: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    origin = tmp_path / "origin"
+    create_stream(origin, lossless_camera(60))
+    list(append_rows(origin, image_row, BLOCK - 3))
+    with killed_at(None), monkeypatch.context() as patch:
+        patch.setattr(InlineBackground, "keeps_up", keeps_up)
+        for rows in append_rows(origin, image_row, 4 * BLOCK):
+            if rows == 3 * BLOCK + 3:
+                break
+    journals = len(list(origin.glob("t_ns/journal-*")))
+    assert journals == (1 if keeps_up else 4)
+    check_every_crash_point(tmp_path, origin, lambda path: append_rows(path, image_row, 0))
+
+
+def check_every_crash_point(
+    tmp_path: Path, origin: Path, scenario: Callable[[Path], Iterator[int]]
+) -> None:
+    """Play a scenario once per file operation in it, each time dying in front of that one."""
+    crashes = 0
+    while True:
+        crashes += 1
+        path = tmp_path / "crashed"
+        shutil.copytree(origin, path)
+        accepted = survey(StreamLayout.load(origin)).rows
+        finished = False
+        with killed_at(crashes):
+            for rows in scenario(path):
+                accepted = rows
+            finished = True
+        if crashes % 3 == 0:
+            assert_every_row_is_itself(path)
+        rows = survey(StreamLayout.load(path)).rows
+        assert accepted <= rows <= accepted + 1, f"crash point {crashes}"
+        assert recover(path) == rows, f"crash point {crashes}"
+        if crashes % 10 == 0:
+            assert_zarr_agrees(path)
+        shutil.rmtree(path)
+        if finished:
+            break
+    assert crashes > 20
+
+
+def abandoned_with_nine_images(folder: Path) -> Path:
+    path = folder / "camera"
+    create_stream(path, lossless_camera(60))
+    with killed_at(None):
+        for rows in append_rows(path, image_row, 10):
+            if rows == 9:
+                break
+    return path
+
+
+def test_a_torn_tail_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
+    path = abandoned_with_nine_images(tmp_path)
+    shard = next(path.glob("value/c/0/0/0/*.partial"))
+    shard.write_bytes(shard.read_bytes()[:-1])
+    journal = next(path.glob("t_ns/journal-0"))
+    journal.write_bytes(journal.read_bytes() + b"TRL1 half a record")
+    state = survey(StreamLayout.load(path))
+    assert (state.rows, state.dropped_rows) == (8, 1)
+    assert state.torn_bytes > len(b"half a record")
+    assert recover(path) == 8
+
+
+def test_an_image_without_its_row_does_not_count(tmp_path: Path) -> None:
+    path = abandoned_with_nine_images(tmp_path)
+    journal = next(path.glob("t_ns/journal-0"))
+    journal.write_bytes(journal.read_bytes()[:-1])
+    assert recover(path) == 8

@@ -1,0 +1,202 @@
+"""Exports as a whole: there or not there, inside their folder, and clear about what they lack."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.sessions import make_session, set_attrs
+
+from recorder import SessionError
+from recorder.__main__ import main
+from recorder.convert import FORMATS, export
+from recorder.convert.export import building, file_name
+from recorder.convert.times import parse_utc
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_every_format_is_written_and_never_over_something(
+    to: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out"
+    assert main(["export", str(recorded), str(target), "--to", to]) == 0
+    assert target.exists()
+    assert main(["export", str(recorded), str(target), "--to", to]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == f"{target}: written, {to}\n"
+    assert captured.err == f"error: {target}: exists already\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_an_export_that_ends_early_leaves_nothing(
+    to: str, error: BaseException, recorded: Path, tmp_path: Path
+) -> None:
+    told = []
+
+    def stop(done: int, total: int) -> None:
+        told.append((done, total))
+        raise error
+
+    with pytest.raises(type(error)):
+        export(recorded, tmp_path / "out", to, progress=stop)
+    assert len(told) == 1
+    assert 0 < told[0][0] <= told[0][1]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_progress_ends_at_its_total(to: str, recorded: Path, tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    export(recorded, tmp_path / "out", to, progress=lambda *place: told.append(place))
+    assert told == sorted(told)
+    assert told[-1][0] == told[-1][1]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_names_from_a_session_never_lead_out_of_the_target(to: str, tmp_path: Path) -> None:
+    path = make_session(tmp_path / "in" / "s.zarr")
+    set_attrs(path, sensor="../../x", indenter="/etc/passwd", operator="\0../y")
+    (tmp_path / "there").mkdir()
+    export(path, tmp_path / "there" / "out", to)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["in", "there"]
+    assert [entry.name for entry in (tmp_path / "in").iterdir()] == ["s.zarr"]
+    assert [entry.name for entry in (tmp_path / "there").iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("wedge", "wedge"),
+        ("../x", "_x"),
+        ("/etc/passwd", "_etc_passwd"),
+        ("..", "unnamed"),
+        ("", "unnamed"),
+        ("a\\b\0c\nd", "a_b_c_d"),
+        ("x" * 300, "x" * 80),
+    ],
+)
+def test_a_file_name_is_one_harmless_component(text: str, name: str) -> None:
+    assert file_name(text) == name
+
+
+@pytest.mark.parametrize("name", ["../../../secret", "/etc", "a/b", ".."])
+def test_columns_that_point_out_of_their_stream_are_refused(name: str, tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", names=("force",))
+    set_attrs(path / "streams/force", columns=[name, "t_ns"])
+    with pytest.raises(SessionError, match="expected a plain name"):
+        export(path, tmp_path / "out", "hdf5")
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_full_disk_is_told_by_the_name_of_the_export(
+    to: str, recorded: Path, tmp_path: Path
+) -> None:
+    def full(done: int, total: int) -> None:
+        raise OSError(28, "write failed: errno = 28, buf = 0x5586", str(tmp_path / "beside"))
+
+    with pytest.raises(OSError, match="No space left on device") as caught:
+        export(recorded, tmp_path / "out", to, progress=full)
+    assert caught.value.filename == str(tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_input_is_one_clear_error(recorded: Path, tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="known: lerobot, mcap, hdf5, genforce"):
+        export(recorded, tmp_path / "out", "rosbag")
+    with pytest.raises(SessionError, match="no such directory"):
+        export(recorded, tmp_path / "nowhere" / "out", "mcap")
+    open_one = make_session(tmp_path / "open.zarr", finish=False, names=("force",))
+    with pytest.raises(SessionError, match="still recording"):
+        export(open_one, tmp_path / "out", "hdf5")
+    without = make_session(tmp_path / "f.zarr", names=("force",))
+    with pytest.raises(SessionError, match="neither camera nor taxels"):
+        export(without, tmp_path / "out", "genforce")
+    document = json.loads((without / "zarr.json").read_text())["attributes"]
+    runs = [{key: entry[key] for key in entry if key != "utc"} for entry in document["runs"]]
+    set_attrs(without, runs=runs)
+    with pytest.raises(SessionError, match="run 0 has no t0_ns with its utc_ns"):
+        export(without, tmp_path / "out", "mcap")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_session_is_not_exported(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", names=("camera", "force"))
+    shard = path / "streams/camera/value/c/1/0/0/0"
+    shard.write_bytes(shard.read_bytes()[:-10_000])
+    for to in FORMATS:
+        with pytest.raises(SessionError, match="checksum of the shard index does not match"):
+            export(path, tmp_path / "out", to)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["s.zarr"]
+
+
+def test_a_missing_library_is_named_with_its_extra(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any) -> Any:
+        if name.split(".")[0] in ("h5py", "fsspec"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        return real(name, *rest)
+
+    for name in [name for name in sys.modules if name == "recorder.convert.hdf5_format"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(SessionError, match=r"hdf5 needs h5py: pip install 'tactile-rig\[export\]'"):
+        export(recorded, tmp_path / "out", "hdf5")
+    with pytest.raises(SessionError, match=r"pip install 'tactile-rig\[remote\]'"):
+        export("memory://nowhere", tmp_path / "out", "hdf5")
+
+
+def test_the_recorder_alone_imports_no_extra() -> None:
+    # zarr-python imports fsspec itself where there is one; what is ours is recorder.store.files.
+    heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "rerun", "torch"}
+    heavy.add("recorder.store.files")
+    code = f"import sys, recorder, recorder.__main__; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout == "[]\n"
+
+
+def test_building_replaces_what_an_earlier_kill_left(tmp_path: Path) -> None:
+    (tmp_path / "out.creating").mkdir()
+    (tmp_path / "out.creating" / "half").write_text("x")
+    with building(tmp_path / "out") as beside:
+        assert not beside.exists()
+        beside.write_text("whole")
+    assert (tmp_path / "out").read_text() == "whole"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("1970-01-01T00:00:01Z", 10**9),
+        ("1970-01-01T00:00:00.000000001Z", 1),
+        ("2026-11-21T01:17:06.458172368Z", 1795223826458172368),
+        ("2026-11-21T03:17:06.458172368+02:00", 1795223826458172368),
+        ("1970-01-01T00:00:02.5", 2_500_000_000),
+    ],
+)
+def test_utc_is_read_to_the_nanosecond(text: str, expected: int) -> None:
+    assert parse_utc(text) == expected
+
+
+def test_a_time_that_is_none_is_refused() -> None:
+    with pytest.raises(SessionError, match="found utc 'yesterday'"):
+        parse_utc("yesterday")

@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rig.core.geometry import compose, rotation_between
+from rig.devices.arm import emulator_faults
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.emulated_controller import PLAYING, STOPPED, Controller, dashboard_answer
+
+pytestmark = pytest.mark.serial
+
+
+TCP = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+START = compose(flange_pose(np.array(POSTURE)), TCP)
+SCRIPT = "def rtde_control():\n  x\nend\n"
+MOVE_L, SPEED_L, SPEED_STOP, SET_TCP, STOP_L, WATCHDOG, IN_LIMITS = 3, 10, 15, 29, 33, 35, 36
+RUNNING = 0x8000
+
+
+class Client:
+    """What ur_rtde does with the registers, one controller cycle at a time."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        controller.start_program(SCRIPT)
+        self.run(2)
+
+    def run(self, cycles: int) -> None:
+        for _ in range(cycles):
+            self.controller.cycle()
+
+    def write(self, command: int, doubles=(), flag: int = 0) -> None:
+        names = ["input_int_register_0", "input_int_register_1"]
+        names += [f"input_double_register_{k}" for k in range(len(doubles))]
+        self.controller.write_inputs(names, [command, flag, *map(float, doubles)])
+
+    def command(self, command: int, doubles=(), flag: int = 0, *, cycles: int = 5000) -> int:
+        """Run a command to its end, and return how many cycles it took."""
+        self.write(command, doubles, flag)
+        for took in range(cycles):
+            self.controller.cycle()
+            if self.state == 2:
+                self.write(0)
+                self.run(1)
+                assert self.state == 1
+                return took + 1
+        raise AssertionError(f"command {command} not done in {cycles} cycles")
+
+    @property
+    def state(self) -> int:
+        return self.controller.source("output_int_register_0")()
+
+    @property
+    def result(self) -> int:
+        return self.controller.source("output_int_register_1")()
+
+    @property
+    def word(self) -> tuple[int, int, bool]:
+        word = self.controller.source("output_int_register_2")()
+        return word >> 24, word >> 16 & 0x7F, bool(word & RUNNING)
+
+
+class Network:
+    """No connections: the faults of the network have nothing to do."""
+
+    def drop(self) -> None:
+        pass
+
+    def freeze(self, seconds: float) -> None:
+        pass
+
+
+@pytest.fixture
+def controller() -> Controller:
+    return Controller(START, TCP)
+
+
+@pytest.fixture
+def client(controller) -> Client:
+    return Client(controller)
+
+
+def above(height: float, rotation=(0.0, 0.0, 0.0)) -> np.ndarray:
+    return compose(START, [0.0, 0.0, -height, *rotation])
+
+
+def test_a_start_pose_out_of_reach_is_refused():
+    with pytest.raises(ValueError, match="out of reach"):
+        Controller(np.array([2.0, 0, 0, 0, 0, 0]), TCP)
+
+
+def test_the_program_runs_only_after_the_upload(controller):
+    assert controller.runtime_state == STOPPED
+    client = Client(controller)
+    assert controller.runtime_state == PLAYING
+    assert client.state == 1
+
+
+def test_a_synchronous_move_is_done_when_the_arm_is_there(client):
+    goal = above(0.01, (0.02, 0.0, 0.05))
+    took = client.command(MOVE_L, [*goal, 0.05, 0.5])
+    # 10 mm at 50 mm/s with 0.1 s ramps.
+    assert 0.28 <= took * CYCLE <= 0.32
+    assert_allclose(client.controller.robot.pose, goal)
+
+
+def test_a_move_follows_a_straight_line_within_its_speed(client):
+    goal, places, speeds = above(0.02), [], []
+    client.write(MOVE_L, [*goal, 0.05, 0.5], 1)
+    while not places or not np.allclose(places[-1], goal[:3], atol=1e-9):
+        client.run(1)
+        places.append(client.controller.robot.pose[:3].copy())
+        speeds.append(np.linalg.norm(client.controller.robot.speed[:3]))
+    way = (goal - START)[:3]
+    share = (np.array(places) - START[:3]) @ way / (way @ way)
+    assert_allclose(np.array(places), START[:3] + share[:, None] * way, atol=1e-12)
+    assert (np.diff(share) >= 0).all()
+    assert max(speeds) == pytest.approx(0.05, rel=1e-6)
+
+
+def test_an_asynchronous_move_is_told_in_the_operation_word(client):
+    operation, writes, running = client.word
+    assert not running
+    assert client.command(MOVE_L, [*above(0.01), 0.05, 0.5], 1) <= 2
+    assert client.word == (operation + 1, writes + 1, True)
+    client.run(400)
+    assert client.word == (operation + 1, writes + 2, False)
+
+
+def test_an_asynchronous_stop_ends_the_move_and_is_an_operation_of_its_own(client):
+    client.command(MOVE_L, [*above(0.05), 0.05, 0.5], 1)
+    client.run(200)
+    operation = client.word[0]
+    client.command(STOP_L, [2.0], 1)
+    client.run(100)
+    assert client.word[0] == operation + 1
+    assert not client.word[2]
+    place = client.controller.robot.pose.copy()
+    client.run(100)
+    assert_allclose(client.controller.robot.pose, place)
+    assert place[2] < above(0.05)[2] - 0.01
+
+
+def test_the_slider_slows_a_move(client):
+    emulator_faults.apply(client.controller, Network(), "slider", fraction=0.5)
+    took = client.command(MOVE_L, [*above(0.01), 0.05, 0.5])
+    assert 0.56 <= took * CYCLE <= 0.64
+
+
+def test_speedl_goes_on_without_its_client_until_stopped(client):
+    client.write(SPEED_L, [0, 0, 0.01, 0, 0, 0, 0.5, 0])
+    client.run(1)
+    client.write(0)
+    client.run(500)
+    assert_allclose(client.controller.robot.speed, [0, 0, 0.01, 0, 0, 0], atol=1e-9)
+    client.command(SPEED_STOP, [2.0])
+    client.run(2)
+    assert not client.controller.robot.speed.any()
+
+
+def test_the_watchdog_stops_program_and_arm(client):
+    client.command(WATCHDOG, [10.0])
+    client.command(MOVE_L, [*above(0.05), 0.05, 0.5], 1)
+    for _ in range(20):
+        client.run(40)
+        client.write(0)
+    assert client.controller.runtime_state == PLAYING
+    client.run(52)
+    assert client.controller.runtime_state == STOPPED
+    assert "watchdog" in client.controller.reason
+    client.run(20)
+    assert not client.controller.robot.speed.any()
+
+
+def test_a_new_program_has_no_watchdog(client):
+    client.command(WATCHDOG, [10.0])
+    client.run(100)
+    again = Client(client.controller)
+    again.run(500)
+    assert client.controller.runtime_state == PLAYING
+
+
+def test_setting_the_tcp_leaves_the_flange(client):
+    client.command(SET_TCP, [0, 0, 0.15, 0, 0, 0])
+    assert_allclose(client.controller.robot.pose, compose(START, [0, 0, 0.05, 0, 0, 0]), atol=1e-12)
+
+
+def test_poses_within_reach_are_told_from_those_beyond(client):
+    client.command(IN_LIMITS, above(0.1))
+    assert client.result == 1
+    client.command(IN_LIMITS, [2.0, 0, 0, 0, 0, 0])
+    assert client.result == 0
+
+
+def test_joint_angles_follow_the_pose(client):
+    client.command(MOVE_L, [*above(0.05, (0.1, 0.0, 0.2)), 0.1, 1.0])
+    robot = client.controller.robot
+    assert_allclose(robot.forward(robot.joints)[:3], robot.pose[:3], atol=1e-8)
+    assert np.linalg.norm(rotation_between(robot.forward(robot.joints), robot.pose)) < 1e-8
+
+
+def test_contact_force_above_the_limit_is_a_protective_stop_that_stays(client):
+    controller = client.controller
+    client.command(MOVE_L, [*above(0.05), 0.05, 0.5], 1)
+    client.run(100)
+    controller.wrench = np.array([0, 0, -151.0, 0, 0, 0])
+    client.run(1)
+    controller.wrench = np.zeros(6)
+    client.run(50)
+    assert controller.source("safety_status_bits")() == 0x404
+    assert controller.runtime_state == STOPPED
+    assert not controller.robot.speed.any()
+    controller.start_program(SCRIPT)
+    assert controller.runtime_state == STOPPED
+    controller.reset_safety()
+    controller.start_program(SCRIPT)
+    assert controller.runtime_state == PLAYING
+
+
+def test_the_dashboard_says_what_ur_rtde_compares_word_for_word(client):
+    controller = client.controller
+    assert dashboard_answer(controller, "get serial number").isdigit()
+    assert dashboard_answer(controller, "is in remote control") == "true"
+    assert dashboard_answer(controller, "running") == "Program running: true"
+    assert dashboard_answer(controller, "stop") == "Stopped"
+    assert dashboard_answer(controller, "running") == "Program running: false"
+    controller.protective_stop("test")
+    assert dashboard_answer(controller, "safetystatus") == "Safetystatus: PROTECTIVE_STOP"
+    assert dashboard_answer(controller, "unlock protective stop") == "Protective stop releasing"
+    assert dashboard_answer(controller, "safetystatus") == "Safetystatus: NORMAL"
+    assert "could not understand" in dashboard_answer(controller, "sing")
+
+
+def test_an_emergency_stop_takes_the_power(controller):
+    controller.emergency_stop()
+    assert dashboard_answer(controller, "robotmode") == "Robotmode: POWER_OFF"
+    assert controller.source("safety_status_bits")() & 0xE0
+
+
+@pytest.mark.parametrize(
+    "line", ["", "{", "[]", '{"fault": "melt"}', '{"fault": "slider"}', '{"seconds": 1}']
+)
+def test_the_fault_port_survives_nonsense(controller, line):
+    reply = json.loads(emulator_faults.answer(controller, Network(), line))
+    assert reply["ok"] is False
+    assert reply["error"]

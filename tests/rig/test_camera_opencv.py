@@ -1,0 +1,294 @@
+"""The camera driver against the emulated network camera, and where its pictures come from."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.samples import WORLD_STATE
+from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped, without_stamp
+from rig.devices.camera.mjpeg_emulator import (
+    FrameSource,
+    LoopSource,
+    MjpegEmulator,
+    MjpegEmulatorConfig,
+    WorldSource,
+)
+from rig.devices.camera.opencv import OpenCvDriver
+from rig.devices.camera.settings import CameraConfig
+
+pytestmark = pytest.mark.serial
+
+
+CLOCK = SystemClock()
+RNG = np.random.default_rng(0)
+_numbers = itertools.count()
+
+Fault = Callable[[int, bytes], Iterable[bytes]]
+
+
+@pytest.fixture(name="host")
+def own_loopback_address() -> str:
+    return f"127.{1 + os.getpid() % 250}.40.{1 + next(_numbers) % 250}"
+
+
+def encoded(value: int, width: int = 640, height: int = 480) -> bytes:
+    return cv2.imencode(".jpg", np.full((height, width, 3), value, np.uint8))[1].tobytes()
+
+
+class OneImage:
+    """The same file for ever."""
+
+    def __init__(self, jpeg: bytes) -> None:
+        self._jpeg = jpeg
+
+    def jpeg(self, state: np.void) -> bytes:
+        return self._jpeg
+
+
+class CountingWorld:
+    """Each state is 1 ms after the one before."""
+
+    def __init__(self) -> None:
+        self.record: Any = np.zeros(1, WORLD_STATE)[0]
+
+    def state(self) -> tuple[int, np.void]:
+        self.record["t_ns"] += 1_000_000
+        return int(self.record["t_ns"]) // 1_000_000, self.record
+
+
+class FaultyMjpeg(MjpegEmulator):
+    """Hands each frame and its number to `fault`, which gives the frames to send."""
+
+    fault: Fault | None = None
+
+    def parts(self, jpeg: bytes) -> Iterable[bytes]:
+        stamp = frame_stamp(jpeg)
+        assert stamp is not None
+        frames = (jpeg,) if self.fault is None else self.fault(stamp[0], jpeg)
+        return tuple(part for frame in frames for part in super(FaultyMjpeg, self).parts(frame))
+
+
+@contextmanager
+def emulated(
+    host: str, source: FrameSource, fault: Fault | None = None, world: Any = None
+) -> Iterator[FaultyMjpeg]:
+    emulator = FaultyMjpeg(MjpegEmulatorConfig(host, rate_hz=100.0), source, world, CLOCK)
+    emulator.fault = fault
+    emulator.start()
+    try:
+        yield emulator
+    finally:
+        emulator.close()
+
+
+@contextmanager
+def opened(host: str, **options: Any) -> Iterator[OpenCvDriver]:
+    config = CameraConfig(f"http://{host}:8090/", **({"silence": 20.0} | options))
+    driver = OpenCvDriver(config, CLOCK)
+    driver.open(5.0)
+    try:
+        yield driver
+    finally:
+        driver.close()
+
+
+def collect(driver: OpenCvDriver, count: int) -> list[dict[str, Any]]:
+    samples: list[dict[str, Any]] = []
+    while len(samples) < count:
+        samples += driver.read(1.0)
+    return samples
+
+
+def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
+    jpeg = encoded(77)
+    with emulated(host, OneImage(jpeg)), opened(host) as driver:
+        samples = collect(driver, 5)
+        assert {without_stamp(sample["value"]) for sample in samples} == {jpeg}
+        assert all(np.isnan(sample["device_t"]) for sample in samples)
+        assert driver.describe() | {"address": ""} == {
+            "device": "camera",
+            "address": "",
+            "backend": "FFMPEG",
+            "fourcc": "MJPG",
+            "rate_hz": None,
+            "width": 640,
+            "height": 480,
+            "jpeg_bytes_kept": True,
+            "device_clock": "none",
+        }
+
+
+def test_frames_come_in_order_and_are_not_held_back(host: str) -> None:
+    with emulated(host, OneImage(encoded(5))) as emulator, opened(host) as driver:
+        for _ in range(20):
+            newest = emulator.number
+            stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 1)]
+            numbers = [stamp[0] for stamp in stamps if stamp is not None]
+            assert numbers == sorted(set(numbers))
+            # A queue of frames anywhere on the way would show as numbers far behind.
+            assert numbers[-1] >= newest - 5
+
+
+def test_huffman_tables_are_put_into_frames_that_lack_them(host: str) -> None:
+    from support.jpegs import stripped
+
+    whole = encoded(90)
+    with emulated(host, OneImage(stripped(whole))), opened(host) as driver:
+        value = collect(driver, 1)[0]["value"]
+        image = cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_COLOR)
+        assert image.shape == (480, 640, 3)
+        assert abs(int(image.mean()) - 90) <= 1
+
+
+def test_torn_frames_are_counted_and_left_out(host: str) -> None:
+    def tear(number: int, jpeg: bytes) -> Iterable[bytes]:
+        return (jpeg,) if number % 3 else (jpeg[: len(jpeg) // 2], jpeg[2:])
+
+    with emulated(host, OneImage(encoded(5)), tear), opened(host) as driver:
+        stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 20)]
+        assert all(stamp is not None and stamp[0] % 3 for stamp in stamps)
+        assert driver.corrupt >= 9
+
+
+def test_nothing_but_torn_frames_is_device_lost(host: str) -> None:
+    with emulated(host, OneImage(encoded(5))) as emulator, opened(host) as driver:
+        emulator.fault = lambda number, jpeg: (jpeg[:-9],)
+        with pytest.raises(DeviceLost, match="torn frames in a row"):
+            collect(driver, 1000)
+
+
+def test_another_size_than_the_bench_says_is_a_config_error(host: str) -> None:
+    with (
+        emulated(host, OneImage(encoded(5, 320, 240))),
+        pytest.raises(ConfigError, match="asked 640x480, got 320x240"),
+        opened(host),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("setting", ["exposure", "gain"])
+def test_a_network_camera_refuses_settings(host: str, setting: str) -> None:
+    with pytest.raises(ConfigError, match=setting), opened(host, **{setting: 0.01}):
+        pass
+
+
+def test_an_address_of_another_kind_is_a_config_error() -> None:
+    with pytest.raises(ConfigError, match="allowed"):
+        OpenCvDriver(CameraConfig("ftp://host/"), CLOCK).open(0.5)
+
+
+def test_a_missing_v4l2_node_is_device_lost() -> None:
+    with pytest.raises(DeviceLost, match="/dev/video99"):
+        OpenCvDriver(CameraConfig("/dev/video99"), CLOCK).open(0.5)
+
+
+def test_the_environment_is_as_it_was_after_opening(host: str) -> None:
+    before = dict(os.environ)
+    with emulated(host, OneImage(encoded(5))), opened(host):
+        assert dict(os.environ) == before
+
+
+def test_a_client_that_does_not_read_gets_few_old_frames(host: str) -> None:
+    noisy = cv2.imencode(".jpg", RNG.integers(0, 255, (480, 640, 3), np.uint8))[1].tobytes()
+    with emulated(host, OneImage(noisy)) as emulator:
+        with socket.create_connection((host, 8090), 5.0) as slow:
+            slow.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            while emulator.number < 100:
+                emulator.next_parts(emulator.number)
+            # What fits into the sockets' buffers, then the newest: not a hundred frames.
+            received = b""
+            while received.count(b"seq=") < 60 and max(_stamps(received), default=0) < 100:
+                received += slow.recv(1 << 20)
+        numbers = _stamps(received)
+        assert numbers == sorted(numbers)
+        assert max(b - a for a, b in itertools.pairwise(numbers)) > 10
+
+
+def _stamps(received: bytes) -> list[int]:
+    return [int(part.split(b" ", 1)[0]) for part in received.split(b"seq=")[1:] if b" " in part]
+
+
+def test_frames_of_the_world_carry_the_time_of_its_state(host: str) -> None:
+    def view(state: np.void) -> np.ndarray:
+        return np.full((480, 640, 3), (200, 40, int(state["t_ns"] // 1_000_000) % 100), np.uint8)
+
+    with emulated(host, WorldSource(view), world=CountingWorld()), opened(host) as driver:
+        for sample in collect(driver, 5):
+            stamp = frame_stamp(sample["value"])
+            assert stamp is not None
+            image = cv2.imdecode(np.frombuffer(sample["value"], np.uint8), cv2.IMREAD_COLOR)
+            blue, green, red = image[240, 320].astype(int)
+            assert (abs(red - 200) < 4, abs(green - 40) < 4) == (True, True)
+            assert abs(blue - stamp[1] // 1_000_000 % 100) < 6
+
+
+@pytest.fixture(name="any_state")
+def untouched_state() -> Any:
+    return np.zeros(1, WORLD_STATE)[0]
+
+
+def test_a_folder_is_played_in_natural_order_and_jpeg_of_the_right_size_as_it_is(
+    tmp_path: Path, any_state: Any
+) -> None:
+    for k in (10, 2, 1):
+        (tmp_path / f"image_{k}.jpg").write_bytes(encoded(20 * k))
+    source = LoopSource(tmp_path)
+    played = [source.jpeg(any_state) for _ in range(6)]
+    assert played == [encoded(20), encoded(40), encoded(200)] * 2
+
+
+def test_each_image_is_held_for_the_asked_ticks(tmp_path: Path, any_state: Any) -> None:
+    for k in range(2):
+        (tmp_path / f"{k}.jpg").write_bytes(encoded(50 * k))
+    source = LoopSource(tmp_path, hold=3)
+    assert [source.jpeg(any_state) for _ in range(6)] == [encoded(0)] * 3 + [encoded(50)] * 3
+
+
+def test_images_of_another_size_are_letterboxed(tmp_path: Path, any_state: Any) -> None:
+    cv2.imwrite(str(tmp_path / "wide.png"), np.full((100, 400, 3), 255, np.uint8))
+    jpeg = LoopSource(tmp_path).jpeg(any_state)
+    assert jpeg_size(jpeg) == (640, 480)
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image[240, 320] > 250
+    assert image[20, 320] < 5
+
+
+def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no images"):
+        LoopSource(tmp_path)
+
+
+@pytest.mark.parametrize(("size", "kept"), [((640, 480), True), ((320, 240), False)])
+def test_a_motion_jpeg_video_of_the_right_size_is_played_byte_for_byte(
+    tmp_path: Path, any_state: Any, size: tuple[int, int], kept: bool
+) -> None:
+    path = tmp_path / "video.avi"
+    writer = cv2.VideoWriter(
+        str(path), cv2.CAP_OPENCV_MJPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30, size
+    )
+    for k in range(3):
+        writer.write(np.full((size[1], size[0], 3), 80 * k, np.uint8))
+    writer.release()
+    content = path.read_bytes()
+    source = LoopSource(path)
+    played = [source.jpeg(any_state) for _ in range(6)]
+    assert [jpeg_size(jpeg) for jpeg in played] == [(640, 480)] * 6
+    assert all((jpeg in content) == kept for jpeg in played)
+    assert played[:3] == played[3:]
+    assert len(set(played)) == 3
+
+
+def test_a_stamp_does_not_hide_the_size() -> None:
+    assert jpeg_size(stamped(encoded(1), 1, 1)) == (640, 480)

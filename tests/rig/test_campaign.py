@@ -1,0 +1,353 @@
+"""A day of sessions: what is done stays done, what broke off goes on, whatever ended it."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.collecting import ROOT, Collection, faults_of
+
+from recorder import OUTCOMES, Session, SessionWriter, force_spec
+from rig.__main__ import main
+from rig.acquire import campaign as walk
+from rig.acquire.campaign import (
+    Campaign,
+    Item,
+    Settings,
+    command,
+    load_campaign,
+    progress_of,
+    run_campaign,
+    table,
+)
+from rig.core.errors import ConfigError
+from rig.devices.gripper.settings import RobotiqConfig
+from trajectories import plan_to_json
+
+DAY = """
+out: {out}
+operator: ada
+sessions:
+  - {{sensor: gelsight, indenter: prism, plan: force_depth}}
+  - {{sensor: gelsight, indenter: cylinder, targets: 2}}
+  - {{sensor: uskin, indenter: cylinder, targets: 1}}
+"""
+
+
+def _campaign(folder: Path, text: str = DAY) -> Campaign:
+    path = folder / "day.yaml"
+    path.write_text(text.format(out=folder / "out"))
+    return load_campaign(path, ROOT / "benches")
+
+
+def _session(path: Path, item: Item, done: int, status: str) -> None:
+    """A session with `done` pressed targets, as a collection leaves it."""
+    attrs = {
+        "sensor": item.entry.sensor,
+        "indenter": item.entry.indenter,
+        "plan": plan_to_json(item.plan),
+        "targets_wanted": item.total,
+    }
+    targets = {
+        "point": np.ones(item.total, np.int16),
+        "depth": np.zeros(item.total),
+        "direction": np.zeros(item.total, np.int16),
+        "planned": np.zeros((item.total, 3)),
+    }
+    path.parent.mkdir(exist_ok=True)
+    with SessionWriter.create(
+        path, attrs=attrs, streams=[force_spec(1000.0)], targets=targets
+    ) as writer:
+        writer.begin_run({"t0_ns": 0})
+        for target in list(item.plan.targets())[:done]:
+            for move in item.plan.moves(target):
+                start = 1 + move.phase
+                writer.segments.append(
+                    target=target.index,
+                    phase=move.phase,
+                    outcome=OUTCOMES.index("complete"),
+                    run=0,
+                    start_ns=start + 10 * target.index,
+                    end_ns=start + 1 + 10 * target.index,
+                )
+        writer.finish(status, rate_hz=40.0)
+
+
+class _Bench:
+    """Stands where sessions would be recorded: makes them, as far as it is told to."""
+
+    def __init__(self, campaign: Campaign, codes: list[int]) -> None:
+        self.items = {f"{item.entry.name}.zarr": item for item in campaign.items}
+        self.codes = codes
+        self.ran: list[list[str]] = []
+
+    def __call__(self, arguments: list[str]) -> int:
+        self.ran.append(arguments)
+        code = self.codes.pop(0)
+        named = "--resume" if "--resume" in arguments else "--out"
+        path = Path(arguments[arguments.index(named) + 1])
+        item = self.items[path.name]
+        if named == "--resume":
+            path.rename(path.with_suffix(".before"))
+        _session(path, item, item.total if code == 0 else 1, "stopped" if code else "complete")
+        return code
+
+
+def _run(
+    campaign: Campaign,
+    codes: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    keep_going: bool = False,
+) -> tuple[int, list[list[str]], list[str], list[str]]:
+    bench = _Bench(campaign, codes)
+    monkeypatch.setattr(walk, "_record", bench)
+    asked: list[str] = []
+    said: list[str] = []
+
+    def ask(question: str) -> bool:
+        asked.append(question)
+        return True
+
+    settings = Settings(ROOT / "benches", ROOT / "calibrations", keep_going)
+    code = run_campaign(campaign, settings, ask, said.append)
+    return code, bench.ran, asked, said
+
+
+def test_everything_is_recorded_in_order_after_a_question_for_each_swap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    code, ran, asked, said = _run(campaign, [0, 0, 0], monkeypatch)
+    assert code == 0
+    assert [arguments[0] for arguments in ran] == ["force-depth", "collect", "collect"]
+    assert "indenter prism" in asked[0]
+    assert "sensor uskin" in asked[2]
+    assert ran[1][ran[1].index("--targets") + 1] == "2"
+    assert said[-1].startswith("3 of 3 sessions done")
+    code, ran, asked, _ = _run(campaign, [], monkeypatch)
+    assert (code, ran, asked) == (0, [], [])
+
+
+@pytest.mark.parametrize("failure", [3, 4, 130])
+def test_what_stopped_goes_on_from_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: int
+) -> None:
+    campaign = _campaign(tmp_path)
+    code, ran, _, said = _run(campaign, [0, failure], monkeypatch)
+    assert code == failure
+    assert len(ran) == 2
+    assert any("1/2" in line and "to resume" in line for line in said)
+    code, ran, _, _ = _run(campaign, [0, 0], monkeypatch)
+    assert code == 0
+    assert "--resume" in ran[0]
+    assert "--resume" not in ran[1]
+
+
+def test_keep_going_passes_a_failure_but_not_ctrl_c(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    code, ran, _, _ = _run(campaign, [4, 130], monkeypatch, keep_going=True)
+    assert code == 4
+    assert len(ran) == 2
+
+
+def test_a_technician_who_says_no_ends_it_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    bench = _Bench(campaign, [])
+    monkeypatch.setattr(walk, "_record", bench)
+    settings = Settings(ROOT / "benches", ROOT / "calibrations")
+    assert run_campaign(campaign, settings, lambda _: False, lambda _: None) == 130
+    assert bench.ran == []
+
+
+def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    config = RobotiqConfig("/dev/none")
+    items = tuple(
+        dataclasses.replace(
+            item, bench=dataclasses.replace(item.bench, mock=False, world=None, gripper=config)
+        )
+        for item in campaign.items
+    )
+    campaign = dataclasses.replace(campaign, items=items)
+    monkeypatch.setattr(walk, "_record", _Bench(campaign, [0, 0, 0]))
+    events: list[str] = []
+
+    def ask(question: str) -> bool:
+        events.append(question)
+        return True
+
+    def swap(item: Item) -> None:
+        events.append(f"gripper: {item.entry.indenter}")
+
+    settings = Settings(ROOT / "benches", ROOT / "calibrations")
+    assert run_campaign(campaign, settings, ask, lambda _: None, swap) == 0
+    entries = [item.entry for item in campaign.items]
+    expected, before = [], ("", "")
+    for number, entry in enumerate(entries, 1):
+        if entry.sensor != before[0]:
+            expected.append(f"{number} of {len(entries)}: mount sensor {entry.sensor}")
+        if (entry.sensor, entry.indenter) != before:
+            expected.append(f"gripper: {entry.indenter}")
+        before = (entry.sensor, entry.indenter)
+    assert events == expected
+
+
+def test_a_session_of_another_sensor_in_its_place_is_not_touched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    first, _, last = campaign.items
+    _session(tmp_path / "out" / f"{first.entry.name}.zarr", last, 1, "complete")
+    found = progress_of(campaign)
+    assert found[0].state == "unreadable"
+    code, ran, _, said = _run(campaign, [0, 0], monkeypatch)
+    assert (code, ran) == (2, [])
+    assert "move it away" in said[0]
+    code, ran, _, _ = _run(campaign, [0, 0], monkeypatch, keep_going=True)
+    assert (code, len(ran)) == (2, 2)
+
+
+def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
+    campaign = _campaign(tmp_path)
+    before = sum(progress.left for progress in progress_of(campaign))
+    item = campaign.items[1]
+    _session(tmp_path / "out" / f"{item.entry.name}.zarr", item, 1, "stopped")
+    found = progress_of(campaign)
+    assert found[1].done == 1
+    assert 0 < sum(progress.left for progress in found) < before
+    assert "0 of 3 sessions done" in table(found)[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sessions: []\n", "a list of sessions"),
+        ("session: []\n", "unknown"),
+        ("sessions: [{{sensor: gelsight}}]\n", "missing 'indenter'"),
+        ("sessions: [{{sensor: nosuch, indenter: a}}]\n", "known in"),
+        ("sessions: [{{sensor: gelsight, indenter: ../x}}]\n", "letters, digits"),
+        ("sessions: [{{sensor: gelsight, indenter: a, plan: wave}}]\n", "allowed"),
+        ("sessions: [{{sensor: gelsight, indenter: a, targets: 999}}]\n", "1 to 240"),
+        ("sessions: [{{sensor: gelsight, indenter: a, targets: 0}}]\n", "1 or more"),
+        (
+            "sessions: [{{sensor: gelsight, indenter: a}}, {{sensor: gelsight, indenter: a}}]\n",
+            "listed twice",
+        ),
+    ],
+)
+def test_a_campaign_that_cannot_be_run_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        _campaign(tmp_path, text)
+
+
+def test_the_example_is_runnable_and_listing_records_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = tmp_path / "none"
+    day, benches = ROOT / "campaigns" / "day.yaml", ROOT / "benches"
+    arguments = ["--file", str(day), "--benches", str(benches), "--out", str(out), "--list"]
+    assert main(["campaign", *arguments]) == 0
+    assert "0 of 8 sessions done" in capsys.readouterr().out
+    assert not out.exists()
+
+
+def test_without_a_terminal_it_does_not_guess_that_something_is_mounted(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "day.yaml"
+    path.write_text(DAY.format(out=tmp_path / "out"))
+    ran = subprocess.run(
+        [sys.executable, "-m", "rig", "campaign", "--file", str(path)],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ran.returncode == 2
+    assert "no terminal to ask on" in ran.stderr
+
+
+def test_a_command_names_the_bench_the_session_and_the_operator(tmp_path: Path) -> None:
+    campaign = _campaign(tmp_path)
+    settings = Settings(ROOT / "benches", tmp_path / "cal")
+    arguments = command(progress_of(campaign)[0], campaign, settings)
+    assert arguments[0] == "force-depth"
+    for option, value in (
+        ("--indenter", "prism"),
+        ("--operator", "ada"),
+        ("--calibrations", str(tmp_path / "cal")),
+    ):
+        assert arguments[arguments.index(option) + 1] == value
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_campaign_killed_in_the_middle_goes_on_and_loses_nothing(tmp_path: Path) -> None:
+    benches = tmp_path / "benches"
+    benches.mkdir()
+    for sensor in ("gelsight", "uskin"):
+        (benches / f"{sensor}.yaml").write_text(
+            f"""
+extends: {ROOT / "benches" / f"{sensor}.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
+arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
+force_depth: {{kind: force_depth, depth_max_mm: 1.0, repeats: 3}}
+"""
+        )
+    day = tmp_path / "day.yaml"
+    day.write_text(
+        f"""
+out: {tmp_path / "out"}
+sessions:
+  - {{sensor: gelsight, indenter: prism, plan: force_depth}}
+  - {{sensor: uskin, indenter: cylinder, targets: 1}}
+"""
+    )
+    arguments = [
+        *(sys.executable, "-u", "-m", "rig", "campaign", "--file", str(day), "--yes"),
+        *("--benches", str(benches), "--calibrations", str(tmp_path)),
+    ]
+    first = tmp_path / "out" / "gelsight-prism-force-depth.zarr"
+    run = Collection(first, _start(arguments))
+    run.until(lambda: run.segments() > 0)
+    run.kill_all()
+    run.process.communicate()
+
+    again = Collection(first, _start(arguments))
+    assert again.wait(200) == 0, again.text
+    assert "2 of 2 sessions done" in again.text
+    session = Session(first)
+    assert session.status == "complete"
+    assert len(session.runs) == 2
+    assert faults_of(first) == []
+    assert set(np.asarray(session.segments["target"])) == {0, 1, 2}
+    from recorder.session.press_curve import press_curves
+
+    curves = press_curves(session)
+    # Hysteresis: what is given going down is not all returned coming up.
+    assert (curves.work(curves.loading) > curves.work(curves.unloading)).all()
+
+
+def _start(arguments: list[str]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        arguments,
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )

@@ -1,0 +1,196 @@
+"""Whole collections on the mock bench, as a technician runs them."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.collecting import Collection, faults_of, quick_bench
+
+from recorder import OUTCOMES, Session
+
+pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Collection, Path]:
+    """Two targets of the TacPalm, with the World's truth."""
+    folder = tmp_path_factory.mktemp("collected")
+    truth = folder / "truth"
+    run = Collection.start(folder / "s.zarr", "--targets", "2", "--truth", str(truth))
+    assert run.wait(100) == 0, run.text
+    return Session(run.session), run, truth
+
+
+def test_the_first_line_says_mock_and_so_does_the_session(
+    collected: tuple[Session, Collection, Path],
+) -> None:
+    session, run, _ = collected
+    assert run.lines[0].startswith("MOCK BENCH")
+    assert session.attrs["mock"] is True
+
+
+def test_it_is_complete_and_clean(collected: tuple[Session, Collection, Path]) -> None:
+    session, run, _ = collected
+    assert session.status == "complete"
+    assert faults_of(run.session) == []
+    assert run.lines[-1].startswith("complete: 2 of 2 targets")
+
+
+def test_every_phase_of_every_target_is_a_segment(
+    collected: tuple[Session, Collection, Path],
+) -> None:
+    session, _, _ = collected
+    segments = session.segments
+    assert list(segments["target"]) == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert list(segments["phase"]) == [0, 1, 2, 3] * 2
+    assert set(segments["outcome"]) == {OUTCOMES.index("complete")}
+    assert (np.asarray(segments["end_ns"]) > np.asarray(segments["start_ns"])).all()
+
+
+def test_the_tip_was_where_the_plan_wants_it_and_the_frames_know(
+    collected: tuple[Session, Collection, Path],
+) -> None:
+    session, _, _ = collected
+    frames = session.frames
+    assert np.asarray(frames["valid"]).mean() > 0.95
+    assert np.nanmax(frames["depth"]) == pytest.approx(1.125e-3, abs=5e-5)
+    pressed = np.asarray(frames["wrench"])[np.asarray(frames["depth"]) > 1.0e-3]
+    assert (pressed[:, 2] < -0.1).all()
+
+
+def test_what_was_recorded_is_what_the_world_felt(
+    collected: tuple[Session, Collection, Path],
+) -> None:
+    from rig.mock.world.truth import Truth
+
+    session, _, path = collected
+    truth, force, pose = Truth(path), session.streams["force"], session.streams["pose"]
+    inside = force.t_ns < truth.records["t_ns"][-1]
+    raw = np.asarray(force.column("value"))[inside] + np.asarray(force.attrs["bias"])
+    error = raw - truth.wrench(force.t_ns[inside])
+    # 0.01 N of noise and some milliseconds at some newtons a second; robust to a stalled machine.
+    assert np.median(np.abs(error[:, :3])) < 0.02
+    inside = pose.t_ns < truth.records["t_ns"][-1]
+    place = np.asarray(pose.column("value"))[inside][:, :3]
+    distance = np.linalg.norm(place - truth.position(pose.t_ns[inside]), axis=1)
+    assert np.median(distance) < 1e-4
+
+
+def test_poses_come_at_the_controllers_rate_with_none_skipped(
+    collected: tuple[Session, Collection, Path],
+) -> None:
+    pose = collected[0].streams["pose"]
+    cycles = np.round(np.diff(np.asarray(pose.column("device_t"))) / 0.002)
+    assert set(cycles.astype(int)) == {1}
+
+
+def test_force_records_come_with_none_dropped(
+    collected: tuple[Session, Collection, Path],
+) -> None:
+    force = collected[0].streams["force"]
+    assert set(np.diff(np.asarray(force.column("seq")))) == {1}
+    assert collected[0].attrs["summary"]["force"]["dropped"] == 0
+
+
+def test_camera_bytes_are_the_cameras_own(collected: tuple[Session, Collection, Path]) -> None:
+    from rig.devices.camera.jpeg import frame_stamp
+
+    camera = collected[0].streams["camera"]
+    stamps = [frame_stamp(camera.jpeg(row) or b"") for row in range(len(camera))]
+    assert None not in stamps
+    numbers = [stamp[0] for stamp in stamps if stamp]
+    assert numbers == sorted(set(numbers))
+
+
+def test_the_reference_of_each_point_is_kept(collected: tuple[Session, Collection, Path]) -> None:
+    reference = collected[0].reference
+    assert list(reference["point"]) == [1]
+    assert np.abs(np.asarray(reference["wrench"])[0, :3]).max() < 0.05
+    assert int(reference["image"][0]) >= 0
+
+
+def test_the_table_names_every_stream(collected: tuple[Session, Collection, Path]) -> None:
+    text = collected[1].text
+    for word in ("force", "pose", "camera", "longest gap", "dropped", "worst skew", "paper: 20 to"):
+        assert word in text
+    assert collected[1].session.with_suffix(".png").exists()
+
+
+def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Path) -> None:
+    bench = quick_bench(tmp_path, "tacpalm")
+    run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
+    run.until(run.recording)
+    run.until(lambda: run.segments() > 0)
+    # As a terminal does: to every process of the group.
+    os.killpg(run.process.pid, signal.SIGINT)
+    assert run.wait() == 130, run.text
+    session = Session(run.session)
+    assert session.status == "stopped"
+    assert "interrupted by the operator" in session.attrs["reason"]
+    assert "NOT RETRACTED" not in run.text
+    assert set(session.segments["outcome"]) == {OUTCOMES.index("complete")}
+    frame = np.asarray(session.attrs["contact_frame"])
+    last = np.asarray(session.streams["pose"].column("value"))[-1]
+    assert last[2] - frame[2] > 0.015
+    rows = len(session.streams["force"])
+
+    again = Collection.start(run.session, "--resume", str(run.session), "--bench", str(bench))
+    assert again.wait() == 0, again.text
+    session = Session(run.session)
+    assert session.status == "complete"
+    assert len(session.runs) == 2
+    assert len(session.streams["force"]) > rows
+    assert faults_of(run.session) == []
+    done = set(zip(session.segments["target"], session.segments["phase"], strict=True))
+    assert len(done) == 4
+
+
+def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothing(
+    tmp_path: Path,
+) -> None:
+    bench = tmp_path / "lab.yaml"
+    base = Path(__file__).parents[2] / "benches" / "tacpalm.yaml"
+    host = "127.0.0.239"
+    bench.write_text(
+        f"""
+extends: {base}
+mock: false
+world: null
+arm: {{host: {host}}}
+force: {{host: {host}}}
+camera: {{address: "http://{host}:8081/stream.mjpg"}}
+"""
+    )
+    run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench))
+    assert run.wait(30) == 3, run.text
+    assert run.lines[0].startswith("LAB BENCH")
+    assert "the arm WILL move" in run.lines[0]
+    assert "device lost" in run.lines[-1]
+    assert host in run.lines[-1]
+    assert not run.session.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--sensor", "nose"), "tacpalm"),
+        ((), "--sensor"),
+        (("--sensor", "tacpalm", "--targets", "161"), "1 to 160"),
+        (("--sensor", "tacpalm", "--targets", "0"), "1 to 160"),
+        (("--sensor", "tacpalm", "--camera", "/no/such"), "no such file"),
+        (("--sensor", "tacpalm", "--resume", "/no/such.zarr"), "/no/such.zarr"),
+    ],
+)
+def test_wrong_input_exits_with_2_and_one_clear_line(
+    arguments: tuple[str, ...], word: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from rig.__main__ import main
+
+    out = [] if "--resume" in arguments else ["--out", str(tmp_path / "s.zarr")]
+    assert main(["collect", *arguments, *out]) == 2
+    assert word in capfd.readouterr().err
+    assert not (tmp_path / "s.zarr").exists()

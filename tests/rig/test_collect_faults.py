@@ -1,0 +1,139 @@
+"""A device that dies in the middle: a clear message, the right exit code, the data kept, the arm
+stopped or retracted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.collecting import Collection, faults_of, quick_bench
+
+from recorder import OUTCOMES, Session
+from rig.devices.arm import emulator_faults
+
+pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
+
+EMULATORS = {
+    "arm": "rig.devices.arm.emulator",
+    "force": "rig.devices.force.netft_emulator",
+    "camera": "rig.devices.camera.mjpeg_emulator",
+    "taxels": "rig.devices.taxels.xela_emulator",
+    "world": "rig.mock.world.host",
+}
+
+
+def pressing(folder: Path, sensor: str) -> Collection:
+    """A collection that has pressed at least one phase."""
+    bench = quick_bench(folder, sensor)
+    run = Collection.start(folder / "s.zarr", "--targets", "4", "--bench", str(bench))
+    run.until(run.recording)
+    run.until(lambda: run.segments() > 0)
+    return run
+
+
+def stopped_in_order(run: Collection) -> Session:
+    """The session that is left: closed, whole, saying why."""
+    session = Session(run.session)
+    assert session.status == "stopped"
+    assert len(session.streams["force"]) > 500
+    assert faults_of(run.session, stopped=True) == []
+    assert run.lines[-1].startswith("stopped")
+    assert str(run.session) in run.lines[-1]
+    return session
+
+
+@pytest.mark.parametrize(
+    "device",
+    # The others take the same way through the collector; `make faults` breaks every one of them.
+    [
+        pytest.param(device, marks=() if device == "force" else pytest.mark.slow)
+        for device in sorted(EMULATORS)
+    ],
+)
+def test_a_killed_device_ends_the_session_with_everything_kept(device: str, tmp_path: Path) -> None:
+    run = pressing(tmp_path, "uskin" if device == "taxels" else "tacpalm")
+    os.kill(run.emulator(EMULATORS[device]), signal.SIGKILL)
+    assert run.wait() == 3, run.text
+    session = stopped_in_order(run)
+    named = {"arm": "arm|pose|controller"}.get(device, device)
+    assert any(word in session.attrs["reason"] for word in named.split("|")), run.text
+    if device == "arm":
+        assert "NOT RETRACTED" in session.attrs["reason"]
+    else:
+        height = session.streams["pose"].column("value")[-1][2] - session.attrs["contact_frame"][2]
+        assert height > 0.015
+
+
+@pytest.mark.slow
+def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path: Path) -> None:
+    from recorder.session.recover import recover
+
+    run = pressing(tmp_path, "tacpalm")
+    os.kill(run.stream("camera"), signal.SIGKILL)
+    assert run.wait() == 3, run.text
+    assert "camera: its process ended" in run.text
+    recover(run.session)
+    session = Session(run.session)
+    assert len(session.streams["camera"]) > 10
+    assert faults_of(run.session, stopped=True) == []
+
+
+def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Path) -> None:
+    run = pressing(tmp_path, "tacpalm")
+    emulator = run.processes()[run.emulator(EMULATORS["arm"])]
+    host = emulator.split("--host ")[1].split()[0]
+    with socket.create_connection((host, emulator_faults.PORT), 5.0) as port:
+        port.sendall(json.dumps({"fault": "protective_stop"}).encode() + b"\n")
+        assert b"protective" in port.recv(4096).lower()
+    assert run.wait() == 4, run.text
+    session = stopped_in_order(run)
+    assert "protective" in session.attrs["reason"].lower()
+    # Only a person may unlock it, so there is no retract either, and it says so.
+    assert "NOT RETRACTED" in session.attrs["reason"]
+    heights = np.asarray(session.streams["pose"].column("value"))[-20:, 2]
+    assert np.ptp(heights) < 1e-6
+
+
+@pytest.mark.slow
+def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
+    # With both limits at one place, and no look ahead by which the soft one comes first.
+    bench = limited_bench(tmp_path, hard=0.8, soft=0.8, rating=0.3, horizon_ms=0.001)
+    run = Collection.start(tmp_path / "s.zarr", "--targets", "4", "--bench", str(bench))
+    assert run.wait() == 4, run.text
+    session = Session(run.session)
+    assert session.status == "stopped"
+    assert "Fz" in session.attrs["reason"]
+    assert "NOT RETRACTED" not in session.attrs["reason"]
+    assert list(session.segments["outcome"]) == [OUTCOMES.index("stopped")]
+    force = np.asarray(session.streams["force"].column("value"))
+    assert 0.2 < -force[:, 2].min() < 0.3
+
+
+@pytest.mark.slow
+def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
+    bench = limited_bench(tmp_path, hard=5.0, soft=0.5, rating=0.4)
+    run = Collection.start(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
+    assert run.wait() == 0, run.text
+    session = Session(run.session)
+    limited = OUTCOMES.index("force_limited")
+    assert list(session.segments["outcome"]) == [limited, limited]
+    assert "Fz" in run.text
+
+
+def limited_bench(
+    folder: Path, *, hard: float, soft: float, rating: float, horizon_ms: float = 20.0
+) -> Path:
+    """The TacPalm's mock bench with other limits."""
+    limits = {
+        "force_rating_n": [12.0, 12.0, rating],
+        "soft_fraction": soft,
+        "hard_fraction": hard,
+        "horizon_ms": horizon_ms,
+        "stiffness_n_per_mm": 0.001,
+    }
+    return quick_bench(folder, "tacpalm", limits=json.dumps(limits))

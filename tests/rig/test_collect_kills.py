@@ -1,0 +1,52 @@
+"""SIGKILL of every process at a random moment: nothing phantom, nothing half, nothing lost but what
+was in flight, and the session goes on from there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.faults.kills import VICTIMS, Kills, kill_often
+
+pytestmark = pytest.mark.serial
+
+
+BENCHES = Path(__file__).parents[2] / "benches"
+SEED_OF_ALL = 25
+"""The first draw of this seed kills everything."""
+
+
+def killed(folder: Path, kills: int, sessions: int, *, seed: int, targets: int) -> Kills:
+    lines: list[str] = []
+    found = kill_often(
+        folder,
+        BENCHES,
+        kills=kills,
+        sessions=sessions,
+        seed=seed,
+        report=lines.append,
+        targets=targets,
+    )
+    assert found.wrong == [], "\n".join(lines)
+    assert found.lost == 0
+    assert found.victims.total() == kills
+    assert found.completed >= sessions
+    return found
+
+
+@pytest.mark.timeout(200)
+@pytest.mark.slow
+def test_a_killed_collection_loses_nothing_and_is_resumed(tmp_path: Path) -> None:
+    found = killed(tmp_path, 1, 1, seed=SEED_OF_ALL, targets=2)
+    assert found.victims == {VICTIMS[0]: 1}
+    assert found.resumed == 1
+    assert found.compared > 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_twenty_kills_lose_nothing(tmp_path: Path) -> None:
+    found = killed(tmp_path, 20, 2, seed=1, targets=6)
+    assert found.resumed >= 18
+    assert found.compared > 1000

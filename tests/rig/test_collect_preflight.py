@@ -1,0 +1,120 @@
+"""What the preflight refuses: slow device, tip in the sensor, restless gauge, made contact."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.acquire import preflight
+from rig.bench.bench import Bench, find_bench, load_bench
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.geometry import compose
+from rig.core.samples import POSE_LATEST
+
+pytestmark = pytest.mark.serial
+
+
+BENCH: Bench = load_bench(find_bench("tacpalm", Path(__file__).parents[2] / "benches"))[0]
+RATES = {"force": 1000.0, "pose": 500.0, "camera": 30.0}
+
+
+class FakeHandle:
+    def __init__(self, record: np.void | None) -> None:
+        self._record = record
+
+    def latest(self) -> np.void | None:
+        return self._record
+
+
+class FakeStreams:
+    """Streams that measured what a test says."""
+
+    def __init__(self, place: Any = (0.0, 0.0, 0.03), **measured: Any) -> None:
+        self._measured = measured
+        self._record = None
+        if place is not None:
+            self._record = np.zeros(1, POSE_LATEST)[0]
+            pose = compose(BENCH.contact_frame, (*place, *BENCH.tool_rotation))
+            self._record["value"] = pose
+
+    def __getitem__(self, name: str) -> FakeHandle:
+        return FakeHandle(self._record)
+
+    def wait_opened(self) -> dict[str, Any]:
+        return {name: {} for name in RATES}
+
+    def measure(self, seconds: float, *names: str) -> dict[str, Any]:
+        return {name: self._measured[name] for name in names or self._measured}
+
+
+def rates(**changed: float) -> Any:
+    found = {
+        name: {"rate_hz": rate, "longest_gap": 2 / rate} for name, rate in (RATES | changed).items()
+    }
+    return FakeStreams(**found)
+
+
+def test_expected_rates_pass_and_are_kept() -> None:
+    assert preflight.check_devices(BENCH, rates()).rates == RATES
+
+
+def test_a_rate_that_is_off_is_warned_of_and_half_of_it_is_refused(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        preflight.check_devices(BENCH, rates(camera=24.0))
+    assert "camera is -20 %" in caplog.text
+    with pytest.raises(DeviceLost, match=r"camera: 14\.0 Hz measured; expected 30 Hz"):
+        preflight.check_devices(BENCH, rates(camera=14.0))
+
+
+def test_the_tip_is_found_in_the_contact_frame() -> None:
+    streams: Any = FakeStreams(place=(1e-3, -2e-3, 5e-3))
+    assert preflight.tip_position(BENCH, streams) == pytest.approx([1e-3, -2e-3, 5e-3], abs=1e-12)
+    preflight.check_clear(BENCH, streams)
+    nowhere: Any = FakeStreams(place=None)
+    with pytest.raises(DeviceLost, match="pose"):
+        preflight.tip_position(BENCH, nowhere)
+
+
+@pytest.mark.parametrize(
+    ("place", "word"),
+    [
+        ((0, 0, 0), "surface"),
+        ((0, 0, -1e-3), "surface"),
+        ((0.011, 0, 0.03), "box"),
+        ((0, -0.011, 0.03), "box"),
+        ((0, 0, 0.061), "box"),
+    ],
+)
+def test_a_start_in_the_sensor_or_outside_the_box_is_refused(place: Any, word: str) -> None:
+    streams: Any = FakeStreams(place=place)
+    with pytest.raises(SafetyStop, match=word):
+        preflight.check_clear(BENCH, streams)
+
+
+def test_a_still_gauge_is_tared_and_a_restless_or_silent_one_refused() -> None:
+    mean, still = np.arange(6.0), np.full(6, 0.01)
+    good: Any = FakeStreams(force={"n": 500, "mean": mean, "std": still})
+    assert (preflight.take_tare(BENCH, good).mean == mean).all()
+    restless: Any = FakeStreams(force={"mean": mean, "std": np.array([0, 0.3, 0, 0, 0, 0])})
+    with pytest.raises(DeviceLost, match=r"Fy spreads by 0\.300 N"):
+        preflight.take_tare(BENCH, restless)
+    silent: Any = FakeStreams(force={"n": 0})
+    with pytest.raises(DeviceLost, match="no sample"):
+        preflight.take_tare(BENCH, silent)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_contact_before_the_press_is_refused_on_every_axis(axis: int, sign: int) -> None:
+    force = np.zeros(6)
+    force[axis] = sign * 0.29
+    preflight.check_untouched(BENCH, force, point=3)
+    force[axis] = sign * 0.31
+    with pytest.raises(SafetyStop, match=f"point 3: F{'xyz'[axis]} is"):
+        preflight.check_untouched(BENCH, force, point=3)

@@ -1,0 +1,188 @@
+"""Every error of a bench file names the file, the key, what was found and what is allowed."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import pytest
+
+from rig.bench.bench import find_bench, load_bench
+from rig.core.config import build, read_yaml
+from rig.core.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    KIND: ClassVar[str] = "round"
+    radius: float = field(metadata={"unit": "mm"})
+
+
+@dataclass(frozen=True, slots=True)
+class Square:
+    KIND: ClassVar[str] = "square"
+    side: float = field(metadata={"unit": "mm"})
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    name: str
+    count: int
+    speed: float = field(metadata={"unit": "mm_s"})
+    shape: Round | Square
+    frame: tuple[float, ...] = field(metadata={"pose": True})
+    mode: Literal["a", "b"] = "a"
+    on: bool = False
+    box: tuple[float, float] = (0.0, 1.0)
+    extra: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.count < 0:
+            raise ValueError(f"count: {self.count}; allowed: 0 or more")
+
+
+GOOD: dict[str, Any] = {
+    "name": "x",
+    "count": 3,
+    "speed_mm_s": 5,
+    "shape": {"kind": "round", "radius_mm": 2},
+    "frame": {"position_mm": [1, 2, 3], "rotation_deg": [180, 0, 0]},
+}
+
+
+def test_units_become_si() -> None:
+    thing = build(Thing, GOOD, "f.yaml")
+    assert thing.speed == pytest.approx(0.005)
+    assert thing.shape == Round(radius=0.002)
+    assert thing.frame == pytest.approx((0.001, 0.002, 0.003, math.pi, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"nmae": "y"}, ["f.yaml", "unknown ['nmae']", "known"]),
+        ({"name": None}, ["f.yaml.name", "nothing|NoneType"]),
+        ({"count": 3.0}, ["f.yaml.count", "float 3.0", "int"]),
+        ({"count": True}, ["f.yaml.count", "bool"]),
+        ({"count": -1}, ["f.yaml", "count: -1", "0 or more"]),
+        ({"speed_mm_s": "fast"}, ["f.yaml.speed_mm_s", "'fast'", "[mm_s]"]),
+        ({"speed_mm_s": True}, ["f.yaml.speed_mm_s", "bool"]),
+        ({"speed_mm_s": math.nan}, ["f.yaml.speed_mm_s", "nan", "finite"]),
+        ({"speed_mm_s": math.inf}, ["f.yaml.speed_mm_s", "inf", "finite"]),
+        ({"speed": 5}, ["unknown ['speed']", "speed_mm_s"]),
+        ({"on": 1}, ["f.yaml.on", "int 1", "bool"]),
+        ({"mode": "c"}, ["f.yaml.mode", "'c'", "['a', 'b']"]),
+        ({"box": [1]}, ["f.yaml.box", "1 values", "2"]),
+        ({"box": 1}, ["f.yaml.box", "a list"]),
+        ({"box": [1, "z"]}, ["f.yaml.box[1]", "'z'"]),
+        ({"shape": {"kind": "oval"}}, ["f.yaml.shape.kind", "'oval'", "['round', 'square']"]),
+        ({"shape": {"kind": "round", "side_mm": 1}}, ["f.yaml.shape", "side_mm", "radius_mm"]),
+        ({"shape": 4}, ["f.yaml.shape", "mapping"]),
+        ({"frame": [1, 2, 3]}, ["f.yaml.frame", "mapping"]),
+        ({"frame": {"position_mm": [1, 2]}}, ["f.yaml.frame.position_mm", "2 values", "3"]),
+    ],
+)
+def test_a_wrong_value_is_named(change: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build(Thing, GOOD | change, "f.yaml")
+    for word in words:
+        assert any(option in str(caught.value) for option in word.split("|")), str(caught.value)
+
+
+@pytest.mark.parametrize("key", sorted(GOOD))
+def test_a_missing_key_is_named(key: str) -> None:
+    content = {name: value for name, value in GOOD.items() if name != key}
+    with pytest.raises(ConfigError, match=f"missing '{key}'"):
+        build(Thing, content, "f.yaml")
+
+
+def test_extends_merges_mappings_and_replaces_the_rest(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("x: {p: 1, q: [1, 2]}\ny: {kind: round, r: 1}\n")
+    (tmp_path / "b.yaml").write_text("extends: a.yaml\nx: {q: [3]}\ny: {kind: square, s: 2}\n")
+    assert read_yaml(tmp_path / "b.yaml") == {
+        "x": {"p": 1, "q": [3]},
+        "y": {"kind": "square", "s": 2},
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: 1\na: 2\n", ["line 2", "'a'", "twice"]),
+        ("- 1\n", ["mapping"]),
+        ("", ["mapping"]),
+        ("a: [1\n", ["not YAML"]),
+        ("a: \udc80", ["not YAML"]),
+        ("extends: 3\n", ["extends", "3"]),
+        ("extends: other.yaml\n", ["other.yaml", "no such file"]),
+        ("extends: f.yaml\n", ["circle"]),
+    ],
+)
+def test_a_broken_file_is_named(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = tmp_path / "f.yaml"
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(ConfigError) as caught:
+        read_yaml(path)
+    for word in words:
+        assert word in str(caught.value)
+
+
+BENCHES = Path(__file__).parents[2] / "benches"
+TARGETS = {
+    "gelsight": 240,
+    "gelsight-material": 48,
+    "gelsight-hetero": 160,
+    "uskin": 160,
+    "tacpalm": 160,
+}
+
+
+@pytest.mark.parametrize("sensor", sorted(TARGETS))
+def test_every_bench_in_the_repository_loads_with_the_papers_targets(sensor: str) -> None:
+    bench, content = load_bench(find_bench(sensor, BENCHES))
+    assert bench.sensor == sensor
+    assert bench.mock
+    assert len(bench.trajectory) == TARGETS[sensor]
+    assert content["mock"] is True
+
+
+def test_the_table_above_misses_no_bench() -> None:
+    assert {path.stem for path in BENCHES.glob("*.yaml")} == {*TARGETS, "mock"}
+
+
+def test_the_labs_bench_comes_before_the_mock_one(tmp_path: Path) -> None:
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "x.yaml").touch()
+    assert find_bench("x", tmp_path) == tmp_path / "x.yaml"
+    (tmp_path / "lab" / "x.yaml").touch()
+    assert find_bench("x", tmp_path) == tmp_path / "lab" / "x.yaml"
+    with pytest.raises(ConfigError, match=r"known in .*: x"):
+        find_bench("y", tmp_path)
+
+
+def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    readme = (BENCHES / "lab" / "README.md").read_text()
+    example = re.search(r"```yaml\n(.*?)```", readme, re.DOTALL)
+    assert example is not None
+    path = tmp_path / "benches" / "lab" / "tacpalm.yaml"
+    path.write_text(example[1])
+    bench, _ = load_bench(path)
+    assert not bench.mock
+    assert bench.limits.stale_force == pytest.approx(0.05)
+
+
+def test_the_guides_example_of_a_sensor_is_a_bench(tmp_path: Path) -> None:
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    guide = (BENCHES.parent / "docs" / "adding-a-sensor.md").read_text()
+    example = re.search(r"```yaml\n(.*?)```", guide, re.DOTALL)
+    assert example is not None
+    path = tmp_path / "benches" / "digit.yaml"
+    path.write_text(example[1])
+    bench, _ = load_bench(path)
+    assert bench.sensor == "digit"
+    assert len(bench.trajectory) == 160

@@ -1,0 +1,182 @@
+"""One word in the bench file picks the F/T sensor: configuration, guard, and whole collections."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.collecting import ROOT, Collection, faults_of, quick_bench
+
+from recorder import Session
+from rig.bench.bench import Bench, load_bench
+from rig.bench.stream_kinds import expected_rate, make_driver
+from rig.core.clock import FakeClock
+from rig.core.errors import ConfigError
+from rig.core.samples import FORCE_LATEST
+from rig.devices.force.ati_serial import AtiSerialDriver
+from rig.devices.force.netft import NetFtDriver
+from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
+from rig.devices.force.nidaq import NidaqDriver
+from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
+from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
+from rig.mock.emulators import Stage, emulator_commands
+from rig.mock.world.truth import Truth
+
+pytestmark = pytest.mark.serial
+
+
+CALIBRATION = ROOT / "benches" / "mock-nano17.cal"
+NIDAQ = f"{{kind: nidaq, grpc: 'loopback:31763', calibration: {CALIBRATION}}}"
+ATI_SERIAL = (
+    "{kind: ati_serial, address: runfolder/force, counts_per_n: 1280.0, counts_per_n_mm: 256.0, "
+    "rate_hz: 200.0}"
+)
+FORCES = {"netft": "{rate_hz: 500.0}", "nidaq": NIDAQ, "ati_serial": ATI_SERIAL}
+
+
+def bench_with(folder: Path, force: str) -> Path:
+    quick_bench(folder, "tacpalm")
+    path = folder / "with.yaml"
+    path.write_text(f"extends: bench.yaml\nforce: {force}\n")
+    return path
+
+
+def loaded(folder: Path, force: str) -> Bench:
+    bench, _ = load_bench(bench_with(folder, force))
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("kind", "config", "driver"),
+    [
+        ("netft", NetFtConfig, NetFtDriver),
+        ("nidaq", NidaqConfig, NidaqDriver),
+        ("ati_serial", AtiSerialConfig, AtiSerialDriver),
+    ],
+)
+def test_one_word_picks_the_device(tmp_path: Path, kind: str, config: type, driver: type) -> None:
+    bench = loaded(tmp_path, FORCES[kind])
+    assert type(bench.force) is config
+    assert type(make_driver(bench, "force", FakeClock())) is driver
+    assert expected_rate(bench, "force") == bench.force.rate_hz
+    assert bench.force.address
+
+
+@pytest.mark.parametrize("kind", FORCES)
+def test_every_kind_has_an_emulator_for_the_mock_bench(tmp_path: Path, kind: str) -> None:
+    bench = loaded(tmp_path, FORCES[kind])
+    stage = Stage(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
+    module, *options = emulator_commands(stage)["force"]
+    assert module == f"rig.devices.force.{kind}_emulator"
+    assert "--world" in options
+
+
+def test_a_word_that_picks_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"force\.kind: found 'axia'; allowed: .*'nidaq'"):
+        loaded(tmp_path, "{kind: axia}")
+
+
+def test_a_key_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"force: unknown \['http_port'\]"):
+        loaded(tmp_path, f"{NIDAQ[:-1]}, http_port: 80}}")
+
+
+def test_a_mock_bench_without_a_device_server_is_refused(tmp_path: Path) -> None:
+    bench = loaded(tmp_path, f"{{kind: nidaq, calibration: {CALIBRATION}}}")
+    stage = Stage(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
+    with pytest.raises(ConfigError, match=r"force\.grpc: missing; allowed: loopback"):
+        emulator_commands(stage)
+
+
+def test_units_of_the_file_become_si(tmp_path: Path) -> None:
+    tool = "tool: {displacement_mm: [0.0, 0.0, 20.0], rotation_deg: [0.0, 0.0, 90.0]}"
+    force = loaded(tmp_path, f"{NIDAQ[:-1]}, {tool}, silence_ms: 250.0}}").force
+    assert isinstance(force, NidaqConfig)
+    assert force.tool.displacement == pytest.approx((0.0, 0.0, 0.02))
+    assert force.tool.rotation == pytest.approx((0.0, 0.0, np.pi / 2))
+    assert force.silence == 0.25
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "stops"),
+    [
+        ("netft", SATURATION_MASK, True),
+        ("netft", ERROR_MASK, True),
+        ("nidaq", SATURATED, True),
+        ("nidaq", BEYOND_RATING | LOST_BEFORE, False),
+        ("ati_serial", 1, True),
+        ("ati_serial", LOST_BEFORE, False),
+    ],
+)
+def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
+    tmp_path: Path, kind: str, status: int, stops: bool
+) -> None:
+    from rig.core.guard import Guard
+
+    bench = loaded(tmp_path, FORCES[kind])
+    guard = Guard(bench.guard_limits, bench.contact_frame, watch_pose=False)
+    record = np.zeros(1, FORCE_LATEST)[0]
+    record["status"] = status
+    verdict = guard.check(0, record, None)
+    assert (verdict is not None and verdict.kind == "force_status") is stops
+
+
+@pytest.mark.parametrize("rate_hz", [85.0, 200.0, 1000.0])
+def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz: float) -> None:
+    from rig.core.guard import Guard
+
+    bench = loaded(tmp_path, ATI_SERIAL)
+    limits = bench.guard_limits
+    guard = Guard(limits, bench.contact_frame, watch_pose=False)
+    soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
+    record = np.zeros(1, FORCE_LATEST)[0]
+    # 100 N/s: 20 ms ahead of the soft limit are 2 N below it; a sample is up to 1.2 N apart.
+    for k in range(1000):
+        t = k / rate_hz
+        record["t_ns"], record["value"][2] = round(1e9 * t), -speed * t
+        verdict = guard.check(int(record["t_ns"]), record, None)
+        if verdict is not None:
+            break
+    assert verdict is not None
+    assert verdict.kind == "force_soft"
+    assert soft - 2.0 - speed / rate_hz < speed * t < soft
+
+
+def collected(folder: Path, kind: str) -> tuple[Session, Truth]:
+    bench, truth = bench_with(folder, FORCES[kind]), folder / "truth"
+    run = Collection.start(
+        folder / "s.zarr", "--bench", str(bench), "--targets", "2", "--truth", str(truth)
+    )
+    assert run.wait(100) == 0, run.text
+    assert faults_of(run.session) == []
+    return Session(run.session), Truth(truth)
+
+
+def check_against_truth(session: Session, truth: Truth) -> None:
+    """What was stored is the World's wrench, at the times that the samples carry."""
+    force = session.streams["force"]
+    inside = force.t_ns < truth.records["t_ns"][-1]
+    raw = np.asarray(force.column("value"))[inside] + np.asarray(force.attrs["bias"])
+    error = raw - truth.wrench(force.t_ns[inside])
+    assert raw[:, 2].min() < -0.3
+    # 0.01 N of noise and some milliseconds at some newtons a second; robust to a stalled machine.
+    assert np.median(np.abs(error[:, :3])) < 0.02
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.slow
+def test_two_targets_through_the_serial_line(tmp_path: Path) -> None:
+    session, truth = collected(tmp_path, "ati_serial")
+    check_against_truth(session, truth)
+    device = session.streams["force"].attrs["device"]
+    assert device["device"] == "ATI F/T controller, RS-232"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_two_targets_through_the_ni_card(tmp_path: Path) -> None:
+    session, truth = collected(tmp_path, "nidaq")
+    check_against_truth(session, truth)
+    assert session.streams["force"].attrs["device"]["transducer"] == "FT00000"
+    assert set(np.diff(np.asarray(session.streams["force"].column("seq")))) == {1}

@@ -1,0 +1,187 @@
+"""Drivers of pedal and SpaceMouse through the real hidapi, on nodes by a preloaded shim."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from support import hidraw_nodes
+
+pytestmark = pytest.mark.serial
+
+
+PEDAL = """
+import json, sys
+from pathlib import Path
+from rig.clock import SystemClock
+from rig.errors import DeviceLost
+from rig.hid.config import PedalConfig
+from rig.hid.emulator import HidEmulator
+from rig.hid.pedal import PedalDriver
+
+clock = SystemClock()
+emulator = HidEmulator("pedal", Path(sys.argv[1]), clock)
+emulator.start()
+driver = PedalDriver(PedalConfig(sys.argv[2]))
+seen, lost = [], []
+def when(fault, **values):
+    emulator.inject(fault, **values)
+    seen.append(driver.read(1.0))
+def until_connected():
+    while not emulator.inject("state")["clients"]:
+        clock.sleep_until(clock.now_ns() + 5_000_000)
+try:
+    driver.open()
+    path = driver.describe()["path"]
+    until_connected()
+    for step in ("press", "release", "press"):
+        when(step)
+    seen.append(driver.read(0.05))
+    emulator.inject("garbage", messages=1)
+    when("press")
+    emulator.inject("clear")
+    emulator.inject("unplug")
+    for again in (lambda: driver.read(1.0), driver.open):
+        try:
+            again()
+        except DeviceLost as error:
+            lost.append(str(error))
+    emulator.inject("replug")
+    while True:
+        try:
+            driver.open()
+            break
+        except DeviceLost:
+            clock.sleep_until(clock.now_ns() + 20_000_000)
+    until_connected()
+    when("press")
+finally:
+    driver.close()
+    driver.close()
+    emulator.close()
+print(json.dumps({"seen": seen, "lost": lost, "path": path, "garbage": driver.garbage}))
+"""
+
+SPACEMOUSE = """
+import json, sys
+from pathlib import Path
+from rig.clock import SystemClock
+from rig.hid.config import SpaceMouseConfig
+from rig.hid.emulator import HidEmulator
+from rig.hid.spacemouse import SpaceMouseDriver
+
+clock = SystemClock()
+emulator = HidEmulator("spacemouse", Path(sys.argv[1]), clock)
+emulator.start()
+driver = SpaceMouseDriver(SpaceMouseConfig("256f:c635"), clock)
+found = {"pushed": [], "pressed": []}
+try:
+    driver.open()
+    while not emulator.inject("state")["clients"]:
+        clock.sleep_until(clock.now_ns() + 5_000_000)
+    emulator.inject("push", x=1.0, z=-0.54, rx=0.05, seconds=0.3)
+    began_ns = clock.now_ns()
+    while clock.now_ns() < began_ns + 2_000_000_000:
+        cap = driver.read(0.02)
+        found["pushed"].append([clock.now_ns() - began_ns, cap.shift, cap.turn])
+    emulator.inject("button", number=1)
+    found["pressed"].append(sorted(driver.read(0.5).pressed))
+    found["pressed"].append(sorted(driver.read(0.1).pressed))
+finally:
+    driver.close()
+    emulator.close()
+print(json.dumps(found))
+"""
+
+ABSENT = """
+from rig.errors import DeviceLost
+from rig.hid.config import PedalConfig
+from rig.hid.pedal import PedalDriver
+import sys
+for device in sys.argv[1:]:
+    try:
+        PedalDriver(PedalConfig(device)).open()
+    except DeviceLost as error:
+        print(error)
+"""
+
+
+@pytest.fixture(name="shim", scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return hidraw_nodes.library(tmp_path_factory.mktemp("shim"))
+
+
+@pytest.mark.parametrize("by_ids", [False, True])
+def test_a_pedal_is_pressed_released_spoilt_unplugged_and_back(
+    by_ids: bool, shim: Path, tmp_path: Path
+) -> None:
+    node = tmp_path / "pedal.hidraw"
+    device = "3553:b001" if by_ids else str(node)
+    text = hidraw_nodes.run(shim, PEDAL, str(node), device, nodes=tmp_path)
+    found = json.loads(text)
+    assert found["path"] == str(node)
+    # Garbage counts as a release; after it comes back, the first press is seen.
+    assert found["seen"] == [True, False, True, None, False, True]
+    assert found["garbage"] == 1
+    assert "is it plugged in?" in found["lost"][0]
+    assert "is it plugged in?" in found["lost"][1]
+
+
+def test_a_cap_is_followed_and_counts_as_let_go_of_once_it_is_silent(
+    shim: Path, tmp_path: Path
+) -> None:
+    node = tmp_path / "cap.hidraw"
+    found = json.loads(hidraw_nodes.run(shim, SPACEMOUSE, str(node), nodes=tmp_path))
+    shifts = [shift for _, shift, _ in found["pushed"]]
+    # -0.54 with a dead zone of 0.08 taken out is half of full; 0.05 about x is inside it.
+    assert [1.0, 0.0, -0.5] in shifts
+    assert all(turn == [0.0, 0.0, 0.0] for _, _, turn in found["pushed"])
+    # The emulator sends no zeros at the end, as some models do not.
+    assert shifts[-1] == [0.0, 0.0, 0.0]
+    assert found["pressed"] == [[1], []]
+
+
+def test_a_device_that_is_not_there_is_lost_and_the_error_says_what_is(
+    shim: Path, tmp_path: Path
+) -> None:
+    text = hidraw_nodes.run(shim, ABSENT, "3553:b001", "/dev/hidraw99", nodes=tmp_path)
+    first, second = text.strip().splitlines()
+    assert "no HID devices at all" in first
+    assert "/dev/hidraw99 is not there" in second
+
+
+def test_a_node_without_the_right_names_the_udev_rule(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from rig.core.errors import DeviceLost
+    from rig.devices.hid import device
+
+    node = tmp_path / "hidraw0"
+    node.touch()
+    monkeypatch.setattr(device.os, "access", lambda *_: False)
+    pedal = device.HidDevice(str(node), "foot pedal", (1, 6))
+    with pytest.raises(DeviceLost, match=r'KERNEL=="hidraw\*".*MODE="0660"'):
+        pedal.open()
+
+
+def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
+    from rig.core.errors import DeviceLost
+    from rig.devices.hid.device import HidDevice
+
+    node = tmp_path / "hidraw0"
+    node.touch()
+    pedal = HidDevice(str(node), "foot pedal", (1, 6))
+    with pytest.raises(DeviceLost, match="no HID device"):
+        pedal.open()
+    with pytest.raises(DeviceLost, match="not open"):
+        pedal.read(0.1)
+
+
+def test_an_emulated_node_without_the_shim_says_how_to_get_it(tmp_path: Path) -> None:
+    from rig.core.errors import DeviceLost
+    from rig.devices.hid.device import HidDevice
+
+    pedal = HidDevice(str(tmp_path / "pedal.hidraw"), "foot pedal", (1, 6))
+    with pytest.raises(DeviceLost, match=r"LD_PRELOAD=\$\(python -m rig.devices.hid.shim\)"):
+        pedal.open()

@@ -1,0 +1,189 @@
+"""Jogging: what the cap asks for, and the arm of a mock bench under a hand."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from support import hidraw_nodes
+from support.collecting import ROOT, Collection
+
+from rig.acquire.jog import REACH, origin_text, planned
+from rig.bench.bench import load_bench
+from rig.core import emulation
+from rig.core.clock import SystemClock
+from rig.devices.arm import emulator_faults
+
+pytestmark = pytest.mark.serial
+
+
+BOX = ((-0.01, -0.01, -0.0047), (0.01, 0.01, 0.06))
+parts = st.floats(-1.0, 1.0)
+shifts = st.tuples(parts, parts, parts)
+places = st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01), st.floats(-0.0047, 0.06))
+
+
+@given(shifts, places)
+def test_a_jog_stays_in_the_box_and_below_the_speed_and_reaches_no_further(shift, tip) -> None:
+    step = planned(shift, tip, BOX, 0.005)
+    if step is None:
+        return
+    goal, speed = step
+    assert all(low <= x <= high for x, low, high in zip(goal, *BOX, strict=True))
+    assert 0 < speed <= 0.005 * (1 + 1e-9)
+    assert np.linalg.norm(np.subtract(goal, tip)) <= 0.005 * REACH * (1 + 1e-9)
+
+
+def test_a_cap_let_go_of_moves_nothing() -> None:
+    assert planned((0.0, 0.0, 0.0), (0.0, 0.0, 0.01), BOX, 0.005) is None
+
+
+def test_half_the_deflection_is_half_the_speed_and_a_corner_is_no_faster_than_an_edge() -> None:
+    half = planned((0.5, 0.0, 0.0), (0.0, 0.0, 0.01), BOX, 0.004)
+    corner = planned((1.0, 1.0, 1.0), (0.0, 0.0, 0.01), BOX, 0.004)
+    assert half == ((pytest.approx(0.002), 0.0, 0.01), pytest.approx(0.002))
+    assert corner is not None
+    assert corner[1] == pytest.approx(0.004)
+
+
+def test_against_the_wall_of_the_box_it_stays() -> None:
+    assert planned((1.0, 0.0, 0.0), (0.01, 0.0, 0.01), BOX, 0.005) is None
+    assert planned((0.0, 0.0, -1.0), (0.0, 0.0, -0.0047), BOX, 0.005) is None
+
+
+def test_the_origin_is_printed_as_a_bench_file_takes_it() -> None:
+    bench, _ = load_bench(ROOT / "benches" / "tacpalm.yaml")
+    text = origin_text(bench, (0.001, -0.002, 0.0005))
+    snippet = yaml.safe_load(text[text.index("contact_frame:") : text.index("then")])
+    assert snippet["contact_frame"] == {
+        "position_mm": pytest.approx([-119.0, -432.0, 160.5]),
+        "rotation_deg": [0.0, 0.0, 0.0],
+    }
+
+
+def test_a_bench_without_a_spacemouse_is_wrong_input(capfd: pytest.CaptureFixture[str]) -> None:
+    from rig.__main__ import main
+
+    assert main(["jog", "--bench", str(ROOT / "benches" / "tacpalm.yaml")]) == 2
+    assert "jog: missing" in capfd.readouterr().err
+
+
+# On the mock bench.
+
+
+class Hand:
+    """A running `rig jog` and a hand on its emulated SpaceMouse."""
+
+    def __init__(self, folder: Path) -> None:
+        bench = folder / "bench.yaml"
+        bench.write_text(
+            f"""
+extends: {ROOT / "benches" / "tacpalm.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2}}
+jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
+"""
+        )
+        environment = os.environ | {"LD_PRELOAD": str(hidraw_nodes.library(folder))}
+        self.log = folder / "jog.txt"
+        with self.log.open("w") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-u", "-m", "rig", "jog", "--bench", str(bench)],
+                cwd=ROOT,
+                env=environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+            )
+        self.run = Collection(folder / "none", process)
+        self.wait(lambda: "Ctrl-C ends" in self.log.read_text())
+        command = self.run.processes()[self.run.emulator("rig.devices.arm.emulator")]
+        self.host = command.split("--host ")[1].split()[0]
+        self.start = self.place()
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        clock = SystemClock()
+        limit_ns = clock.now_ns() + 40_000_000_000
+        while not condition():
+            assert clock.now_ns() < limit_ns, self.log.read_text()
+            assert self.run.process.poll() is None, self.log.read_text()
+            clock.sleep_until(clock.now_ns() + 10_000_000)
+
+    def move(self, fault: str, **values: float) -> None:
+        emulation.inject(self.host, emulation.PORTS["spacemouse"], fault, **values)
+
+    def place(self) -> np.ndarray:
+        return np.array(emulator_faults.inject(self.host, "state")["pose"][:3])
+
+    def moving(self) -> bool:
+        speed = emulator_faults.inject(self.host, "state")["speed"]
+        return bool(np.linalg.norm(speed[:3]) > 1e-4)
+
+
+@pytest.fixture(name="hand")
+def jogging(tmp_path: Path) -> Iterator[Hand]:
+    hand = Hand(tmp_path)
+    yield hand
+    hand.run.kill_all()
+    hand.run.process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(hand: Hand) -> None:
+    hand.move("push", x=1.0, seconds=1.0)
+    hand.wait(hand.moving)
+    hand.wait(lambda: not hand.moving())
+    moved = hand.place() - hand.start
+    # 5 mm/s for a second, and what it takes to notice that the cap fell silent.
+    assert 0.002 < moved[0] < 0.0085
+    assert np.abs(moved[1:]).max() < 1e-4
+    hand.move("push", z=-1.0, seconds=1.0)
+    hand.wait(hand.moving)
+    hand.wait(lambda: not hand.moving())
+    taken = hand.place()
+    assert taken[2] < hand.start[2] - 0.002
+    hand.move("button", number=0)
+    assert hand.run.process.wait(30) == 0, hand.log.read_text()
+    text = hand.log.read_text()
+    snippet = yaml.safe_load(text[text.index("contact_frame:") : text.index("then let")])
+    assert snippet["contact_frame"]["position_mm"] == pytest.approx(1e3 * taken, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_an_unplugged_cap_stops_the_arm_and_ends_with_3(hand: Hand) -> None:
+    hand.move("push", y=-1.0, seconds=30.0)
+    hand.wait(hand.moving)
+    hand.move("unplug")
+    assert hand.run.process.wait(30) == 3, hand.log.read_text()
+    assert "is it plugged in" in hand.log.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_ctrl_c_stops_the_arm_and_ends_with_130(hand: Hand) -> None:
+    hand.move("push", x=-1.0, seconds=30.0)
+    hand.wait(hand.moving)
+    hand.run.process.send_signal(signal.SIGINT)
+    assert hand.run.process.wait(30) == 130, hand.log.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_pushed_into_the_wall_of_the_box_the_tip_stays_inside(hand: Hand) -> None:
+    hand.move("push", x=1.0, seconds=6.0)
+    hand.wait(hand.moving)
+    hand.wait(lambda: (hand.place() - hand.start)[0] > 0.0095 and not hand.moving())
+    assert (hand.place() - hand.start)[0] < 0.0102
+    hand.run.process.send_signal(signal.SIGINT)
+    assert hand.run.process.wait(30) == 130, hand.log.read_text()

@@ -1,0 +1,342 @@
+"""The surface is found by the onset of force, whatever presses, and sessions are shifted to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.collecting import ROOT
+
+from recorder import Session
+from rig.acquire.calibration import home, store
+from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
+from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
+from rig.bench.bench import Bench, load_bench
+from rig.bench.worlds import AnalyticSpec, Sphere
+from rig.core.errors import ConfigError, SafetyStop
+from rig.mock.world.analytic import AnalyticWorld
+from trajectories import Touch, plan_from_json, plan_to_json
+
+pytestmark = pytest.mark.serial
+
+
+def _bench(sensor: str) -> Bench:
+    return load_bench(ROOT / "benches" / f"{sensor}.yaml")[0]
+
+
+def _approach(
+    spec: AnalyticSpec, seed: int, *, surface: float = 0.0, noise: float = 0.01
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heights [m] and compression [N] of an approach at 1 mm/s to 0.3 N, a sample a millisecond."""
+    rng = np.random.default_rng(seed)
+    world = AnalyticWorld(spec, (0.0,) * 6)
+    heights, forces = [], []
+    for number in range(4000):
+        z = 1e-3 - 1e-6 * number
+        forces.append(-world.step(number * 1_000_000, np.array([0, 0, z, 0, 0, 0]))["wrench"][2])
+        heights.append(z + surface)
+        if forces[-1] > 0.3:
+            break
+    return np.array(heights), np.array(forces) + rng.normal(0, noise, len(forces))
+
+
+@pytest.mark.parametrize("indenter", ["punch", "sphere"])
+@pytest.mark.parametrize("sensor", ["tacpalm", "gelsight", "uskin"])
+def test_the_onset_is_found_whatever_presses_on_whatever_relaxes(
+    sensor: str, indenter: str
+) -> None:
+    spec = _bench(sensor).world
+    assert spec is not None
+    if indenter == "sphere":
+        spec = dataclasses.replace(spec, indenter=Sphere(radius=4e-3))
+    inside, errors = 0, []
+    for seed in range(4):
+        onset = find_onset(*_approach(spec, seed, surface=0.2e-3, noise=0.003))
+        assert onset is not None
+        errors.append(onset.z - 0.2e-3)
+        # The interval is the statistics' alone; 3 um is what timing adds to it in `combine`.
+        inside += onset.interval[0] - 3e-6 <= 0.2e-3 <= onset.interval[1] + 3e-6
+    assert np.abs(errors).max() < 15e-6
+    assert inside >= 3
+
+
+def test_a_threshold_would_have_found_a_deeper_place() -> None:
+    spec = _bench("tacpalm").world
+    assert spec is not None
+    z, force = _approach(spec, 0)
+    assert z[np.flatnonzero(force > 0.1)[0]] < -0.1e-3
+
+
+def test_noise_alone_is_no_contact() -> None:
+    rng = np.random.default_rng(0)
+    z = np.linspace(1e-3, -1e-3, 2000)
+    assert find_onset(z, rng.normal(0, 0.01, 2000)) is None
+    assert find_onset(z, np.zeros(2000)) is None
+    assert find_onset(z, -np.maximum(-z, 0) * 300 + rng.normal(0, 0.01, 2000)) is None
+
+
+def test_values_that_are_no_numbers_are_refused() -> None:
+    z = np.linspace(1e-3, -1e-3, 2000)
+    with pytest.raises(ValueError, match="finite"):
+        find_onset(z, np.full(2000, np.nan))
+    with pytest.raises(ValueError, match="at least 50"):
+        find_onset(z[:10], z[:10])
+
+
+def _onset(z: float, half: float) -> Onset:
+    return Onset(z, (z - half, z + half), 1.0, 0.3, 0.01)
+
+
+def test_approaches_that_disagree_make_a_wide_interval() -> None:
+    agreeing = combine([_onset(z, 2e-6) for z in (0.0, 1e-6, -1e-6)])
+    scattered = combine([_onset(z, 2e-6) for z in (0.0, 40e-6, -40e-6)])
+    assert agreeing.width < 15e-6
+    assert scattered.width > 150e-6
+    assert scattered.interval[0] < scattered.z < scattered.interval[1]
+
+
+def test_the_tilt_is_that_of_the_plane_through_the_points() -> None:
+    places = np.array([[0, 0], [2e-3, 2e-3], [-2e-3, 2e-3], [-2e-3, -2e-3], [2e-3, -2e-3]])
+    heights = 0.01 * places[:, 0] - 0.02 * places[:, 1] + 5e-5
+    assert tilt(places, heights) == pytest.approx((0.01, -0.02, 5e-5))
+    with pytest.raises(ValueError, match="no plane"):
+        tilt(places[:2], heights[:2])
+
+
+def test_touches_and_taps_survive_json_and_touch_nothing_beyond_their_travel() -> None:
+    plan = Touch(travel=1e-3, points=(1, 3), repeats=2)
+    assert plan_from_json(plan_to_json(plan)) == plan
+    assert [target.point for target in plan.targets()] == [1, 1, 3, 3]
+    assert min(move.end[2] for t in plan.targets() for move in plan.moves(t)) == -1e-3
+
+
+def test_the_guard_of_an_approach_is_soft_and_its_hard_limit_stays() -> None:
+    bench = _bench("tacpalm")
+    limits = home.touching_bench(bench, 0.3).guard_limits
+    assert limits.soft_fraction * limits.force_rating[2] == pytest.approx(0.3)
+    assert limits.hard_fraction == bench.guard_limits.hard_fraction
+    for force in (0.0, -1.0, 10.0):
+        with pytest.raises(ConfigError, match="--force"):
+            home.touching_bench(bench, force)
+    with pytest.raises(ConfigError, match="travel-mm"):
+        home.plan_for(bench, travel=5e-3, repeats=3, points=(1,))
+
+
+def _home(bench: Bench, **changes: object) -> HomeCalibration:
+    measured = HomeCalibration(
+        date_utc=store.now_utc(),
+        method=home.METHOD,
+        mock=bench.mock,
+        bench_sha256="0" * 64,
+        contact_frame=bench.contact_frame,
+        tcp=bench.arm.tcp,
+        shift=-0.3e-3,
+        interval=(-0.31e-3, -0.29e-3),
+        contacts=(-0.3e-3, -0.301e-3),
+    )
+    return dataclasses.replace(measured, **changes)  # type: ignore[arg-type]
+
+
+def test_what_is_stored_is_read_again_and_shifts_the_frame(tmp_path: Path) -> None:
+    bench = _bench("gelsight")
+    path = store.store(tmp_path, "gelsight", home={"prism": _home(bench)})
+    assert yaml.safe_load(path.read_text())["home"]["prism"]["shift_mm"] == pytest.approx(-0.3)
+    found, warnings = store.load(tmp_path, bench, "prism")
+    assert warnings == []
+    assert found.home is not None
+    assert found.home.shift == pytest.approx(-0.3e-3)
+    moved = found.applied(bench).contact_frame
+    assert np.subtract(moved, bench.contact_frame) == pytest.approx([0, 0, -0.3e-3, 0, 0, 0])
+    assert Calibration.from_facts(found.facts()) == found
+    # A second indenter is kept beside the first.
+    store.store(tmp_path, "gelsight", home={"sphere": _home(bench, shift=1e-4)})
+    assert store.load(tmp_path, bench, "prism")[0].home == found.home
+
+
+def test_another_indenters_surface_is_not_used_and_that_is_said(tmp_path: Path) -> None:
+    bench = _bench("gelsight")
+    store.store(tmp_path, "gelsight", home={"prism": _home(bench)})
+    found, warnings = store.load(tmp_path, bench, "moon")
+    assert found.home is None
+    assert "not for moon" in warnings[0]
+    assert found.applied(bench) is bench
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"contact_frame": (0.0,) * 6}, "another contact_frame"),
+        ({"tcp": (0.0, 0.0, 0.2, 0.0, 0.0, 0.0)}, "another tcp"),
+        ({"mock": False}, "measured on a lab bench"),
+        ({"date_utc": "yesterday"}, "ISO 8601"),
+    ],
+)
+def test_a_foreign_calibration_is_refused(
+    tmp_path: Path, changes: dict[str, object], words: str
+) -> None:
+    bench = _bench("gelsight")
+    store.store(tmp_path, "gelsight", home={"prism": _home(bench, **changes)})
+    with pytest.raises(ConfigError, match=words):
+        store.load(tmp_path, bench, "prism")
+
+
+def test_a_file_of_another_sensor_or_a_torn_one_is_refused(tmp_path: Path) -> None:
+    bench = _bench("gelsight")
+    path = tmp_path / "gelsight.yaml"
+    for text, words in (
+        ("sensor: tacpalm\n", "sensor: found 'tacpalm'"),
+        ("sensor: gelsight\nhome: {prism: {shift_mm: 1.0}}\n", "missing"),
+        ("sensor: [", "not YAML"),
+        ("sensor: gelsight\nhmoe: {}\n", "unknown"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=words):
+            store.load(tmp_path, bench, "prism")
+
+
+def test_an_old_calibration_is_used_with_a_warning(tmp_path: Path) -> None:
+    bench = _bench("gelsight")
+    store.store(tmp_path, "gelsight", home={"prism": _home(bench, date_utc="2020-01-01T00:00:00Z")})
+    found, warnings = store.load(tmp_path, bench, "prism")
+    assert found.home is not None
+    assert "days old" in warnings[0]
+
+
+def test_a_latency_becomes_the_attributes_of_its_stream(tmp_path: Path) -> None:
+    bench = _bench("gelsight")
+    measured = LatencyCalibration(
+        date_utc=store.now_utc(),
+        method="taps",
+        mock=True,
+        bench_sha256="0" * 64,
+        stream="camera",
+        device=store.device_name(bench, "camera"),
+        latency=0.0467,
+        interval=(0.046, 0.0474),
+        exposure=1 / 60,
+        gel_lead=0.002,
+        ratio=9.0,
+        taps=16,
+    )
+    store.store(tmp_path, "gelsight", latency=measured)
+    found, _ = store.load(tmp_path, bench, "prism")
+    attrs = found.stream_attrs("camera")
+    assert attrs["latency"] == pytest.approx(0.0467)
+    assert attrs["latency_calibration"]["interval_s"] == pytest.approx([0.046, 0.0474])
+    assert found.stream_attrs("force") == {}
+    foreign = dataclasses.replace(measured, device="opencv /dev/video7")
+    store.store(tmp_path, "gelsight", latency=foreign)
+    with pytest.raises(ConfigError, match="another camera"):
+        store.load(tmp_path, bench, "prism")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_home_finds_a_surface_that_the_bench_file_has_wrong_and_collect_goes_there(
+    tmp_path: Path,
+) -> None:
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(
+        f"""
+extends: {ROOT / "benches" / "gelsight.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
+arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
+world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
+"""
+    )
+    kept = ["--bench", str(bench), "--calibrations", str(tmp_path)]
+    ran = _rig("home", *kept, "--out", str(tmp_path / "h.zarr"))
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    stored = yaml.safe_load((tmp_path / "gelsight.yaml").read_text())["home"]["cylinder"]
+    low, high = stored["interval_mm"]
+    assert low <= -0.3 <= high
+    assert high - low < 0.05
+    assert "difference" in ran.stdout
+
+    ran = _rig("collect", *kept, "--targets", "1", "--out", str(tmp_path / "s.zarr"))
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert any(line.startswith("home ") for line in ran.stdout.splitlines()[:4])
+    session = Session(tmp_path / "s.zarr")
+    assert session.attrs["calibration"]["home"]["shift"] == pytest.approx(-0.3e-3, abs=2e-5)
+    assert session.attrs["contact_frame"][2] == pytest.approx(0.1597, abs=2e-5)
+    lowest = np.asarray(session.streams["pose"].array("value"))[:, 2].min()
+    assert lowest == pytest.approx(0.1597 - 0.3e-3, abs=5e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_home_refuses_when_there_is_nothing_to_touch(tmp_path: Path) -> None:
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(
+        f"""
+extends: {ROOT / "benches" / "gelsight.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
+arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
+world_frame: {{position_mm: [-120.0, -430.0, 155.0]}}
+"""
+    )
+    ran = _rig(
+        *("home", "--bench", str(bench), "--calibrations", str(tmp_path), "--repeats", "1"),
+        *("--travel-mm", "0.5", "--out", str(tmp_path / "h.zarr")),
+    )
+    assert ran.returncode == 4, ran.stdout + ran.stderr
+    assert "no contact at point 1 down to -0.50 mm" in ran.stdout
+    assert not (tmp_path / "gelsight.yaml").exists()
+
+
+def _rig(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "rig", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=150,
+        check=False,
+    )
+
+
+def test_too_wide_an_interval_is_refused_with_its_width(tmp_path: Path) -> None:
+    session = _touched(tmp_path, noise=0.05)
+    plan = Touch(travel=1e-3, repeats=1)
+    with pytest.raises(SafetyStop, match=r"mm wide; allowed: 0\.002 mm"):
+        home.evaluate(session, plan, width_max=2e-6)
+    found = home.evaluate(session, plan, width_max=1e-3)
+    assert abs(found.surface.z) < 0.1e-3
+
+
+def _touched(folder: Path, *, noise: float) -> Session:
+    """A session of one approach to the TacPalm's World, without a bench."""
+    from recorder import SessionWriter, StreamWriter, force_spec, pose_spec
+
+    spec = _bench("tacpalm").world
+    assert spec is not None
+    heights, forces = _approach(spec, 0, noise=noise)
+    targets = {
+        "point": np.ones(1, np.int16),
+        "depth": np.zeros(1),
+        "direction": np.full(1, -1, np.int16),
+        "planned": np.zeros((1, 3)),
+    }
+    path = folder / "touch.zarr"
+    attrs = {"contact_frame": [0.0] * 6}
+    specs = [force_spec(1000.0), pose_spec(1000.0)]
+    with SessionWriter.create(path, attrs=attrs, streams=specs, targets=targets) as writer:
+        writer.begin_run({"t0_ns": 0})
+        force = StreamWriter.open(writer.stream_path("force"))
+        pose = StreamWriter.open(writer.stream_path("pose"))
+        with force, pose:
+            for number, (z, pressed) in enumerate(zip(heights, forces, strict=True)):
+                t_ns = (number + 1) * 1_000_000
+                wrench = np.array([0, 0, -pressed, 0, 0, 0])
+                force.append(value=wrench, seq=number, status=0, t_ns=t_ns)
+                place = np.array([0, 0, z, 0, 0, 0])
+                pose.append(value=place, device_t=1e-9 * t_ns, speed_scaling=1.0, t_ns=t_ns)
+        end_ns = (len(heights) + 1) * 1_000_000
+        writer.segments.append(target=0, phase=0, outcome=1, run=0, start_ns=1, end_ns=end_ns)
+        writer.finish("complete", rate_hz=40.0)
+    return Session(path)

@@ -1,0 +1,299 @@
+"""Forces live: the newest frame counts, nothing is lost unsaid, and a mock bench has its finger."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import simplejpeg
+from support.learning_sessions import altered
+from support.sessions import make_session
+
+from recorder import Session, SessionError
+from rig.__main__ import main
+from rig.bench.bench import find_bench, load_bench
+from rig.core.clock import SECOND_NS, FakeClock, SystemClock
+from rig.core.errors import ConfigError, DeviceLost
+from rig.monitor.forces import ForceLine, Seen, watch
+from rig.monitor.watched import Watched, mock_bench, replayed
+
+pytestmark = pytest.mark.serial
+
+
+BENCHES = Path(__file__).parents[2] / "benches"
+WORK_NS = 5_000_000
+"""What the stub takes for a frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    force: tuple[float, float, float]
+    contact: bool = True
+
+
+@dataclass
+class Stub:
+    """A predictor that takes its time, and some frames before it begins."""
+
+    clock: FakeClock | None = None
+    first: int = 2
+    seen: list[Any] = field(default_factory=list)
+    untouched: list[Any] = field(default_factory=list)
+
+    def begin(self, frames: Any) -> None:
+        self.untouched += list(frames)
+
+    def step(self, frame: Any) -> Said | None:
+        self.seen.append(frame)
+        if self.clock is not None:
+            self.clock.advance(WORK_NS / SECOND_NS)
+        if len(self.seen) <= self.first:
+            return None
+        return Said((0.0, 0.5, -float(np.mean(frame))))
+
+
+@dataclass
+class Drops:
+    """A driver whose frames come in portions, as a slow reader finds them."""
+
+    clock: FakeClock
+    portions: list[list[Any]]
+    dropped: int = 0
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        if not self.portions:
+            raise DeviceLost("camera: unplugged")
+        portion = self.portions.pop(0)
+        if not portion:
+            self.clock.advance(timeout)
+        return [{"value": value, "t_ns": self.clock.now_ns()} for value in portion]
+
+    def open(self, timeout: float) -> None: ...
+
+    def describe(self) -> dict[str, Any]:
+        return {}
+
+    def close(self) -> None: ...
+
+
+@dataclass
+class Never:
+    requested: bool = False
+
+
+def scan(value: float) -> np.ndarray[Any, Any]:
+    return np.full((16, 3), value)
+
+
+def test_the_newest_frame_is_taken_and_skipped_ones_are_counted(tmp_path: Path) -> None:
+    clock = FakeClock(7 * SECOND_NS)
+    portions = [[scan(0)], [scan(0)], [scan(1)], [], [scan(2), scan(3)], [scan(4)] * 3]
+    driver = Drops(clock, portions, dropped=1)
+    begun: list[int] = []
+    watched = Watched("uskin", "taxels", driver, begin=lambda: begun.append(len(portions)))
+    seen, predictor, out = Seen(), Stub(clock), tmp_path / "forces.csv"
+    with pytest.raises(DeviceLost):
+        watch(watched, predictor, clock, Never(), seen=seen, out=out)
+    assert [force[2] for force in seen.force] == [-1.0, -3.0, -4.0]
+    assert (seen.frames, seen.skipped) == (3, 3)
+    assert begun == [3]
+    assert np.allclose(seen.latency, WORK_NS / SECOND_NS)
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["Fz_N"]) for row in rows] == [-1.0, -3.0, -4.0]
+    assert [float(row["latency_ms"]) for row in rows] == [5.0] * 3
+    assert int(rows[0]["t_ns"]) == 7 * SECOND_NS + 2 * WORK_NS
+    with pytest.raises(ConfigError, match="exists"):
+        watch(watched, predictor, clock, Never(), seen=Seen(), out=out)
+
+
+def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(
+    tmp_path: Path,
+) -> None:
+    clock = FakeClock()
+    many = [[scan(1)] for _ in range(100)]
+    watched = Watched("uskin", "taxels", Drops(clock, many, dropped=2))
+    seen = Seen()
+    watch(watched, Stub(clock), clock, Never(), seen=seen, seconds=0.1)
+    assert seen.frames == 21
+    assert seen.rate_hz == pytest.approx(200.0)
+    assert seen.lost == 2
+    over = Watched("uskin", "taxels", Drops(clock, [[scan(1)], []]), over=lambda: True)
+    watch(over, Stub(clock, first=0), clock, Never(), seen=(seen := Seen()))
+    assert seen.frames == 1
+    out = tmp_path / "none.csv"
+    watch(over, Stub(clock), clock, Never(requested=True), seen=(seen := Seen()), out=out)
+    assert seen.frames == 0
+    assert not out.exists()
+    assert list(seen.lines()) == ["no force: no frame came after the untouched ones"]
+
+
+def test_a_damaged_picture_is_counted_and_left_out() -> None:
+    clock = FakeClock()
+    picture = np.full((480, 640, 3), 90, np.uint8)
+    good = simplejpeg.encode_jpeg(picture)
+    driver = Drops(clock, [[good], [good[:200]], [good], []])
+    watched = Watched("tacpalm", "camera", driver, over=lambda: True)
+    predictor = Stub(clock, first=0)
+    watch(watched, predictor, clock, Never(), seen=(seen := Seen()))
+    assert (seen.frames, seen.lost) == (2, 1)
+    assert all(frame.shape == (480, 640, 3) for frame in predictor.seen)
+
+
+def test_the_summary_says_rate_latency_and_how_far_it_was_from_the_truth() -> None:
+    seen = Seen(skipped=3, lost=1)
+    for number in range(101):
+        now_ns = number * SECOND_NS // 100
+        seen.add(Said((0.0, 0.0, -1.0)), now_ns - number * 100_000, now_ns, now_ns)
+    wrench = np.zeros((101, 6))
+    wrench[:, 2] = -1.5
+    wrench[0] = np.nan
+    text = "\n".join(seen.lines(wrench))
+    assert "101 forces in 1.0 s, 100.0 a second; 3 frames skipped" in text
+    assert "p50 5.0 ms, p99 9.9 ms, worst 10.0 ms" in text
+    assert "Fz 0.50 N (of 1.50)" in text
+    assert "error" not in "\n".join(seen.lines(np.full((101, 6), np.nan)))
+
+
+def test_forces_are_shown_no_more_often_than_they_can_be_read() -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    clock = FakeClock()
+    for out, every in ((Terminal(), 10), (io.StringIO(), 1)):
+        line = ForceLine(clock, out)
+        for _ in range(200):
+            line(Said((0.1, -0.2, -3.0)), 0.008)
+            clock.advance(0.01)
+        line.close()
+        line.close()
+        assert out.getvalue().count("Fz") == 2 * every
+        assert "Fz   -3.00 N  contact    8.0 ms" in out.getvalue()
+
+
+def test_the_finger_of_a_mock_bench_presses_once_the_sensor_was_seen_untouched(
+    tmp_path: Path,
+) -> None:
+    path = find_bench("uskin", BENCHES)
+    clock, stop = SystemClock(), Never()
+    predictor = Stub(first=20)
+    seen = Seen()
+    with mock_bench(load_bench(path)[1], str(path), tmp_path, clock, rate_hz=100.0) as watched:
+        assert watched.driver.describe()["rate_hz"] in (None, 100.0)
+        watch(watched, predictor, clock, stop, seen=seen, seconds=1.2)
+        assert watched.wrench is not None
+        wrench = watched.wrench(np.array(seen.shown_ns))
+    counts = np.array(predictor.seen, float)
+    spread = np.abs(counts - counts[:20].mean(axis=0)).max(axis=(1, 2))
+    assert spread[:20].max() < 20
+    assert spread[20:].max() > 200
+    assert wrench[:, 2].min() < -0.2
+    assert seen.frames > 20
+
+
+def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
+    made = make_session(tmp_path / "made.zarr", seconds=1.0, names=("force", "taxels"))
+    taken_ns = int(Session(made).streams["taxels"].t_ns[4])
+    source = altered(made, tmp_path / "s.zarr", {"reference/t_ns": taken_ns})
+    recorded = Session(source)
+    clock, predictor, seen = SystemClock(), Stub(first=0), Seen()
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with replayed(source, folder, clock) as watched:
+        assert (watched.sensor, watched.stream) == ("wedge", "taxels")
+        watch(watched, predictor, clock, Never(), seen=seen)
+        assert watched.wrench is not None
+        wrench = watched.wrench(np.array(seen.shown_ns))
+    rows = len(recorded.streams["taxels"])
+    assert np.array_equal(predictor.untouched, recorded.streams["taxels"].array("value")[:5])
+    # One more: the driver hands on what it needed to open.
+    assert seen.frames + seen.skipped == rows + 1
+    values = np.asarray(recorded.streams["taxels"].array("value"))
+    assert np.array_equal(predictor.seen[-1], values[-1])
+    assert np.isfinite(wrench).all(axis=1).sum() > 0.8 * seen.frames
+
+
+def test_pictures_stored_as_pixels_cannot_be_watched(tmp_path: Path) -> None:
+    source = make_session(tmp_path / "s.zarr", seconds=0.2, names=("force", "pose"))
+    with (
+        pytest.raises(SessionError, match="neither camera nor taxels"),
+        contextlib.ExitStack() as stack,
+    ):
+        stack.enter_context(replayed(source, tmp_path, SystemClock()))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--sensor", "uskin", "--session", "x.zarr"], "--session: goes without"),
+        (["--sensor", "uskin", "--seconds", "0"], "--seconds: found 0"),
+        (["--sensor", "uskin", "--rate-hz", "-1"], "--rate-hz: found -1"),
+        (["--sensor", "uskin", "--threads", "-1"], "--threads: found -1"),
+        (["--sensor", "uskin"], "no such file"),
+        (["--sensor", "nothing"], "SENSOR: found 'nothing'"),
+        ([], "--sensor, --bench: both missing"),
+    ],
+)
+def test_wrong_options_end_before_anything_is_started(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["live", "--model", str(tmp_path), "--benches", str(BENCHES), *options]
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_model_says_forces_of_a_mock_bench_until_ctrl_c(tmp_path: Path) -> None:
+    model, out = tmp_path / "model", tmp_path / "forces.csv"
+    write_model(model)
+    command = [sys.executable, "-u", "-m", "rig", "live", "--model", str(model), "--sensor"]
+    process = subprocess.Popen(
+        [*command, "uskin", "--out", str(out)],
+        cwd=BENCHES.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    clock = SystemClock()
+    deadline_ns = clock.now_ns() + 45 * SECOND_NS
+    while not (out.exists() and len(out.read_text().splitlines()) > 100):
+        assert process.poll() is None
+        assert clock.now_ns() < deadline_ns
+        clock.sleep_until(clock.now_ns() + SECOND_NS // 10)
+    process.send_signal(signal.SIGINT)
+    printed, _ = process.communicate(timeout=20)
+    assert process.returncode == 0, printed
+    assert "latency, frame in to force out: p50" in printed
+    assert "mean absolute error against the force that was there" in printed
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["contact"] for row in rows} == {"0", "1"}
+    assert all(np.isfinite(float(row["Fz_N"])) for row in rows)
+
+
+def write_model(folder: Path) -> None:
+    """Export an untrained model of a few thousand weights."""
+    import torch
+
+    from learning.config import read_settings
+    from learning.data.presses import AUTHORS
+    from learning.force.export import export_onnx
+    from learning.force.model import PRESETS, ForceModel, ForceSettings
+    from learning.force.predict import ForcePredictor
+
+    settings = read_settings(ForceSettings, PRESETS, "tiny", [])
+    torch.manual_seed(0)
+    model = ForceModel(settings.network, settings.input).eval()
+    model.set_range(AUTHORS)
+    folder.mkdir()
+    export_onnx(ForcePredictor(model, settings), folder / "model.onnx")

@@ -1,0 +1,66 @@
+"""The mock bench starts what its sensor needs, finds an address, and says who died."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from pathlib import Path
+
+import pytest
+
+from rig.bench.bench import find_bench, load_bench
+from rig.core.errors import ConfigError, DeviceLost
+from rig.mock.bench import MockBench, free_loopback
+from rig.mock.emulators import Sources
+
+pytestmark = pytest.mark.serial
+
+
+BENCHES = Path(__file__).parents[2] / "benches"
+
+
+@pytest.mark.parametrize(
+    ("sensor", "devices"),
+    [
+        ("tacpalm", {"arm", "world", "force", "camera"}),
+        ("uskin", {"arm", "world", "force", "taxels"}),
+    ],
+)
+def test_a_bench_has_the_emulators_of_its_devices_at_one_address_of_its_own(
+    sensor: str, devices: set[str], tmp_path: Path
+) -> None:
+    path = find_bench(sensor, BENCHES)
+    with MockBench(load_bench(path)[1], str(path), tmp_path) as mock:
+        assert set(mock.processes) == devices
+        mock.check()
+        for port in (29999, 30003, 30004):
+            socket.create_connection((mock.host, port), 2.0).close()
+        assert mock.bench.arm.host == mock.bench.force.host == mock.host
+        assert free_loopback() != mock.host
+        mock.processes["world"].send_signal(signal.SIGKILL)
+        mock.processes["world"].wait()
+        with pytest.raises(DeviceLost, match="world: its emulator ended"):
+            mock.check()
+    assert all(process.returncode is not None for process in mock.processes.values())
+
+
+def test_sources_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="CAMERA"):
+        Sources(camera=tmp_path / "none")
+    with pytest.raises(ConfigError, match="TAXELS"):
+        Sources(taxels=tmp_path / "none.npy")
+    # The session names what was served, not where it lay.
+    facts = Sources(camera=tmp_path, camera_motion="still").facts()
+    assert facts == {"camera": {"name": tmp_path.name, "motion": "still"}}
+
+
+def test_an_emulator_that_does_not_start_is_named_with_its_last_word(tmp_path: Path) -> None:
+    path = find_bench("uskin", BENCHES)
+    log = tmp_path / "log.npy"
+    log.write_bytes(b"no array")
+    folder = tmp_path / "run"
+    folder.mkdir()
+    bench = MockBench(load_bench(path)[1], str(path), folder, sources=Sources(taxels=log))
+    with pytest.raises(DeviceLost, match="taxels emulator did not start"), bench:
+        pass
+    assert all(process.returncode is not None for process in bench.processes.values())

@@ -1,0 +1,345 @@
+"""Replay gives back the same bytes, through the real drivers, and says so when it cannot."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.collecting import ROOT, Collection
+from support.sessions import Columns, make_session
+
+from recorder import Session, SessionError, check
+from recorder.info import digests
+from recorder.store.layout import merge_attrs
+from rig.core.clock import SECOND_NS
+from rig.core.errors import DeviceLost
+from rig.devices.force.netft_wire import Page
+from rig.devices.playback import force_counts, replayable
+from rig.mock.cue import ENDED, PLAYING, POSITION
+from rig.replay import replay as module
+from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayOrder
+from rig.replay.result import Retiming, compared
+from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
+
+pytestmark = pytest.mark.serial
+
+
+SCALE = np.repeat(Page().scale(), 3)
+ALL = ("camera", "force", "pose", "taxels")
+TIMES = {"t_ns"}
+
+
+def as_devices_send(name: str, columns: Columns) -> Columns:
+    """Forces in whole counts of a Net F/T box; what else devices send is so already."""
+    if name == "force":
+        counts = np.rint(columns["value"] / SCALE)
+        return {**columns, "value": counts * SCALE - np.zeros(6)}
+    if name == "taxels":
+        return {**columns, "seq": columns["seq"] * 2 + 1}
+    return columns
+
+
+def small_session(path: Path, **options: Any) -> Path:
+    """A session of 2 s with all four streams."""
+    chosen = {"seconds": 2.0, "names": ALL, "change": as_devices_send, **options}
+    return make_session(path, **chosen)
+
+
+def replayed(source: Path, out: Path, speed: float = 0.0, **options: Any) -> Session:
+    assert Replay(ReplayOrder(source, out, speed, **options)).run() == 0
+    return Session(out)
+
+
+def test_two_replays_at_maximum_speed_have_the_bytes_of_their_source(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = small_session(tmp_path / "s.zarr", seconds=1.0)
+    first = replayed(source, tmp_path / "a.zarr")
+    second = replayed(source, tmp_path / "b.zarr")
+    session = Session(source)
+    assert digests(first) == digests(second) == digests(session)
+    for name in ("force", "pose", "taxels"):
+        for column in set(session.streams[name].names) - TIMES:
+            again = first.streams[name].array(column)
+            assert again.tobytes() == session.streams[name].array(column).tobytes(), (name, column)
+    jpegs = [session.streams["camera"].jpeg(row) for row in range(len(session.streams["camera"]))]
+    assert [first.streams["camera"].jpeg(row) for row in range(len(jpegs))] == jpegs
+    assert np.isnan(first.streams["camera"].array("device_t")).all()
+    assert first.streams["force"].t_ns[0] != session.streams["force"].t_ns[0]
+    printed = capsys.readouterr().out
+    assert all(digest in printed for digest in digests(session).values())
+    assert "DIFFERENT" not in printed
+
+
+def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
+    tmp_path: Path,
+) -> None:
+    source = small_session(tmp_path / "s.zarr", names=("taxels", "force"))
+    replay = replayed(source, tmp_path / "r.zarr", 8.0)
+    session = Session(source)
+    origin = replay.attrs["replay_of"]
+    assert (origin["name"], origin["speed"]) == ("s.zarr", 8.0)
+    assert origin["streams"] == digests(session)
+    assert replay.attrs["mock"] is True
+    assert replay.attrs["sensor"] == "wedge"
+    for name in session.targets:
+        assert np.array_equal(replay.targets[name], session.targets[name])
+    for name in ("target", "phase", "outcome"):
+        assert np.array_equal(replay.segments[name], session.segments[name])
+    lengths = [s.segments["end_ns"] - s.segments["start_ns"] for s in (session, replay)]
+    assert np.abs(lengths[0] / 8 - lengths[1]).max() <= 1
+    assert np.array_equal(replay.reference["wrench"], session.reference["wrench"])
+    assert len(replay.frames["t_ns"]) == len(session.frames["t_ns"])
+    excused = {"gap", "clock-step"}
+    assert [str(f) for f in check(tmp_path / "r.zarr") if f.code not in excused] == []
+
+
+def two_runs(path: Path) -> Path:
+    """A session of poses and forces whose controller and box started anew with its second run."""
+
+    def change(name: str, columns: Columns) -> Columns:
+        columns = as_devices_send(name, columns)
+        if name == "segments":
+            return {key: values[:0] for key, values in columns.items()}
+        half = len(columns["t_ns"]) // 2
+        for column in ("device_t", "seq"):
+            if name in ("force", "pose") and column in columns:
+                values = columns[column].copy()
+                values[half:] -= values[half] - (1 if column == "seq" else 0)
+                columns[column] = values
+        return columns
+
+    names = ("force", "pose")
+    make_session(path, seconds=1.0, names=names, change=change)
+    rows = {name: len(Session(path).streams[name]) for name in names}
+    entry = Session(path).runs[0]
+    halves = {name: count // 2 for name, count in rows.items()}
+    first_row = {**entry["first_row"], **halves}
+    merge_attrs(path, {"runs": [entry, {**entry, "first_row": first_row}]})
+    return path
+
+
+def test_runs_are_replayed_one_after_the_other_with_clocks_of_their_own(tmp_path: Path) -> None:
+    source = two_runs(tmp_path / "s.zarr")
+    replay = replayed(source, tmp_path / "r.zarr")
+    session = Session(source)
+    assert digests(replay) == digests(session)
+    assert len(replay.runs) == 2
+    for name in ("force", "pose"):
+        assert replay.rows_of_run(name, 1) == session.rows_of_run(name, 1)
+    assert replay.runs[0]["t0_ns"] < replay.streams["force"].t_ns[0] < replay.runs[1]["t0_ns"]
+
+
+def test_a_stream_that_is_left_out_is_named(tmp_path: Path) -> None:
+    source = small_session(
+        tmp_path / "s.zarr", seconds=0.5, codec="zstd", names=("camera", "force")
+    )
+    with pytest.raises(SessionError, match=r"streams/camera: stored as pixels.*--without camera"):
+        Replay(ReplayOrder(source, tmp_path / "r.zarr", 0.0)).run()
+    assert not (tmp_path / "r.zarr").exists()
+    replay = replayed(source, tmp_path / "r.zarr", without=("camera",))
+    assert set(replay.streams) == {"force"}
+    assert replay.attrs["replay_of"]["left_out"] == ["camera"]
+    assert replay.reference["image"].tolist() == [-1]
+
+
+def test_every_count_of_a_box_comes_back_to_the_last_bit() -> None:
+    rng = np.random.default_rng(5)
+    for page in (Page(), Page(force_unit="lbf", torque_unit="lbf-in", counts_per_force=4e5)):
+        scale = np.repeat(page.scale(), 3)
+        counts = rng.integers(-(2**31) + 1, 2**31, (2000, 6))
+        counts[:500] //= 1_000_000
+        bias = rng.normal(0, 3, 6)
+        value = counts * scale - bias
+        assert np.array_equal(force_counts(value, bias, page), counts)
+
+
+def test_a_force_that_no_box_sent_is_refused_with_its_row() -> None:
+    value = np.zeros((4, 6))
+    value[2, 1] = 1.25e-7
+    with pytest.raises(SessionError, match=r"row 2: .* is no whole number of counts"):
+        force_counts(value, np.zeros(6), Page())
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "bad", "message"),
+    [
+        ("force", "seq", 100, "streams/force: row 7: seq does not rise"),
+        ("force", "status", -1, "streams/force: row 7: status is no uint32"),
+        ("pose", "device_t", 0.0, "streams/pose: row 7: the controller's clock does not advance"),
+        ("taxels", "value", 70_000, "streams/taxels: row 7: a count is no uint16"),
+    ],
+)
+def test_a_row_that_its_device_cannot_send_is_named(
+    name: str, column: str, bad: float, message: str, tmp_path: Path
+) -> None:
+    def change(stream: str, columns: Columns) -> Columns:
+        columns = as_devices_send(stream, columns)
+        if stream == name:
+            columns[column] = columns[column].copy()
+            columns[column][7] = bad
+        return columns
+
+    path = make_session(tmp_path / "s.zarr", seconds=0.3, names=(name,), change=change)
+    with pytest.raises(SessionError, match=message):
+        replayable(Session(path))
+
+
+def test_a_truncated_source_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    source = small_session(tmp_path / "s.zarr", seconds=0.5, names=("camera",))
+    shard = next(path for path in source.glob("streams/camera/value/c/**/*") if path.is_file())
+    shard.write_bytes(shard.read_bytes()[: shard.stat().st_size // 2])
+    with pytest.raises(SessionError):
+        Replay(ReplayOrder(source, tmp_path / "r.zarr", 0.0)).run()
+    assert not (tmp_path / "r.zarr").exists()
+
+
+def test_a_source_that_is_still_recorded_is_refused(tmp_path: Path) -> None:
+    source = small_session(tmp_path / "s.zarr", seconds=0.3, names=("force",), finish=False)
+    with pytest.raises(SessionError, match="still recording"):
+        replayable(Session(source))
+
+
+@pytest.mark.parametrize(("speed", "found"), [(1.0, {"gap"}), (4.0, set()), ("max", set())])
+def test_pauses_are_no_fault_of_a_replay_whose_times_are_compressed(
+    speed: float | str, found: set[str], tmp_path: Path
+) -> None:
+    def late(name: str, columns: Columns) -> Columns:
+        if name == "pose":
+            columns["t_ns"] = columns["t_ns"] + 200_000_000 * (np.arange(len(columns["t_ns"])) > 90)
+            columns["device_t"] = columns["device_t"] + 0.2 * (np.arange(len(columns["t_ns"])) > 90)
+        return columns
+
+    path = make_session(tmp_path / "s.zarr", seconds=1.0, names=("pose",), change=late)
+    merge_attrs(path, {"replay_of": {"name": "x.zarr", "speed": speed}})
+    assert {finding.code for finding in check(path)} == found
+
+
+def test_different_bytes_are_called_different() -> None:
+    equal, lines = compared(
+        {"force": "a", "pose": "b"},
+        {"force": "a", "pose": "c"},
+        dict.fromkeys(("force", "pose"), 3),
+    )
+    assert not equal
+    assert "equal" in lines[0]
+    assert "DIFFERENT" in lines[1]
+    assert EXIT_DIFFERENT == 1
+
+
+def test_one_offset_carries_the_recorded_times_over_to_the_new_clock() -> None:
+    none = np.zeros(0, np.int64)
+    old = 4_000_000_000_000_000_000 + np.array([0, 1, 7_000_000_001])
+    at_once = Retiming(int(old[0]), 55, 1.0, none, none)
+    assert (at_once(old) - 55).tolist() == [0, 1, 7_000_000_001]
+    faster = Retiming(int(old[0]), 55, 4.0, none, none)
+    assert (faster(old) - 55).tolist() == [0, 0, 1_750_000_000]
+    between = Retiming(int(old[0]), 55, 0.0, old, np.array([60, 70, 90]))
+    assert between(np.array([old[0], (old[1] + old[2]) // 2 + 1])).tolist() == [60, 80]
+
+
+def _position(state: int, sent: int) -> Any:
+    return np.array((state, sent, 0), POSITION)[()]
+
+
+def test_a_stream_that_misses_rows_after_the_end_of_its_tape_is_named() -> None:
+    end = EndOfTape({"force": 10, "pose": 3}, gap=0.0)
+    taken = {"force": 8, "pose": 3}
+    sent = {"force": _position(ENDED, 10), "pose": _position(ENDED, 3)}
+    assert not end.reached(0, taken, sent)
+    assert not end.reached(round(MISSING_TIMEOUT * SECOND_NS), taken, sent)
+    with pytest.raises(DeviceLost, match="force: 2 of 10 rows are missing"):
+        end.reached(round((MISSING_TIMEOUT + 1) * SECOND_NS), taken, sent)
+
+
+def test_a_tape_that_never_ends_is_given_up() -> None:
+    end = EndOfTape({"force": 10}, gap=2.0)
+    stuck = {"force": _position(PLAYING, 4)}
+    assert not end.reached(0, {"force": 4}, stuck)
+    assert not end.reached(round((STALL_TIMEOUT + 1) * SECOND_NS), {"force": 4}, stuck)
+    with pytest.raises(DeviceLost, match=r"nothing happens.*'force': 6"):
+        end.reached(round((STALL_TIMEOUT + 3) * SECOND_NS), {"force": 4}, stuck)
+
+
+def test_more_rows_than_were_sent_are_no_replay() -> None:
+    with pytest.raises(DeviceLost, match="force: 1 rows more than were sent"):
+        EndOfTape({"force": 10}, 0.0).reached(0, {"force": 11}, {"force": _position(ENDED, 10)})
+
+
+def _start(source: Path, out: Path) -> Collection:
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "rig", "replay", "--session", str(source), "--out", str(out)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    return Collection(out, process)
+
+
+@pytest.mark.parametrize(
+    ("victim", "code", "word"),
+    [
+        ("emulator", 3, "force: its emulator ended"),
+        pytest.param("stream", 3, "force: its process ended", marks=pytest.mark.slow),
+        ("replay", 130, "interrupted by the operator"),
+    ],
+)
+def test_whatever_ends_a_replay_what_was_recorded_is_kept(
+    victim: str, code: int, word: str, tmp_path: Path
+) -> None:
+    source = small_session(tmp_path / "s.zarr", seconds=30.0, names=("force", "pose"))
+    replay = _start(source, tmp_path / "r.zarr")
+    replay.until(replay.recording)
+    replay.until(lambda: _journalled(tmp_path / "r.zarr") > 20_000)
+    if victim == "emulator":
+        os.kill(
+            next(
+                pid
+                for pid, command in replay.processes().items()
+                if "rig.mock.player --stream force" in command
+            ),
+            signal.SIGKILL,
+        )
+    elif victim == "stream":
+        os.kill(replay.stream("force"), signal.SIGKILL)
+    else:
+        os.kill(replay.process.pid, signal.SIGINT)
+    assert replay.wait() == code
+    assert word in replay.text
+    session = Session(tmp_path / "r.zarr")
+    assert session.status == "stopped"
+    kept = session.streams["force"].array("value")
+    assert len(kept) > 100
+    assert kept.tobytes() == Session(source).streams["force"].array("value")[: len(kept)].tobytes()
+    codes = {finding.code for finding in check(tmp_path / "r.zarr")}
+    assert codes <= {"gap", "clock-step"}
+
+
+def _journalled(session: Path) -> int:
+    return sum(path.stat().st_size for path in session.glob("streams/force/t_ns/journal-*"))
+
+
+def test_a_driver_that_cannot_open_ends_the_replay_before_a_session_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = small_session(tmp_path / "s.zarr", seconds=0.3, names=("force",))
+
+    def deaf(*arguments: Any) -> Any:
+        bench = _bench(*arguments)
+        preflight = replace(bench.preflight, timeout=1.0)
+        return replace(bench, preflight=preflight, force=replace(bench.force, http_port=8079))
+
+    _bench = module.replay_bench
+    monkeypatch.setattr(module, "replay_bench", deaf)
+    with pytest.raises(DeviceLost, match="8079"):
+        Replay(ReplayOrder(source, tmp_path / "r.zarr", 0.0)).run()
+    assert not (tmp_path / "r.zarr").exists()

@@ -1,0 +1,156 @@
+"""The page in a real browser, over a real mock collection."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support.chromium import CHROMIUM, Chromium
+from support.collecting import ROOT, Collection
+
+pytestmark = [
+    pytest.mark.serial,
+    pytest.mark.slow,
+    pytest.mark.timeout(240),
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium"),
+]
+
+PICTURE = os.environ.get("WATCH_PICTURE")
+# Where to put the picture of docs/bench-guide.md, when a new one is wanted.
+STATUS = "document.body.dataset.status"
+SHOWN = "Number(document.getElementById('image').dataset.shown || 0)"
+INK = """(() => {
+  const canvas = document.getElementById('%s'), pen = canvas.getContext('2d');
+  const data = pen.getImageData(0, 0, canvas.width, canvas.height).data, colours = new Set();
+  for (let k = 0; k < data.length; k += 4)
+    if (data[k + 3]) colours.add(data[k] << 16 | data[k + 1] << 8 | data[k + 2]);
+  return colours.size;
+})()"""
+SUM = """(() => {
+  const canvas = document.getElementById('image'), pen = canvas.getContext('2d');
+  const data = pen.getImageData(0, 0, canvas.width, canvas.height).data;
+  return data.reduce((sum, value, k) => (sum * 31 + value) % 2147483647, 7);
+})()"""
+
+
+def bench(folder: Path) -> Path:
+    """Quick, and with a soft force limit that the deeper presses reach."""
+    path = folder / "bench.yaml"
+    path.write_text(
+        f"""
+extends: {ROOT / "benches" / "tacpalm.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
+arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
+trajectory: {{depth_step_mm: 2.25}}
+limits: {{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.2}}
+"""
+    )
+    return path
+
+
+@contextmanager
+def watched(folder: Path, *arguments: str) -> Iterator[tuple[Collection, Chromium]]:
+    """A collection with a page, and a browser that shows it."""
+    with Chromium() as browser:
+        collection = Collection.start(
+            folder / "s.zarr", "--bench", str(bench(folder)), "--watch", "0", *arguments
+        )
+        try:
+            assert collection.process.stdout is not None
+            for line in collection.process.stdout:
+                collection.lines.append(line.rstrip())
+                if found := re.search(r"watch it at (\S+)", line):
+                    browser.resize(1440, 900)
+                    browser.open(found[1])
+                    break
+            yield collection, browser
+        finally:
+            if collection.process.poll() is None:
+                collection.kill_all()
+                collection.process.communicate()
+
+
+def count(name: str) -> str:
+    return f"Number(document.getElementById('n-{name}').textContent)"
+
+
+def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
+    with watched(tmp_path, "--targets", "11") as (collection, browser):
+        browser.until(f"{STATUS} == 'collecting' && {SHOWN} > 2", 60)
+        first = browser.eval(SUM)
+        browser.until(f"{SHOWN} > 8")
+        assert browser.eval(INK % "image") > 100
+        browser.until(f"({SUM}) != {first}")
+        browser.until(f"({INK % 'traces'}) > 20")
+        browser.until(f"{count('done')} >= 2", 60)
+        assert browser.eval("document.querySelectorAll('#map path.done').length") >= 2
+        assert browser.eval("document.querySelectorAll('#map path.current').length") == 1
+        rates = browser.eval("document.getElementById('streams').innerText")
+        assert "1000 Hz" in rates
+        assert "camera" in rates
+
+        browser.click("#pause")
+        browser.until(f"{STATUS} == 'paused'", 30)
+        assert browser.eval("document.getElementById('pause').textContent") == "Resume"
+        held = browser.eval(count("done"))
+        browser.eval("new Promise((wait) => setTimeout(wait, 1500))")
+        assert browser.eval(count("done")) == held
+        browser.click("#pause")
+        browser.until(f"{STATUS} == 'collecting'", 30)
+
+        browser.until(f"{count('limited')} >= 1", 90)
+        for width in (768, 390):
+            browser.resize(width, 1024, dark=False)
+            wide = browser.eval("document.documentElement.scrollWidth")
+            assert wide <= width, f"{wide} px wide on a screen of {width} px"
+
+        browser.until(f"{STATUS} == 'complete'", 120)
+        assert "11 of 11 targets" in browser.eval("document.getElementById('reason').textContent")
+        assert browser.eval("document.getElementById('abort').disabled") is True
+        assert collection.wait() == 0, collection.text
+        complaints = [line for line in browser.console if "ERR_CONNECTION_REFUSED" not in line]
+        assert complaints == []
+
+
+def test_abort_asks_first_and_then_ends_the_collection(tmp_path: Path) -> None:
+    with watched(tmp_path) as (collection, browser):
+        browser.until(f"{count('done')} >= 1", 90)
+        if PICTURE is not None:
+            browser.until(f"{count('limited')} >= 4", 90)
+            browser.screenshot(Path(PICTURE))
+        browser.click("#abort")
+        browser.until("document.getElementById('confirm').open")
+        browser.click("#go-on")
+        browser.until("!document.getElementById('confirm').open")
+        assert browser.eval(STATUS) == "collecting"
+        browser.click("#abort")
+        browser.click("#abort-now")
+        browser.until(f"{STATUS} == 'stopped'", 60)
+        assert "aborted by the page" in browser.eval("document.getElementById('reason').innerText")
+        assert collection.wait() == 130, collection.text
+
+
+def test_a_lost_connection_shows_at_once_and_the_next_collection_by_itself(tmp_path: Path) -> None:
+    with watched(tmp_path, "--targets", "1") as (collection, browser):
+        browser.until(f"{STATUS} == 'collecting'", 60)
+        collection.kill_all()
+        browser.until("!document.getElementById('lost').hidden", 10)
+        collection.process.communicate()
+        port = browser.eval("location.port")
+        folder = tmp_path / "next"
+        folder.mkdir()
+        following = Collection.start(
+            folder / "s.zarr", "--bench", str(bench(folder)), "--watch", port, "--targets", "1"
+        )
+        try:
+            browser.until(f"{STATUS} == 'complete'", 90)
+            assert browser.eval("document.getElementById('lost').hidden") is True
+            assert following.wait() == 0, following.text
+        finally:
+            if following.process.poll() is None:
+                following.kill_all()
+                following.process.communicate()

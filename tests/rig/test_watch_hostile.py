@@ -1,0 +1,105 @@
+"""A collection whose page is under attack records as if there were none."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import socket
+import threading
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from support.collecting import Collection, faults_of, quick_bench
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from recorder import Session
+
+pytestmark = [pytest.mark.serial, pytest.mark.slow, pytest.mark.timeout(180)]
+
+_PAUSE = 0.005
+# Between two attempts of one attacker [s]: the attackers share two cores with the bench.
+
+
+def attack(port: int, cookie: str, kind: str, ending: threading.Event, tries: list[str]) -> None:
+    where = f"127.0.0.1:{port}"
+    held: list[socket.socket] = []
+    while not ending.is_set():
+        with contextlib.suppress(OSError, WebSocketException, EOFError):
+            if kind == "connect":
+                held.append(socket.create_connection(("127.0.0.1", port), timeout=2))
+                if len(held) > 100:
+                    held.pop(0).close()
+            elif kind == "garbage":
+                with socket.create_connection(("127.0.0.1", port), timeout=2) as client:
+                    client.sendall(b"\x00\xff" * 4000)
+            else:
+                with connect(
+                    f"ws://{where}/live",
+                    origin=f"http://{where}",  # type: ignore[arg-type]
+                    additional_headers={"Cookie": cookie},
+                    open_timeout=2,
+                    close_timeout=0.1,
+                ) as client:
+                    if kind == "flood":
+                        for _ in range(100):
+                            client.send('{"command": "resume"}')
+                    elif kind == "big":
+                        client.send("x" * 1_000_000)
+                    else:
+                        # Reads nothing: what is sent piles up until the page lets go.
+                        ending.wait(3.0)
+        tries.append(kind)
+        time.sleep(_PAUSE)
+    for client in held:
+        client.close()
+
+
+def test_no_sample_is_lost_while_the_page_is_attacked(tmp_path: Path) -> None:
+    collection = Collection.start(
+        tmp_path / "s.zarr",
+        "--bench",
+        str(quick_bench(tmp_path, "tacpalm")),
+        "--watch",
+        "0",
+        "--targets",
+        "8",
+    )
+    ending, tries = threading.Event(), []
+    threads: list[threading.Thread] = []
+    try:
+        assert collection.process.stdout is not None
+        port = 0
+        for line in collection.process.stdout:
+            if found := re.search(r"watch it at http://127\.0\.0\.1:(\d+)/", line):
+                port = int(found[1])
+                break
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/") as answer:
+            cookie = answer.headers["Set-Cookie"].split(";")[0]
+        kinds = ("connect", "garbage", "flood", "big", "slow")
+        threads = [
+            threading.Thread(target=attack, args=(port, cookie, kind, ending, tries))
+            for kind in kinds
+        ]
+        collection.until(collection.recording)
+        for thread in threads:
+            thread.start()
+        code = collection.wait(150)
+    finally:
+        ending.set()
+        for thread in threads:
+            thread.join()
+        if collection.process.poll() is None:
+            collection.kill_all()
+            collection.process.communicate()
+    assert code == 0, collection.text
+    summary = Session(collection.session).attrs["summary"]
+    assert {name: stream["dropped"] for name, stream in summary.items()} == dict.fromkeys(
+        summary, 0
+    )
+    assert faults_of(collection.session) == []
+    print(json.dumps({kind: tries.count(kind) for kind in set(tries)}))
+    assert set(tries) >= {"connect", "garbage", "flood", "big"}

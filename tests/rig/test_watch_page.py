@@ -1,0 +1,189 @@
+"""The collecting process's end of the page: nothing that happens to the page disturbs it."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from support.watching import TARGETS, Stage, next_state, watch
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection
+
+from rig.acquire.control import Control
+from rig.core.errors import ConfigError
+from rig.monitor.page.access import Gate
+from rig.monitor.page.messages import Snapshot
+from rig.monitor.page.page import Page
+from rig.monitor.page.server import run_page
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    made = Stage(tmp_path)
+    yield made
+    made.close()
+
+
+def until(condition: Callable[[], bool], timeout: float = 15.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come so far"
+        time.sleep(0.01)
+
+
+def test_the_end_is_shown_before_the_server_goes(stage: Stage) -> None:
+    gate = Gate(port=0)
+    with Page(stage.job(gate)) as page:
+        page.begin(Control(), dict, stage.session, 0)
+        with watch(gate, page.port) as client:
+            until(lambda: next_state(client)["status"] == "collecting")
+            page.say("complete", "160 of 160 targets")
+            page.close()
+            assert last_words(client) == ("complete: 160 of 160 targets", 1001)
+
+
+def test_an_error_before_recording_is_shown_as_the_end(stage: Stage) -> None:
+    gate = Gate(port=0)
+    page = Page(stage.job(gate)).__enter__()
+    with watch(gate, page.port) as client:
+        assert next_state(client)["status"] == "preparing"
+        page.__exit__(ConfigError, ConfigError("force: not there"), None)
+        assert last_words(client) == ("stopped: force: not there", 1001)
+
+
+def test_log_lines_reach_the_page_and_the_token_is_in_none(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    gate = Gate(host="0.0.0.0", port=0)
+    caplog.set_level(logging.DEBUG)
+    with Page(stage.job(gate)) as page, watch(gate, page.port) as client:
+        logging.getLogger("rig.test").info("target %d of %d", 3, TARGETS)
+        seen: list[str] = []
+        while not seen:
+            seen += next_state(client)["log"]
+    assert seen[0].endswith(f"target 3 of {TARGETS}")
+    ours = [r.getMessage() for r in caplog.records if not r.name.startswith("websockets.client")]
+    assert not any(gate.token in line for line in ours)
+
+
+def test_a_killed_page_is_mentioned_once_and_nothing_else(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Page(stage.job()) as page:
+        page.begin(Control(), dict, stage.session, 0)
+        os.kill(child(), signal.SIGKILL)
+        until(lambda: "the page to watch on is gone" in caplog.text)
+        page.say("ending")
+        page.say("complete")
+    assert caplog.text.count("is gone") == 1
+
+
+def test_a_pause_outlives_the_page_that_asked_for_it(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    gate, control = Gate(port=0), Control()
+    with Page(stage.job(gate)) as page:
+        page.begin(control, dict, stage.session, 0)
+        with watch(gate, page.port) as client:
+            client.send('{"command": "pause"}')
+            until(lambda: control.paused_by == ("page",))
+        os.kill(child(), signal.SIGKILL)
+        until(lambda: "the pause it asked for stays" in caplog.text)
+    assert control.paused_by == ("page",)
+
+
+def test_a_frozen_page_holds_nobody_up(stage: Stage) -> None:
+    page = Page(stage.job())
+    with page:
+        page.begin(Control(), lambda: {"phase": "x" * 200_000}, stage.session, 0)
+        pid = child()
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.6)
+        before = time.monotonic()
+        page.say("ending")
+        # A hand-over, not a delivery.
+        assert time.monotonic() - before < 5.0
+    assert not Path(f"/proc/{pid}").exists()
+
+
+def test_a_port_in_use_is_wrong_input(stage: Stage) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with (
+            pytest.raises(ConfigError, match=rf"--watch: found 127\.0\.0\.1:{port}: .*in use"),
+            Page(stage.job(Gate(port=port))),
+        ):
+            pass
+
+
+def test_an_address_that_is_not_ours_is_wrong_input(stage: Stage) -> None:
+    gate = Gate(host="192.0.2.7", port=0)
+    with pytest.raises(ConfigError, match="--watch"), Page(stage.job(gate)):
+        pass
+
+
+def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(stage: Stage) -> None:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    gate = Gate(port=0)
+    process = context.Process(target=run_page, args=(stage.job(gate), theirs))
+    process.start()
+    theirs.close()
+    word, port = ours.recv()
+    assert word == "ready"
+    with watch(gate, port) as client:
+        ours.send(Snapshot(status="collecting", outcomes="d" + "." * (TARGETS - 1)))
+        until(lambda: next_state(client)["status"] == "collecting")
+        ours.close()
+        until(lambda: next_state(client)["status"] == "gone")
+    process.join(20)
+    assert process.exitcode == 0
+
+
+def test_earlier_runs_are_on_the_map_of_a_resumed_session(stage: Stage) -> None:
+    writer = stage.writer()
+    for target, outcome in ((0, 0), (1, 0), (1, 1), (2, 0)):
+        writer.segments.append(
+            target=target, phase=0, outcome=outcome, run=0, start_ns=1 + target, end_ns=2 + target
+        )
+    writer.close()
+    gate = Gate(port=0)
+    with Page(stage.job(gate)) as page:
+        page.begin(Control(), dict, stage.session, 3)
+        with watch(gate, page.port) as client:
+            until(lambda: next_state(client)["outcomes"].startswith("dld."))
+
+
+def test_an_ipv6_address_is_printed_as_one(stage: Stage) -> None:
+    page = Page(stage.job(Gate(host="::1", port=0)))
+    try:
+        with page:
+            assert page.url == f"http://[::1]:{page.port}/"
+    except ConfigError as error:
+        pytest.skip(f"no IPv6 here: {error}")
+
+
+def last_words(client: ClientConnection) -> tuple[str, int | None]:
+    """Status and reason of the last state, and the code with which the server closed."""
+    last = ""
+    try:
+        while True:
+            state = next_state(client)
+            last = f"{state['status']}: {state['reason']}"
+    except ConnectionClosed as closed:
+        return last, closed.rcvd.code if closed.rcvd else None
+
+
+def child() -> int:
+    """The page's process: the only child that is no resource tracker."""
+    found = [p.pid for p in multiprocessing.active_children() if p.name == "page"]
+    assert len(found) == 1
+    assert found[0] is not None
+    return int(found[0])

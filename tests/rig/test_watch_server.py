@@ -1,0 +1,352 @@
+"""The page's process, as its clients meet it: friendly, slow, rude, too many."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.watching import TARGETS, Stage, next_image, next_state, watch
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from rig.acquire.control import Control, Interrupted
+from rig.monitor.page.access import Gate
+from rig.monitor.page.page import Page
+from rig.monitor.page.server import MAX_CONNECTIONS, MAX_MESSAGES, MAX_WATCHERS, parse_command
+
+PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
+
+
+class Running:
+    """One page with its stage, and what it was asked for."""
+
+    def __init__(self, stage: Stage, page: Page, gate: Gate) -> None:
+        self.stage, self.page, self.gate = stage, page, gate
+        self.control = Control()
+        self.progress: dict[str, Any] = {}
+        page.begin(self.control, lambda: dict(self.progress), stage.session, 0)
+
+    def watch(self, **how: Any) -> Any:
+        return watch(self.gate, self.page.port, **how)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    stage, gate = Stage(tmp_path_factory.mktemp("page")), Gate(port=0)
+    with Page(stage.job(gate, patience=0.5)) as page:
+        yield Running(stage, page, gate)
+    stage.close()
+
+
+@pytest.fixture
+def running(shared: Running) -> Running:
+    shared.control = Control()
+    shared.progress = {}
+    shared.page.begin(shared.control, lambda: dict(shared.progress), shared.stage.session, 0)
+    # Whoever was there before is gone: nobody's place is taken.
+    with shared.watch() as client:
+        until(lambda: next_state(client)["watchers"] == 1)
+    return shared
+
+
+def until(condition: Callable[[], bool], timeout: float = 15.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come so far"
+        time.sleep(0.01)
+
+
+def test_a_watcher_learns_the_plan_and_the_limits_once(running: Running) -> None:
+    with running.watch() as client:
+        hello = json.loads(client.recv(timeout=10))
+    assert hello["kind"] == "hello"
+    assert hello["mock"] is True
+    assert len(hello["targets"]) == TARGETS
+    assert hello["targets"][9] == [1, 2.25, 1]
+    assert {point["point"] for point in hello["points"]} == {1, 2}
+    assert hello["limits"]["ratings"][:3] == [12.0, 12.0, 17.0]
+    assert hello["limits"]["box"][2][0] == pytest.approx(-4.7)
+
+
+def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Running) -> None:
+    running.stage.press(PRESSED, (0.001, -0.002, -0.003))
+    with running.watch() as client:
+        state = next_state(client)
+    assert state["force"]["wrench"] == pytest.approx([0.3, 0, -1.7, 0, 60.0, 0])
+    assert state["force"]["load"] == pytest.approx([0.025, 0, 0.1, 0, 0.5, 0])
+    assert state["tip"] == pytest.approx([1.0, -2.0, -3.0])
+    assert state["streams"]["force"]["rate"] == 998.0
+    assert state["streams"]["force"]["expected"] == 1000.0
+    assert state["streams"]["force"]["dropped"] == 3
+
+
+def test_a_force_that_is_no_number_is_shown_as_none(running: Running) -> None:
+    running.stage.press((float("nan"),) * 6, (0.0, 0.0, 0.0))
+    with running.watch() as client:
+        state = next_state(client)
+    assert state["force"]["wrench"] == [None] * 6
+
+
+def test_the_trace_has_each_sample_once_and_late_watchers_get_the_past(running: Running) -> None:
+    with running.watch() as first:
+        seen: list[list[float]] = next_state(first)["trace"]
+        for number in range(5):
+            running.stage.press((float(number), 0, 0, 0, 0, 0), (0, 0, 0))
+            before = len(seen)
+            while len(seen) == before:
+                seen += next_state(first)["trace"]
+    assert [point[1] for point in seen[-5:]] == [0.0, 1.0, 2.0, 3.0, 4.0]
+    times = [point[0] for point in seen]
+    assert times == sorted(set(times))
+    with running.watch() as second:
+        assert next_state(second)["trace"][-5:] == seen[-5:]
+
+
+def test_images_are_the_cameras_own_bytes_while_the_shard_grows(running: Running) -> None:
+    with running.watch() as client:
+        for _ in range(70):
+            newest = running.stage.picture()
+        until(lambda: next_image(client) == newest)
+        newest = running.stage.picture()
+        assert next_image(client) == newest
+
+
+def test_progress_fills_the_map(running: Running) -> None:
+    running.progress = {
+        "target": 2,
+        "phase": "shear_inc",
+        "left": 61.5,
+        "ended": {0: "done", 1: "limited"},
+    }
+    with running.watch() as client:
+        until(lambda: next_state(client)["target"] == 2)
+        state = next_state(client)
+    assert state["outcomes"].startswith("dl..")
+    assert len(state["outcomes"]) == TARGETS
+    assert (state["status"], state["phase"], state["left"]) == ("collecting", "shear_inc", 61.5)
+
+
+def test_a_pause_that_holds_is_shown_as_such(running: Running) -> None:
+    running.progress = {"target": 2, "phase": "paused by the pedal", "waiting": True}
+    with running.watch() as client:
+        until(lambda: next_state(client)["status"] == "paused")
+
+
+def test_pause_resume_and_abort_reach_the_control(running: Running) -> None:
+    with running.watch() as client:
+        client.send('{"command": "pause"}')
+        until(lambda: running.control.paused_by == ("page",))
+        until(lambda: next_state(client)["paused_by"] == ["page"])
+        client.send('{"command": "resume"}')
+        until(lambda: running.control.paused_by == ())
+        client.send('{"command": "abort"}')
+
+        def aborted() -> bool:
+            try:
+                running.control.check()
+            except Interrupted as error:
+                return "aborted by the page" in str(error)
+            return False
+
+        until(aborted)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "",
+        "pause",
+        "{",
+        "[]",
+        "null",
+        '"pause"',
+        '{"command": "halt"}',
+        '{"command": ["abort"]}',
+        '{"command": "abort", "more": 1}',
+        '{"command": "__init__"}',
+        b"\x00\xff",
+        "[" * 400,
+    ],
+)
+def test_what_is_no_command_is_none(message: str | bytes) -> None:
+    assert parse_command(message) is None
+
+
+def test_a_client_that_talks_nonsense_is_let_go_and_counted(running: Running) -> None:
+    with running.watch() as honest:
+        before = next_state(honest)["refused"]
+        with running.watch() as rude:
+            for message in ("{", b"\xff\xfe", "[]", '{"command": "stop"}', "x" * 100):
+                rude.send(message)
+            assert closed_with(rude) == 1008
+        until(lambda: next_state(honest)["refused"] == before + 5)
+    assert running.control.paused_by == ()
+    running.control.check()
+
+
+def test_a_flood_of_commands_is_cut_off(running: Running) -> None:
+    with running.watch() as flood:
+        try:
+            for _ in range(50 * MAX_MESSAGES):
+                flood.send('{"command": "resume"}')
+        except ConnectionClosed:
+            pass
+        assert closed_with(flood) == 1008
+    with running.watch() as client:
+        assert next_state(client)["status"] == "collecting"
+
+
+def test_a_frame_too_big_is_refused_before_it_is_read(running: Running) -> None:
+    with running.watch() as client:
+        client.send("x" * 100_000)
+        assert closed_with(client) == 1009
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"token": "wrong"}, {"origin": "http://evil.example"}, {"origin": "null"}],
+    ids=["wrong-token", "foreign-origin", "null-origin"],
+)
+def test_strangers_are_refused_and_can_stop_nothing(running: Running, how: dict[str, str]) -> None:
+    assert refusal(running, **how) == 403
+    running.control.check()
+
+
+def test_no_more_watchers_than_there_are_places(running: Running) -> None:
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(running.watch()) for _ in range(MAX_WATCHERS)]
+        until(lambda: next_state(clients[0])["watchers"] == MAX_WATCHERS)
+        assert refusal(running) == 503
+
+
+def test_a_watcher_goes_on_while_idle_connections_take_every_place(running: Running) -> None:
+    where = ("127.0.0.1", running.page.port)
+    with running.watch() as client:
+        idle = [socket.create_connection(where) for _ in range(MAX_CONNECTIONS + 10)]
+        try:
+            # Those beyond the limit are hung up at once, without a word.
+            idle[-1].settimeout(10)
+            assert hung_up(idle[-1])
+            assert next_state(client)["status"] == "collecting"
+        finally:
+            for connection in idle:
+                connection.close()
+    until(lambda: lets_in(running))
+
+
+def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> None:
+    slow = socket.socket()
+    slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    slow.connect(("127.0.0.1", running.page.port))
+    slow.sendall(
+        (
+            f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{running.page.port}\r\n"
+            f"Origin: http://127.0.0.1:{running.page.port}\r\n"
+            f"Cookie: rig_watch_{running.page.port}={running.gate.token}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+        ).encode()
+    )
+    with slow, running.watch() as quick:
+        until(lambda: next_state(quick)["watchers"] == 2)
+        rows = []
+
+        def only_one_left() -> bool:
+            running.stage.picture()
+            state = next_state(quick)
+            rows.append(state["image"])
+            return bool(state["watchers"] == 1)
+
+        until(only_one_left)
+    # Meanwhile the quick one saw new images all along.
+    assert len(set(rows)) > 3
+
+
+def test_garbage_instead_of_http_is_hung_up_on(running: Running) -> None:
+    for garbage in (b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 500):
+        with socket.create_connection(("127.0.0.1", running.page.port)) as client:
+            client.sendall(garbage + b"\r\n\r\n")
+            client.settimeout(10)
+            assert hung_up(client)
+    assert lets_in(running)
+
+
+def test_the_page_is_served_with_everything_it_names(running: Running) -> None:
+    page, headers = fetch(running, "/")
+    assert running.gate.token in headers["Set-Cookie"]
+    for name in ("page.css", "page.js", "icon.svg"):
+        assert name.encode() in page
+        assert fetch(running, f"/{name}")[0]
+    script, _ = fetch(running, "/page.js")
+    for name in (b"./map.js", b"./traces.js"):
+        assert name in script
+        assert fetch(running, "/" + name.decode().removeprefix("./"))[0]
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        fetch(running, "/../server.py")
+
+
+def refusal(running: Running, **how: Any) -> int:
+    with pytest.raises(InvalidStatus) as refused, running.watch(**how):
+        pass
+    return int(refused.value.response.status_code)
+
+
+def fetch(running: Running, path: str) -> tuple[bytes, Any]:
+    with urllib.request.urlopen(f"http://127.0.0.1:{running.page.port}{path}") as answer:
+        return answer.read(), answer.headers
+
+
+def lets_in(running: Running) -> bool:
+    try:
+        with running.watch() as client:
+            return bool(next_state(client)["status"] == "collecting")
+    except (InvalidStatus, OSError, EOFError, ConnectionClosed):
+        return False
+
+
+def hung_up(connection: socket.socket) -> bool:
+    """Whether the other side ends, perhaps after an answer."""
+    try:
+        while connection.recv(65536):
+            pass
+    except ConnectionResetError:
+        pass
+    return True
+
+
+def closed_with(client: Any) -> int | None:
+    """The code with which the server closes, after whatever else it sends."""
+    try:
+        while True:
+            client.recv(timeout=10)
+    except ConnectionClosed as closed:
+        received: int | None = closed.rcvd.code if closed.rcvd else None
+        return received
+
+
+def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
+    stage = Stage(tmp_path)
+    gate = Gate(host="0.0.0.0", port=0)
+    try:
+        with Page(stage.job(gate)) as page:
+            assert page.url.endswith(f"/?token={gate.token}")
+            base = f"http://127.0.0.1:{page.port}"
+            for path in ("/", "/page.js", "/?token=wrong"):
+                with pytest.raises(urllib.error.HTTPError, match="403"):
+                    urllib.request.urlopen(base + path)
+            with urllib.request.urlopen(f"{base}/?token={gate.token}") as answer:
+                cookie = answer.headers["Set-Cookie"].split(";")[0]
+            assert cookie == f"rig_watch_{page.port}={gate.token}"
+            with pytest.raises(InvalidStatus), watch(gate, page.port, token="wrong"):
+                pass
+            with watch(gate, page.port) as client:
+                assert next_state(client)["status"] == "preparing"
+    finally:
+        stage.close()

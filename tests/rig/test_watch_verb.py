@@ -1,0 +1,78 @@
+"""The options of the page, and what they refuse before anything is started."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+
+import pytest
+from support.watching import BENCH, TARGETS
+
+from rig.acquire.request import Order
+from rig.cli.options import opened_page, watch_options
+from rig.core.errors import ConfigError
+from rig.monitor.page.access import Gate
+from rig.monitor.page.messages import page_job
+from rig.monitor.page.page import Page
+from trajectories import ForceDepth
+
+pytestmark = pytest.mark.serial
+
+
+def parse(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    watch_options(parser)
+    return parser.parse_args(words)
+
+
+def opened(options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack) -> Page | None:
+    order = Order(folder / "s.zarr", targets=TARGETS)
+    page = opened_page(options, BENCH, folder, order, BENCH.trajectory, TARGETS)
+    return stack.enter_context(page)
+
+
+def test_nothing_is_served_unless_asked_for(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        assert opened(parse(), tmp_path, stack) is None
+
+
+def test_the_port_has_a_default() -> None:
+    assert parse("--watch").watch == 8765
+    assert parse("--watch", "9000").watch == 9000
+    assert parse("--watch").watch_host == "127.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--watch", "70000"), "found 70000; allowed: 0 to 65535"),
+        (("--watch", "-1"), "found -1"),
+        (("--watch-host", "0.0.0.0"), "goes with --watch only"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path: Path, words: tuple[str, ...], message: str) -> None:
+    with contextlib.ExitStack() as stack, pytest.raises(ConfigError, match=message):
+        opened(parse(*words), tmp_path, stack)
+
+
+def test_the_address_is_printed_and_a_remote_one_has_the_token(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as stack:
+        page = opened(parse("--watch", "0"), tmp_path, stack)
+        assert page is not None
+        assert capsys.readouterr().out == f"watch it at http://127.0.0.1:{page.port}/\n"
+    with contextlib.ExitStack() as stack:
+        page = opened(parse("--watch", "0", "--watch-host", "0.0.0.0"), tmp_path, stack)
+        printed = capsys.readouterr().out
+        assert page is not None
+        assert f":{page.port}/?token=" in printed
+        assert "not encrypted" in printed
+
+
+def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> None:
+    plan = ForceDepth(depth_max=1.2e-3, repeats=3)
+    job = page_job(Gate(), BENCH, tmp_path, Order(tmp_path / "s.zarr"), plan, len(plan))
+    assert job.directions == 1
+    assert [(spot.point, spot.depth, spot.direction) for spot in job.spots] == [(1, 1.2e-3, -1)] * 3

@@ -1,0 +1,394 @@
+"""The mock bench on physics: what its World answers, what its camera draws, how it fails."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.collecting import Collection, faults_of, quick_bench
+
+from recorder import Session
+from rig.bench.bench import bench_from, find_bench, load_bench, with_simulated_world
+from rig.core.clock import FakeClock
+from rig.core.config import build
+from rig.core.errors import ConfigError
+from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
+from rig.core.shared_memory import LatestRecord
+from rig.mock.emulators import Stage, world_commands
+from rig.mock.world import SimulatedSpec, SimulatedWorld, build_world, load_view, read_file
+from rig.mock.world.picture import coverage
+from rig.mock.world.simulated import (
+    PRESS_FILE,
+    SURFACE_FILE,
+    Between,
+    ContactFrame,
+    SimulatedView,
+    gone_on,
+    live_sensor,
+    markers_of,
+)
+from rig.mock.world.solver import Shared, Solver
+
+BENCHES = Path(__file__).parents[2] / "benches"
+MS = 1_000_000
+FRAME = (0.1, -0.2, 0.3, 0.0, 0.0, 0.0)
+COARSE = SimulatedSpec(sensor="gelsight", grid=32)
+
+
+def press_state(**values: Any) -> np.void:
+    state = np.zeros(1, PRESS_STATE)[0]
+    state["friction"] = 0.5
+    for name, value in values.items():
+        state[name] = value
+    return state
+
+
+def pose(tip: tuple[float, float, float]) -> np.ndarray:
+    """The TCP's pose in the base frame for a tip in the contact frame."""
+    return np.array([*(np.array(FRAME[:3]) + tip), 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "gelsight-hetero", "tacpalm", "uskin"])
+def test_every_sensor_of_the_lab_has_a_simulated_world(sensor: str) -> None:
+    path = find_bench(sensor, BENCHES)
+    bench, content = load_bench(path)
+    assert bench.world is not None
+    assert bench.world.KIND == "analytic"
+    simulated = bench_from(with_simulated_world(content, str(path)), str(path))
+    assert isinstance(simulated.world, SimulatedSpec)
+    assert simulated.world == simulated.simulated
+    assert simulated.world.noise == bench.world.noise
+    assert simulated.world.gauge_depth == bench.world.gauge_depth
+
+
+def test_a_bench_without_a_simulated_sensor_says_so() -> None:
+    path = find_bench("tacpalm", BENCHES)
+    content = dict(load_bench(path)[1])
+    del content["simulated"]
+    with pytest.raises(ConfigError, match="simulated: missing"):
+        with_simulated_world(content, str(path))
+    with pytest.raises(ConfigError, match="lab bench"):
+        with_simulated_world({"mock": False, "simulated": {"sensor": "gelsight"}}, "lab.yaml")
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"sensor": "gelsight", "rate_hz": 0.0}, "rate_hz"),
+        ({"sensor": "gelsight", "grid": 8}, "grid"),
+        ({"sensor": "gelsight", "depth_mm": 8.0}, "unknown"),
+        ({}, "missing 'sensor'"),
+    ],
+)
+def test_a_simulated_world_is_read_strictly(values: dict[str, Any], word: str) -> None:
+    with pytest.raises(ConfigError, match=word):
+        build(SimulatedSpec, values, "bench.world")
+
+
+def test_sensors_and_indenters_that_are_not_there_are_refused_by_name() -> None:
+    with pytest.raises(ConfigError, match="gelsite"):
+        live_sensor(SimulatedSpec(sensor="gelsite"), "sphere")
+    with pytest.raises(ConfigError, match="fist"):
+        live_sensor(COARSE, "fist")
+    with pytest.raises(ConfigError, match="camera"):
+        markers_of(SimulatedSpec(sensor="uskin"))
+    with pytest.raises(ConfigError, match="no such file"):
+        markers_of(SimulatedSpec(sensor="mine.yaml"))
+
+
+def test_a_world_goes_on_along_the_slope_of_the_last_solution() -> None:
+    slope = np.zeros((54, 3))
+    slope[0, 0], slope[2, 2], slope[8, 2] = 1000.0, 2000.0, -5e5
+    values = np.zeros(54)
+    values[2], values[8] = -2.0, 100.0
+    rate = np.zeros(54)
+    rate[2] = 10.0
+    last = press_state(
+        t_ns=50 * MS, tip=(0, 0, -1e-3), touching=1, values=values, slope=slope, rate=rate
+    )
+    found = gone_on(last, 60 * MS, np.array([1e-4, 0.0, -1.1e-3]))
+    assert found[0] == pytest.approx(0.1)
+    assert found[2] == pytest.approx(-2.0 - 0.2 + 0.1)
+    assert found[8] == pytest.approx(150.0)
+    np.testing.assert_array_equal(last["values"], values)
+
+
+def test_before_it_touches_the_force_begins_at_the_untouched_surface() -> None:
+    slope = np.zeros((54, 3))
+    slope[2, 2] = 2000.0
+    last = press_state(tip=(0, 0, 1e-3), slope=slope)
+    assert not gone_on(last, 0, np.array([0.0, 0.0, 0.5e-3])).any()
+    assert gone_on(last, 0, np.array([0.0, 0.0, -1e-4]))[2] == pytest.approx(-0.2)
+
+
+def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows() -> None:
+    slope = np.zeros((54, 3))
+    slope[2, 2], slope[0, 0] = 2000.0, 4000.0
+    values = np.zeros(54)
+    values[2], values[4] = -0.5, 0.01
+    between = Between(16 * MS)
+    last = press_state(t_ns=1, tip=(0, 0, -2e-4), touching=1, values=values, slope=slope)
+    between.take(last, 1, last["tip"])
+    assert between.at(1, np.array([0.0, 0.0, -2e-4]))[2] == -0.5
+    # Half a millimetre up is more than the contact is deep.
+    assert not between.at(1, np.array([0.0, 0.0, 3e-4]))[:6].any()
+    assert not between.at(1, np.array([0.0, 0.0, 1e-4]))[:6].any()
+    dragged = between.at(1, np.array([1e-3, 0.0, -2e-4]))
+    assert dragged[0] == pytest.approx(0.25)
+
+
+def test_a_new_solution_comes_in_without_a_jump() -> None:
+    between, tip = Between(16 * MS), np.array([0.0, 0.0, -1e-3])
+    values = np.zeros(54)
+    for t_ms, force in ((10, -1.0), (26, -1.6)):
+        values[2] = force
+        last = press_state(t_ns=t_ms * MS, tip=tip, touching=1, values=values)
+        between.take(last, (t_ms + 5) * MS, tip)
+    found = [between.at(ms * MS, tip)[2] for ms in (31, 39, 47, 60)]
+    np.testing.assert_allclose(found, (-1.0, -1.3, -1.6, -1.6))
+
+
+def test_a_state_has_the_wrench_about_the_gauge_and_the_taxels(tmp_path: Path) -> None:
+    presses = LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE)
+    spec = SimulatedSpec(sensor="uskin", gauge_depth=0.02)
+    world = SimulatedWorld(spec, FRAME, tmp_path)
+    tip = (1e-3, 2e-3, -1e-3)
+    assert not world.step(5 * MS, pose(tip))["wrench"].any()
+    values = np.zeros(54)
+    values[:6] = (0.3, 0.1, -2.0, 1e-4, 2e-4, 3e-4)
+    values[6:9] = (48_000, 16_500, 70_000)
+    presses.write(press_state(t_ns=6 * MS, tip=tip, touching=1, values=values, shear=(1e-4, 0)))
+    state = world.step(6 * MS, pose(tip))
+    assert state["t_ns"] == 6 * MS
+    assert state["depth"] == pytest.approx(1e-3)
+    np.testing.assert_allclose(state["contact"], tip[:2], atol=1e-12)
+    np.testing.assert_allclose(state["shear"], (1e-4, 0))
+    lever = np.add(tip, (0, 0, 0.02))
+    expected = values[3:6] + np.cross(lever, values[:3])
+    np.testing.assert_allclose(state["wrench"], [*values[:3], *expected], atol=1e-9)
+    np.testing.assert_array_equal(state["taxels"][0], (48_000, 16_500, 65_535))
+
+
+def test_the_contact_frame_may_be_turned() -> None:
+    turned = ContactFrame((0.1, 0.0, 0.0, 0.0, 0.0, np.pi / 2))
+    np.testing.assert_allclose(
+        turned.tip(np.array([0.1, 0.02, -0.01, 0, 0, 0])), (0.02, 0.0, -0.01), atol=1e-12
+    )
+
+
+def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> None:
+    path = find_bench("gelsight", BENCHES)
+    bench, content = load_bench(path)
+    there = {"host": "127.0.0.1", "folder": tmp_path, "spec": tmp_path / "world.json"}
+    records = {"arm": tmp_path / "arm", "world": tmp_path / "world"}
+    assert set(world_commands(Stage(bench, **there, **records))) == {"world"}
+    simulated = bench_from(with_simulated_world(content, str(path)), str(path))
+    commands = world_commands(Stage(simulated, **there, **records))
+    assert commands["solver"][0] == "rig.mock.world.solver"
+    spec = {"world": {"kind": "simulated", "sensor": "gelsight"}, "contact_frame": list(FRAME)}
+    there["spec"].write_text(json.dumps({**spec, "indenter": "prism"}))
+    file = read_file(there["spec"])
+    assert (file.indenter, file.folder) == ("prism", tmp_path)
+    LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
+    assert isinstance(build_world(there["spec"]), SimulatedWorld)
+    assert isinstance(load_view(there["spec"]), SimulatedView)
+    there["spec"].write_text(json.dumps({**spec, "world": {"kind": "dreamt"}}))
+    with pytest.raises(ConfigError, match="dreamt"):
+        read_file(there["spec"])
+
+
+class Bench:
+    """A solver that is told where the arm is, turn by turn."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(exist_ok=True)
+        self.arm = LatestRecord.create(folder / "arm", ARM_TRUTH)
+        self.presses = LatestRecord.create(folder / PRESS_FILE, PRESS_STATE)
+        self.live = live_sensor(COARSE, "sphere")
+        shared = Shared(folder, self.live)
+        clock = FakeClock()
+        self.solver = Solver(self.live, ContactFrame(FRAME), self.arm, shared, COARSE, clock)
+        shape = self.live.press.grid.shape
+        self.surfaces = LatestRecord.attach(folder / SURFACE_FILE, surface_state(shape))
+
+    def at(self, t_ms: int, tip: tuple[float, float, float]) -> None:
+        self.arm.write((t_ms * MS, pose(tip), np.zeros(6)))
+
+
+def test_a_turn_solves_for_the_newest_pose_and_passes_over_the_others(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.solver.turn()
+    assert bench.presses.count == 0
+    for step in range(9):
+        bench.at(2 * step, (0.0, 0.0, -1e-4 * step))
+    bench.solver.turn()
+    bench.solver.turn()
+    assert bench.presses.count == bench.surfaces.count == bench.solver.solved == 1
+    last = bench.presses.read()
+    assert last is not None
+    assert last["t_ns"] == 16 * MS
+    assert last["touching"] == 1
+    assert last["tip"][2] == pytest.approx(-0.8e-3)
+    assert last["values"][2] == pytest.approx(bench.live.press.wrench[2])
+    surface = bench.surfaces.read()
+    assert surface is not None
+    np.testing.assert_array_equal(surface["surface"], bench.live.press.displacement)
+    assert not surface["surface_before"].any()
+
+
+def test_a_solver_that_falls_behind_in_contact_gives_up_with_the_reason(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.at(10, (0.0, 0.0, 1e-3))
+    bench.solver.turn()
+    # In the air nothing is lost.
+    bench.at(900, (0.0, 0.0, -0.2e-3))
+    bench.solver.turn()
+    bench.at(1000, (0.0, 0.0, -0.4e-3))
+    bench.solver.turn()
+    bench.at(1151, (0.0, 0.0, -0.6e-3))
+    with pytest.raises(TimeoutError, match="151 ms between two solutions in contact; allowed: 150"):
+        bench.solver.turn()
+    assert "151 ms at most" in str(bench.solver)
+
+
+def test_its_world_feels_what_the_solver_found_and_more_as_the_arm_goes_on(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    world = SimulatedWorld(COARSE, FRAME, tmp_path)
+    for turn in range(1, 9):
+        bench.at(16 * turn, (0.0, 0.0, -1e-4 * turn))
+        bench.solver.turn()
+        world.step((16 * turn + 5) * MS, pose((0.0, 0.0, -1e-4 * turn)))
+    # What is left of the last correction has faded; what relaxes meanwhile is little.
+    at, beyond = (
+        world.step(ms * MS, pose((0.0, 0.0, z)))["wrench"][2]
+        for ms, z in ((150, -0.80e-3), (152, -0.85e-3))
+    )
+    assert at == pytest.approx(bench.live.press.wrench[2], rel=0.05)
+    bench.at(152, (0.0, 0.0, -0.85e-3))
+    bench.solver.turn()
+    solved = bench.live.press.wrench[2]
+    assert solved < at < -0.1
+    assert abs(beyond - solved) < 0.3 * abs(solved - at)
+
+
+def test_a_picture_goes_on_between_deformations_as_the_tip_does(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    view = SimulatedView(COARSE, tmp_path)
+    for turn, z in enumerate((-0.6e-3, -0.7e-3, -0.8e-3), 1):
+        bench.at(16 * turn, (0.0, 0.0, z))
+        bench.solver.turn()
+    newest = bench.surfaces.read()
+    assert newest is not None
+    now, before = newest["surface"], newest["surface_before"]
+    tip = np.array([0.0, 0.0, -0.85e-3])
+    np.testing.assert_allclose(view.surface(tip), now + (now - before) / 2, atol=1e-9)
+    tip[2] = -0.8e-3
+    np.testing.assert_allclose(view.surface(tip), now, atol=1e-9)
+    # Far ahead it waits for the next solution.
+    tip[2] = -2e-3
+    np.testing.assert_allclose(view.surface(tip), now + 1.5 * (now - before), atol=1e-9)
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "tacpalm"])
+def test_the_camera_sees_the_markers_where_the_simulators_renderer_does(
+    sensor: str, tmp_path: Path
+) -> None:
+    from sim.layer import Grid
+    from sim.sensors import SurfaceField, readout
+    from sim.sensors import sensor as row_of
+
+    row = row_of(sensor)
+    grid = Grid(row.body, 48)
+    across, along = np.meshgrid(grid.x, grid.y, indexing="ij")
+    width = row.body.thickness
+    bell = np.exp(-((across - 1e-3) ** 2 + along**2) / width**2)
+    moved = np.stack([0.3 * across, 0.1 * along, np.full_like(bell, -0.25 * width)], -1)
+    moved = (moved * bell[..., None]).astype(np.float32)
+    spec = SimulatedSpec(sensor=sensor, grid=48)
+    rims = markers_of(spec)[0].outlines(moved)
+    found = coverage(rims) >= 128
+    expected = readout(row).masks(SurfaceField(grid.x, grid.y, moved[None]))[0, 0]
+    assert (found & expected).sum() / (found | expected).sum() > 0.975
+    still = coverage(markers_of(spec)[0].outlines(0 * moved)) >= 128
+    assert (still & expected).sum() / (still | expected).sum() < 0.9
+
+
+def test_a_picture_has_the_colours_that_the_bench_file_names(tmp_path: Path) -> None:
+    spec = SimulatedSpec(sensor="gelsight", grid=32, background=(200, 100, 50), ink=(10, 20, 30))
+    state = np.zeros(1, WORLD_STATE)[0]
+    image = SimulatedView(spec, tmp_path)(state)
+    assert (image.shape, image.dtype) == ((480, 640, 3), np.uint8)
+    inked = (np.abs(image.astype(int) - (10, 20, 30)) <= 1).all(axis=-1)
+    assert 0.04 < inked.mean() < 0.12
+    middle = image[180:300, 260:380].reshape(-1, 3)
+    lit = 1.08 * np.array([200, 100, 50])
+    np.testing.assert_allclose(np.median(middle, axis=0), lit, rtol=0.05)
+
+
+def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) -> None:
+    spec = tmp_path / "world.json"
+    spec.write_text(
+        json.dumps(
+            {
+                "world": {"kind": "simulated", "sensor": "gelsight", "grid": 32},
+                "contact_frame": list(FRAME),
+                "indenter": "sphere",
+            }
+        )
+    )
+    arm = LatestRecord.create(tmp_path / "arm", ARM_TRUTH)
+    LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
+    arm.write((MS, np.full(6, np.nan), np.zeros(6)))
+    command = ["-m", "rig.mock.world.solver", "--spec", str(spec), "--arm", str(tmp_path / "arm")]
+    run = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, timeout=50, check=False
+    )
+    assert run.returncode == 3
+    assert "tip: " in run.stderr.splitlines()[-1]
+    assert "allowed: 3 finite numbers" in run.stderr.splitlines()[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("sensor", ["tacpalm", "gelsight", "uskin"])
+def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
+    sensor: str, tmp_path: Path
+) -> None:
+    from benchmarks.sim.sensors.stream_accuracy import recorded, simulated
+
+    more = "trajectory: {points: [1], angle_step_deg: 180.0}"
+    bench = quick_bench(tmp_path, sensor)
+    bench.write_text(bench.read_text() + more + "\n")
+    run = Collection.start(
+        tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench), "--world", "sim",
+        "--indenter", "sphere",
+    )  # fmt: skip
+    assert run.wait(150) == 0, run.text
+    session = Session(run.session)
+    assert session.attrs["bench"]["world"]["kind"] == "simulated"
+    assert faults_of(run.session) == []
+    found = recorded(session)
+    offline = simulated(found, np.array([], np.int64), grid=48).wrench
+    inside = (found.force_time > found.time[0]) & (found.force_time < found.time[-1])
+    at = np.stack(
+        [np.interp(found.force_time[inside], found.time, axis) for axis in offline.T], axis=1
+    )
+    error = np.abs(found.wrench[inside] - at)[:, :3]
+    # Noise of 0.01 N, and what a busy machine does; robust to single pauses.
+    assert (np.median(error, axis=0) < 0.02).all()
+    assert np.percentile(error, 95) < 0.15 * np.abs(offline[:, 2]).max() + 0.03
+    assert np.abs(offline[:, 2]).max() > 0.05
+
+
+def test_the_solver_ends_when_it_is_told_to(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.solver.start()
+    bench.solver.close()
+    bench.solver.close()
+    assert bench.presses.count == 1
+    assert bench.solver.failed is None

@@ -1,0 +1,342 @@
+"""Archives that are stopped, killed, resumed, made by several and out of order are the same."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.simulated_archives import SKINS, UNITS, digests, make, solved_once
+
+from recorder import MarkerArchive, check
+from sim.__main__ import main
+from sim.dataset import Plan, Stop, Unit, begin, fill, found
+from sim.dataset.plan import UNIT_PRESSES
+from sim.dataset.run import make_here, make_in_processes
+from sim.pool import WorkerLost
+
+__all__ = ["solved_once"]
+
+ROOT = Path(__file__).parents[2]
+OPTIONS = ("--sensors", "r6,r18,uskin", "--indenters", "sphere,cone", "--scale", "0.01", "--steps",
+           "1", "--tier", "layer")  # fmt: skip
+SKINS_OF_THE_VERB: Plan = replace(SKINS, unit_presses=UNIT_PRESSES, together=UNIT_PRESSES)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    path = tmp_path_factory.mktemp("undisturbed") / "a.markers.zarr"
+    make(path, SKINS)
+    return digests(path)
+
+
+@pytest.fixture
+def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda fd: None)
+
+
+def backwards(missing: Sequence[Unit]) -> list[Unit]:
+    return list(reversed(missing))
+
+
+@pytest.mark.usefixtures("unflushed")
+def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
+    tmp_path: Path, undisturbed: dict[str, str]
+) -> None:
+    path = tmp_path / "a.markers.zarr"
+    left = []
+    while True:
+        begun, stop = begin(path, SKINS), Stop()
+        shares: list[float] = []
+
+        def one_and_stop(missing: Sequence[Unit], inside: object, stop: Stop = stop) -> Any:
+            begun = begin(path, SKINS)
+            for made in make_here(begun, backwards(missing), device="cpu", stop=stop):
+                stop.asked = True
+                yield made
+
+        filled = fill(begun, one_and_stop, stop, shares.append)
+        assert shares == sorted(shares)
+        left.append(filled.left)
+        if filled.complete:
+            break
+    assert left == list(range(len(left) - 1, -1, -1))
+    assert digests(path) == undisturbed
+    assert make(path, SKINS).images == 0
+
+
+@pytest.mark.usefixtures("unflushed")
+def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
+    tmp_path: Path,
+    undisturbed: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "a.markers.zarr"
+    begin(path, SKINS)
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)
+    real, room = os.write, [60_000]
+
+    def write(fd: int, data: Any) -> int:
+        if fd > 2:
+            room[0] -= len(data)
+            if room[0] < 0:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(fd, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", write)
+        assert main(["archive", "resume", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "No space left on device" in said
+    assert f"to go on: python -m sim archive resume {path}" in said
+    assert MarkerArchive(path).status == "writing"
+    make(path, SKINS)
+    assert digests(path) == undisturbed
+
+
+def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None:
+    said: list[str] = []
+    with Stop(said.append) as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert stop.asked
+        assert said == [
+            "stopping: the units in flight are finished first; Ctrl-C again stops at once"
+        ]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("unflushed")
+def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return iter(())
+
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", stopped)
+    path = tmp_path / "a.markers.zarr"
+    assert main(["archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
+    said = capsys.readouterr()
+    assert "7 presses" not in said.out
+    assert "units are missing; to go on: python -m sim archive resume" in said.err
+
+
+@pytest.mark.usefixtures("unflushed")
+def test_the_verb_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)
+    path, picture = tmp_path / "a.markers.zarr", tmp_path / "a.png"
+    begun = (
+        "archive",
+        "states",
+        "--patterns",
+        "Array3",
+        "--indenters",
+        "sphere",
+        "--tier",
+        "layer",
+    )
+    assert main([*begun, "--out", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in said
+    assert "with --processes 2, on a CPU like that of the cost table" in said
+    assert "1 sensors, 45 images" in said
+    assert list(MarkerArchive(path)) == ["Array3"]
+    assert "marker count: 0 of 45 images flagged" in said
+    assert list(check(path)) == []
+    assert main([*begun, "--out", str(path)]) == 0
+    assert "nothing is missing" in capsys.readouterr().out
+    assert main([*begun, "--seed", "3", "--out", str(path)]) == 2
+    assert "another plan, which differs in seed; allowed" in capsys.readouterr().err
+    assert main(["archive", "sheet", str(path), "--out", str(picture)]) == 0
+    with Image.open(picture) as drawn:
+        assert drawn.size[0] > 144
+        assert len(np.unique(np.asarray(drawn.convert("L")))) > 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("states", "--patterns", "Array9"), "pattern: 'Array9'; allowed: Array1"),
+        (("states", "--indenters", "ball"), "--indenters: ball; allowed: sphere"),
+        (("states", "--tier", "layer", "--spacing", "1"), "0.001 m with tier layer; allowed: None"),
+        (("states", "--tier", "fem", "--tolerance", "3 %"), "'fem' with --tolerance; allowed"),
+        (("sensors",), "--group: None, --sensors: None; allowed: one of both"),
+        (("sensors", "--group", "material", "--scale", "2"), "--scale: '2'; allowed: smoke"),
+        (("sensors", "--sensors", "eye"), "sensor: 'eye'; allowed: array-i"),
+        (("resume", "nowhere.zarr"), "nowhere.zarr"),
+        (("sheet", "nowhere.zarr"), "nowhere.zarr"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_is_written(
+    options: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["archive", *options]) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------------------------------------- slow: processes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [1, 2])
+def test_processes_give_the_bytes_of_one(
+    tmp_path: Path, undisturbed: dict[str, str], processes: int
+) -> None:
+    begun, stop = begin(tmp_path / "a.markers.zarr", SKINS), Stop()
+    filled = fill(
+        begun,
+        lambda units, inside: make_in_processes(
+            begun, units, inside, processes=processes, stop=stop
+        ),
+        stop,
+        lambda share: None,
+    )
+    assert filled.complete
+    assert digests(begun.path) == undisturbed
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
+    tmp_path: Path, undisturbed: dict[str, str]
+) -> None:
+    begun, stop = begin(tmp_path / "a.markers.zarr", SKINS), Stop()
+    making = make_in_processes(begun, begun.missing(), processes=1, stop=stop)
+    next(making)
+    listed = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
+    for pid in map(int, listed):
+        if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+            os.kill(pid, signal.SIGKILL)
+    with pytest.raises(WorkerLost, match=r"killed by SIGKILL.*1 of 5 units done"):
+        list(making)
+    assert len(begun.missing()) == UNITS - 1
+    make(begun.path, SKINS)
+    assert digests(begun.path) == undisturbed
+
+
+def _verb(path: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "sim", "archive", "sensors", *OPTIONS, "--out", str(path)],
+        cwd=ROOT,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Path) -> None:
+    whole, torn = tmp_path / "whole.markers.zarr", tmp_path / "torn.markers.zarr"
+    alone = _verb(whole)
+    began = time.monotonic()
+    alone.communicate(timeout=200)
+    assert alone.returncode == 0
+    lasts = time.monotonic() - began
+    chance = random.Random(6)
+    kills = 0
+    while kills < 6:
+        process = _verb(torn)
+        time.sleep(chance.uniform(0.2, 1.0) * lasts)
+        ended = process.poll() is not None
+        if not ended:
+            os.killpg(process.pid, signal.SIGKILL)
+            kills += 1
+        process.communicate(timeout=60)
+        if ended:
+            shutil.rmtree(torn)
+    last = _verb(torn)
+    last.communicate(timeout=200)
+    assert last.returncode == 0
+    assert digests(torn) == digests(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(200)
+def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
+    path = tmp_path / "a.markers.zarr"
+    process = _verb(path)
+    entries = lambda: list(path.glob("*/markers/ledger/*.npz"))  # noqa: E731
+    while not entries():
+        time.sleep(0.02)
+        assert process.poll() is None
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=100)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said[1]
+    assert "stopping: the units in flight are finished first" in said[1]
+    assert "to go on: python -m sim archive resume" in said[1]
+    assert found(path).plan == SKINS_OF_THE_VERB
+    resumed = subprocess.run(
+        [sys.executable, "-m", "sim", "archive", "resume", str(path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert resumed.returncode == 0, resumed.stderr
+    assert list(check(path)) == []
+
+
+@pytest.mark.usefixtures("unflushed")
+@pytest.mark.parametrize(
+    ("options", "processes", "said"),
+    [
+        (("--tier", "layer"), 2, None),
+        (("--tier", "layer", "--processes", "3"), 3, None),
+        (("--processes", "3"), 0, "processes: 3 on device 'cuda:0', which solves scenes side"),
+    ],
+)
+def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    processes: int,
+    said: str | None,
+) -> None:
+    asked: list[tuple[int, str]] = []
+
+    def on_cores(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
+        asked.append((how["processes"], how["device"]))
+        return _here(begun, missing, inside, **how)
+
+    monkeypatch.setattr("sim.dataset.run.make_in_processes", on_cores)
+    monkeypatch.setattr("sim.device.ready_device", lambda name: None)
+    path = tmp_path / "a.markers.zarr"
+    small = ("--indenters", "sphere", "--scale", "0.001", "--steps", "1", "--no-check")
+    where = ("--device", "cuda:0", "--out", str(path))
+    code = main(["archive", "sensors", "--sensors", "uskin", *small, *where, *options])
+    assert code == (2 if said else 0)
+    assert asked == ([] if said else [(processes, "cuda:0")])
+    assert (said or "") in capsys.readouterr().err
+
+
+def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop, device: str) -> Any:
+    """Makes units in this process, in place of others."""
+    return make_here(begun, missing, inside, device="cpu", stop=stop)

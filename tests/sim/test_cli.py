@@ -1,0 +1,304 @@
+"""`python -m sim`: what it prints, writes and refuses, and that its documentation runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sim.__main__ import arguments, main
+from sim.cli import report
+from sim.cli.options import indenter_of
+from sim.errors import SimulationDiverged
+from sim.store import load_result
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "simulation.md").read_text()
+QUICK = ["--tier", "layer"]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def _said(argv: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    assert main([*argv, "--json"]) == 0
+    told: dict[str, object] = json.loads(capsys.readouterr().out)
+    return told
+
+
+def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = "press --shape sphere --radius 4 --depths 0.5,1,1.5 --friction 0 --mesh 1.3"
+    told = _said(shlex.split(words), capsys)
+    assert told["depth_mm"] == pytest.approx([0.5, 1.0, 1.5])
+    # 0.2652, 0.9197, 1.9560 N on fine meshes; these elements are 1.3 mm wide.
+    assert told["force_n"] == pytest.approx([0.2652, 0.9197, 1.9560], rel=0.15)
+    assert told["effects"] == []
+    assert told["tier"] == "fem"
+    quality = told["quality"]
+    assert max(quality["balance"]) < 1e-3
+    assert min(quality["det_f_min"]) > 0.5
+    assert quality["slip_excess"] == [None, None, None]
+    assert sum(told["seconds_by_stage"].values()) <= told["seconds"]
+    assert list(Path().iterdir()) == []
+
+
+def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
+    words = "-m sim press --depths 0.2 --mesh 1.3 --size 8,8,4 --json"
+    done = subprocess.run(
+        [sys.executable, *shlex.split(words)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=50,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert json.loads(done.stdout)["force_n"][0] > 0
+    assert "warp" not in done.stderr.lower()
+
+
+def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["press", "--shape", "dots", "--depths", "0.2,0.4", *QUICK]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "press-dots.png"
+    table = [line.split() for line in lines if re.match(r" +0\.[24]00 ", line)]
+    assert [row[0] for row in table] == ["0.200", "0.400"]
+    assert float(table[1][1]) > float(table[0][1]) > 0
+    with Image.open("press-dots.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    # Five dots under pressure: dark red places on the right, not one.
+    right = pixels[110:560, 600:1050]
+    under = (right[..., 0] - right[..., 2] > 60) & (right[..., 0] > 80)
+    assert 5 <= _patches(under) <= 6
+
+
+def _patches(mask: np.ndarray) -> int:
+    from scipy.ndimage import label
+
+    return int(label(mask)[1])
+
+
+def test_a_loop_shows_hysteresis_and_ends_free(capsys: pytest.CaptureFixture[str]) -> None:
+    told = _said(
+        ["loop", "--depth", "0.8", "--shear", "0.6", "--angle", "90", "--steps", "3", *QUICK],
+        capsys,
+    )
+    force = np.array(told["wrench_n_nm"])
+    assert len(force) == 13
+    assert force[6, 1] > 0.1
+    assert force[9, 1] < -0.01
+    assert np.abs(force[:, 0]).max() < 0.01 * force[6, 1]
+    assert np.abs(force[-1]).max() < 1e-6
+    assert told["effects"] == ["friction"]
+
+
+def test_a_hold_relaxes(capsys: pytest.CaptureFixture[str]) -> None:
+    told = _said(["hold", "--depth", "0.5", "--steps", "4", *QUICK], capsys)
+    force = np.array(told["force_n"])
+    assert force.argmax() == 4
+    assert (np.diff(force[4:]) < 0).all()
+    assert told["time_s"][-1] == pytest.approx(2.1)
+
+
+def test_values_that_begin_with_a_minus_are_no_options(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    told = _said(["press", "--at", "-4,-2.5", "--depths", "0.3", *QUICK], capsys)
+    assert told["tip_mm"] == [pytest.approx([-4.0, -2.5, -0.3])]
+
+
+@pytest.mark.parametrize(
+    ("shape", "measures", "area"),
+    [
+        ("punch", "--radius 2 --edge-radius 0", np.pi * 4),
+        ("box", "--width 3 --length 4 --edge-radius 0", 12.0),
+        ("tube", "--outer-radius 3 --inner-radius 2 --edge-radius 0", np.pi * 5),
+    ],
+)
+def test_a_shape_has_the_measures_it_was_given(
+    shape: str, measures: str, area: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = f"press --shape {shape} {measures} --depths 0.05 --save x.zarr".split()
+    _said([*argv, *QUICK], capsys)
+    result = load_result(Path("x.zarr"))
+    side = result.surface_x[1] - result.surface_x[0]
+    touched = (result.traction[-1, :, :, 2] < 0).sum() * side**2 * 1e6
+    # Contact is found on pixels 0.16 mm wide: half of one around the rim.
+    assert touched == pytest.approx(area, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("press --shape bla", r"--shape: 'bla'; allowed: sphere, .*punch"),
+        ("press --shape prism --radius 3", r"--radius: given with --shape prism; allowed"),
+        ("press --shape box --width 3", r"--shape box: --width given; allowed: --width, --length"),
+        ("press --shape sphere --radius -4", r"sphere\.radius: -0\.004 m; allowed: above 0"),
+        ("press --shape torus --ring-radius 3 --tube-radius 1 --edge-radius 1", r"no edge"),
+        ("press --shape prism --edge-radius 9", r"edge_radius: 0\.009 m; allowed: 0 to"),
+        ("press --poisson 0.5", r"body\.poisson: 0\.5; allowed: 0 to 0\.49995"),
+        ("press --size 20,20,0", r"body\.thickness: 0\.0 m; allowed"),
+        ("press --friction -1", r"friction\.coefficient: -1\.0; allowed: 0 to 10"),
+        ("press --friction nan", r"friction\.coefficient: nan"),
+        ("press --depths nan", r"motion\.tip\[1\]"),
+        ("press --depths 5", r"5 mm deep into a body 4 mm thick; allowed"),
+        ("press --depths 1,1", r"--depths\[1\]: 1\.0 mm; allowed: another"),
+        ("press --speed 0", r"motion\.speed: 0\.0 m/s"),
+        ("press --viscosity 0.5:0", r"viscosity\.times\[0\]: 0\.0 s"),
+        ("press --mesh 0 --tier fem", r"--mesh: 0\.0 mm; allowed: above 0"),
+        ("press --mesh 3 --tier fem", r"mesh: elements of 3 mm; allowed: up to 1\.333 mm"),
+        ("press --mesh 1", r"--mesh: 1\.0 with --tier layer; allowed: --tier fem"),
+        ("press --device cuda:7 --tier fem", r"--device: 'cuda:7'; allowed here: cpu"),
+        ("press --gravity", r"effects\.gravity: .*'fem'"),
+        ("press --out x.jpg", r"--out: x\.jpg; allowed: a name that ends in \.png"),
+        ("loop --shear 0", r"--shear: 0\.0 mm; allowed: above 0"),
+        ("loop --steps 0", r"--steps: 0; allowed: 1 to 1000"),
+        ("hold --ramp 0", r"--ramp: 0\.0 s; allowed: above 0"),
+    ],
+)
+def test_wrong_input_is_named_and_nothing_is_written(
+    words: str, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    # The last --tier counts: those of the rows are for `fem`.
+    verb, *rest = words.split()
+    assert main([verb, *QUICK, *rest]) == 2
+    captured = capsys.readouterr()
+    assert re.match(f"wrong input: .*{said}", captured.err)
+    assert captured.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("press --depths 1,x", "'1,x'; allowed: numbers between commas"),
+        ("press --at 1", "'1'; allowed: 2 numbers between commas"),
+        ("hold --viscosity 0.5", "'0.5'; allowed: ratio:seconds between commas"),
+        ("press --tier mpm", "invalid choice: 'mpm'"),
+    ],
+)
+def test_what_cannot_be_read_ends_with_the_same_code(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words.split())
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_results_are_kept_whole_and_never_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["press", "--shape", "moon", "--depths", "0.2", "--save", "kept/x.zarr", *QUICK]
+    told = _said(argv, capsys)
+    kept = load_result(Path("kept/x.zarr"))
+    assert -kept.force[1:, 2] == pytest.approx(told["force_n"])
+    assert main(argv) == 2
+    assert "--save: kept/x.zarr exists" in capsys.readouterr().err
+
+
+def test_no_solution_is_told_with_what_was_tried(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def diverge(*_given: object, **_named: object) -> None:
+        attempts = tuple(f"attempt {number}" for number in range(9))
+        raise SimulationDiverged(
+            "lost at 1 mm; state: /x/state.npz", attempts, Path("/x/state.npz")
+        )
+
+    monkeypatch.setattr(report, "simulate", diverge)
+    assert main(["press", *QUICK]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("no solution: lost at 1 mm; state: /x/state.npz")
+    assert "tried: attempt 8" in said
+    assert list(Path().iterdir()) == []
+
+
+def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
+    # Long enough to be stopped: 200 depths on a mesh of 5,400 elements.
+    depths = ",".join(f"{0.005 * step:g}" for step in range(1, 201))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sim", "press", "--depths", depths, "--save", "x.zarr"],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stderr is not None
+    # The first line of progress: it is at work.
+    assert "press: " in process.stderr.readline()
+    process.send_signal(signal.SIGINT)
+    _, rest = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "interrupted; nothing was written" in rest
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("verb", ["press", "loop", "hold"])
+def test_every_number_of_the_help_has_its_unit(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([verb, "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.count("[mm]") >= 10
+    for unit in ("[MPa]", "[deg]", "[m/s^2]", "[kg/m^3]", "[s]"):
+        assert unit in text
+
+
+def _blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+COMMANDS = [
+    line.split("#")[0].strip()
+    for block in _blocks("sh")
+    for line in block.splitlines()
+    if line.startswith("python -m sim")
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_commands_of_the_documentation_run(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shlex.split(command)[3:]) == 0
+    assert capsys.readouterr().out
+
+
+def test_the_commands_of_the_readme_are_understood() -> None:
+    # At the default mesh they take too long to be run here.
+    text = (ROOT / "README.md").read_text()
+    commands = re.findall(r"^python -m (sim [^#\n]*)", text, re.MULTILINE)
+    assert len(commands) >= 2
+    for command in commands:
+        options = arguments().parse_args(shlex.split(command)[1:])
+        assert indenter_of(options).parts
+
+
+def test_the_python_of_the_documentation_runs() -> None:
+    names: dict[str, object] = {}
+    for block in _blocks("python"):
+        exec(compile(block, "docs/simulation.md", "exec"), names)
+    assert len(COMMANDS) >= 4
+    assert Path("presses.zarr").is_dir()
+
+
+def test_the_options_of_the_documentation_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    known = ""
+    for verb in ("press", "loop", "hold"):
+        with pytest.raises(SystemExit):
+            main([verb, "--help"])
+        known += capsys.readouterr().out
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", PAGE))
+    assert named
+    assert {option for option in named if option not in known} == set()

@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from support import fem_oracles as oracle
+from support.fem_oracles import Array, Rubbing
+
+from sim.fem.contact import contact_kernels, face_rule
+from sim.fem.scalars import matrix_of, vector_of
+from sim.indenters import flat_punch, named, plane, sphere
+from sim.indenters.device import PartTable
+
+MESHES = oracle.domed_meshes()
+MESH = MESHES[0]
+"""Their topology is the same."""
+VARIANT = [1, 0, 1, 0]
+PLACED = [MESHES[variant] for variant in VARIANT]
+UNIT = 3e-3
+PENALTY, STICK = 1000.0, 0.1
+INDENTERS = [sphere(2e-3), flat_punch(1.5e-3, 0.3e-3), named("triangle"), plane()]
+"""One an environment."""
+TIPS = np.array([[0.02, 0.05, -0.12], [0.05, -0.03, -0.1], [0.0, 0.0, -0.15], [0.1, 0.0, -0.2]])
+
+
+def _rubbing(points: int) -> list[Rubbing]:
+    """What each environment brings from the step before: some of its points stick, some slip."""
+    random = np.random.default_rng(21)
+    shape = len(MESH.faces), points
+    return [
+        Rubbing(
+            coefficient=coefficient,
+            stick=STICK,
+            tip_old=tip + random.normal(0, 0.01, 3),
+            u_old=random.normal(0, 0.01, MESH.nodes.shape),
+            traction_old=random.normal(0, 2.0, (*shape, 3)),
+            limit=random.uniform(0, 20.0, shape),
+        )
+        for coefficient, tip in zip((0.1, 0.3, 1.0, 0.4), TIPS, strict=True)
+    ]
+
+
+def _carried(points: int) -> Array:
+    """Pressure (B, S, P) that bridges gaps of up to 0.03 thicknesses; none at half the points."""
+    shape = len(INDENTERS), len(MESH.faces), points
+    return np.maximum(np.random.default_rng(17).uniform(-30, 30, shape), 0.0)
+
+
+def _displacements() -> Array:
+    return np.random.default_rng(9).normal(0, 0.01, (len(INDENTERS), *MESH.nodes.shape))
+
+
+class Contact:
+    """The contact kernels on every indenter of `INDENTERS`, one an environment."""
+
+    def __init__(
+        self,
+        real: Any,
+        friction: list[Rubbing] | None,
+        points: int = 2,
+        carried: Array | None = None,
+        variant: list[int] = VARIANT,
+    ) -> None:
+        self.real, self.friction, self.variant = real, friction, variant
+        self.rule = face_rule(points)
+        self._contact, self._tangent = contact_kernels(real, friction is not None)
+        shape = len(INDENTERS), len(MESH.faces)
+        vec3, mat33 = vector_of(real), matrix_of(real)
+        many = (*shape, points * points)
+        none = (0, 0, 0)
+        self.out = {
+            "force": oracle.zeros((*shape, 4), vec3),
+            "touched": oracle.zeros(shape, wp.int32),
+            "pressure": oracle.zeros(many, real),
+            "normal": oracle.zeros(many, vec3),
+            "traction": oracle.zeros(none if friction is None else many, vec3),
+            "matrix": oracle.zeros(many, mat33),
+            "energy": oracle.zeros(shape, real),
+        }
+        self.carried = np.zeros(many) if carried is None else carried
+        self._table = PartTable.pack(INDENTERS, UNIT, real, "cpu").struct
+        self._active = oracle.integers(np.ones(len(INDENTERS)))
+
+    def evaluate(self, u: Array, tips: Array = TIPS) -> dict[str, Array]:
+        real, many = self.real, self.friction or []
+        old = (
+            _none()
+            if self.friction is None
+            else tuple(
+                np.stack([getattr(one, name) for one in many])
+                for name in ("tip_old", "u_old", "traction_old", "limit")
+            )
+        )
+        inputs = [
+            oracle.integers(MESH.faces),
+            oracle.scalars([mesh.face_area for mesh in MESHES], real),
+            oracle.scalars(self.rule[0], real),
+            oracle.scalars(self.rule[1], real),
+            oracle.vectors([mesh.nodes for mesh in MESHES], real),
+            oracle.integers(self.variant),
+            self._table,
+            oracle.vectors(tips, real),
+            real(PENALTY),
+            oracle.scalars(self.carried, real),
+            oracle.scalars([one.coefficient for one in many] or np.zeros(len(u)), real),
+            real(STICK),
+            oracle.vectors(old[0], real),
+            oracle.vectors(old[1], real),
+            oracle.vectors(old[2], real),
+            oracle.scalars(old[3], real),
+            self._active,
+            oracle.vectors(u, real),
+        ]
+        shape = len(u), len(MESH.faces)
+        outputs = list(self.out.values())
+        wp.launch(self._contact, dim=shape, inputs=inputs, outputs=outputs, device="cpu")
+        return {name: array.numpy().astype(float) for name, array in self.out.items()}
+
+    def tangent(self, v: Array) -> Array:
+        """Derivative of -force along `v`, state last evaluated."""
+        shape = len(v), len(MESH.faces)
+        product = oracle.zeros((*shape, 4), vector_of(self.real))
+        inputs = [
+            oracle.integers(MESH.faces),
+            oracle.scalars(self.rule[0], self.real),
+            self._active,
+            self.out["touched"],
+            self.out["matrix"],
+            oracle.vectors(v, self.real),
+        ]
+        wp.launch(self._tangent, dim=shape, inputs=inputs, outputs=[product], device="cpu")
+        return np.asarray(product.numpy(), float)
+
+
+def _none() -> tuple[Array, ...]:
+    count = len(INDENTERS)
+    nodes = np.zeros((count, *MESH.nodes.shape))
+    return np.zeros((count, 3)), nodes, np.zeros((0, 0, 0, 3)), np.zeros((0, 0, 0))
+
+
+def _expected(
+    u: Array, friction: list[Rubbing] | None, points: int, carried: Array
+) -> list[dict[str, Array]]:
+    rule = face_rule(points)
+    return [
+        oracle.contact(
+            PLACED[env],
+            rule,
+            indenter,
+            UNIT,
+            TIPS[env],
+            PENALTY,
+            carried[env],
+            u[env],
+            friction[env] if friction else None,
+        )
+        for env, indenter in enumerate(INDENTERS)
+    ]
+
+
+CARRIES = pytest.mark.parametrize("carries", [False, True], ids=["penalty", "carried"])
+RUBS = pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
+
+
+@CARRIES
+@pytest.mark.parametrize("points", [2, 3])
+@RUBS
+@pytest.mark.parametrize(
+    ("real", "error"),
+    [pytest.param(wp.float64, 1e-10, id="float64"), pytest.param(wp.float32, 1e-3, id="float32")],
+)
+def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
+    real: Any, error: float, rubs: bool, points: int, carries: bool
+) -> None:
+    friction = _rubbing(points * points) if rubs else None
+    carried = _carried(points * points) * carries
+    u = _displacements()
+    found = Contact(real, friction, points, carried).evaluate(u)
+    slips = touches = 0
+    for env, expected in enumerate(_expected(u, friction, points, carried)):
+        assert expected["touched"].any()
+        bridged = (expected["gap"] > 0) & (expected["pressure"] > 0)
+        assert bridged.any() == carries, "a gap is bridged by pressure that was carried, only"
+        np.testing.assert_array_equal(found["touched"][env], expected["touched"])
+        names = ("force", "pressure", "energy", "normal") + (("traction",) if rubs else ())
+        for name in names:
+            assert oracle.relative(found[name][env], expected[name]) < error, name
+        slips += int(expected["slips"].sum())
+        touches += int(expected["touched"].sum())
+    assert not rubs or 0.1 < slips / touches < 0.9, "nearly all stick, or nearly all slip"
+
+
+@CARRIES
+def test_frictionless_contact_tangent_is_the_derivative_of_the_force(carries: bool) -> None:
+    """Where every point stays in or out: on a sphere the normal turns, on a plane it does not."""
+    u = _displacements()
+    contact = Contact(wp.float64, None, carried=_carried(4) * carries)
+    v = np.random.default_rng(1).normal(0, 1, u.shape)
+    step = 1e-7
+    slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
+        2 * step
+    )
+    state = contact.evaluate(u)
+    product = contact.tangent(v)
+    for env, name, error in ((0, "sphere", 1e-4), (3, "plane", 1e-8)):
+        touched = state["touched"][env] > 0
+        assert oracle.relative(-product[env][touched], slope[env][touched]) < error, name
+
+
+@CARRIES
+def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
+    carries: bool,
+) -> None:
+    """On a plane, whose normal stands still; the limit is given, as the Newton loop gives it."""
+    friction = _rubbing(4)
+    u = _displacements()
+    contact = Contact(wp.float64, friction, carried=_carried(4) * carries)
+    v = np.random.default_rng(1).normal(0, 1, u.shape)
+    step = 1e-8
+    slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
+        2 * step
+    )
+    state = contact.evaluate(u)
+    product = contact.tangent(v)
+    touched = state["touched"][3] > 0
+    assert oracle.relative(-product[3][touched], slope[3][touched]) < 1e-6
+
+
+@CARRIES
+@RUBS
+def test_contact_force_is_the_slope_of_the_energy(rubs: bool, carries: bool) -> None:
+    """Normal springs and the Huber potential of friction: on a plane, whose normal stands still."""
+    u = _displacements()
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4) * carries)
+    v = np.random.default_rng(6).normal(0, 1, u.shape)
+    step = 1e-6
+    ahead = contact.evaluate(u + step * v)["energy"]
+    behind = contact.evaluate(u - step * v)["energy"]
+    force = contact.evaluate(u)["force"]
+    slope = (ahead - behind).sum(1) / (2 * step)
+    work = -np.einsum("bsai,bsai->b", force, v[:, MESH.faces])
+    assert slope[3] == pytest.approx(work[3], rel=1e-6)
+    if not rubs:
+        assert slope == pytest.approx(work, rel=1e-6)
+
+
+def test_a_gap_is_bridged_up_to_the_pressure_carried_over_the_penalty_and_then_let_go() -> None:
+    """Under a plane over the undeformed body: pressure = carried - penalty * gap, or none."""
+    most = 25.0
+    shape = len(INDENTERS), len(MESH.faces), 4
+    contact = Contact(wp.float64, None, carried=np.full(shape, most))
+    rest = np.zeros((len(INDENTERS), *MESH.nodes.shape))
+    top = np.einsum("pa,sa->sp", contact.rule[0], PLACED[3].nodes[MESH.faces][..., 2]).max()
+    reach = most / PENALTY
+    for gap, touches in ((-0.5 * reach, True), (0.5 * reach, True), (1.001 * reach, False)):
+        state = contact.evaluate(rest, np.tile([0.0, 0.0, top + gap], (len(INDENTERS), 1)))
+        assert state["touched"][3].any() == touches
+        assert state["pressure"][3].max() == pytest.approx(max(most - PENALTY * gap, 0.0))
+        assert np.abs(state["force"][3]).max() > 0 or not touches
+
+
+@RUBS
+def test_contact_that_is_lifted_off_leaves_nothing_behind(rubs: bool) -> None:
+    """Further than the pressure carried can bridge, in the same arrays as the contact before."""
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4))
+    assert contact.evaluate(_displacements())["touched"].any(axis=1).all()
+    state = contact.evaluate(_displacements(), TIPS + np.array([0, 0, 1.0]))
+    for name in ("touched", "pressure", "force", "traction", "matrix", "energy"):
+        assert not state[name].any(), name
+
+
+@RUBS
+def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(rubs: bool) -> None:
+    """Bit for bit; on the other mesh it gets something else."""
+    friction = _rubbing(4) if rubs else None
+    u = _displacements()
+    together = Contact(wp.float64, friction, carried=_carried(4)).evaluate(u)
+    for mesh in (0, 1):
+        one = [mesh] * len(INDENTERS)
+        alone = Contact(wp.float64, friction, carried=_carried(4), variant=one).evaluate(u)
+        for env, name in itertools.product(range(len(INDENTERS)), ("force", "pressure", "energy")):
+            same = np.array_equal(alone[name][env], together[name][env])
+            assert same == (VARIANT[env] == mesh), name
+
+
+def test_a_face_rule_integrates_and_a_nodal_one_sits_on_the_corners() -> None:
+    for points in (2, 3, 4):
+        shape, weight = face_rule(points)
+        assert weight.sum() == pytest.approx(4.0)
+        np.testing.assert_allclose(shape.sum(1), 1.0)
+        np.testing.assert_allclose(weight @ shape, 1.0)
+        # The integral of (N_0)^2 over -1 to 1 squared is (2/3)^2.
+        assert weight @ shape[:, 0] ** 2 == pytest.approx(4 / 9)
+    shape, weight = face_rule(2, nodal=True)
+    np.testing.assert_array_equal(shape, np.eye(4))
+    assert weight.sum() == 4.0

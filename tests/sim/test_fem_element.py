@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from support import fem_oracles as oracle
+from support.fem_oracles import Array, Material
+
+from sim.fem.element import GAUSS_POINTS, element_kernels
+from sim.fem.scalars import vector_of
+
+MESHES = oracle.domed_meshes()
+VARIANT = [1, 0]
+"""Mesh of each environment: not in their order."""
+PLACED = [MESHES[variant] for variant in VARIANT]
+ELEMENTS = MESHES[0].elements
+NODES = len(MESHES[0].nodes)
+PRECISIONS = [
+    pytest.param(wp.float64, 1e-12, id="float64"),
+    pytest.param(wp.float32, 3e-5, id="float32"),
+]
+KINDS = ["elastic", "viscous", "full_integration"]
+
+
+def _states(count: int) -> Array:
+    """Displacements (B, N, 3) with strains of some 20 %, of the base too."""
+    return np.random.default_rng(11).normal(0, 0.02, (count, NODES, 3))
+
+
+def _materials(kind: str) -> list[Material]:
+    random = np.random.default_rng(5)
+    materials = []
+    for shear, bulk in ((0.345, 3.3), (0.4, 0.5)):
+        if kind != "viscous":
+            everywhere = kind == "full_integration"
+            materials.append(Material(shear, bulk, everywhere=everywhere))
+            continue
+        history = random.normal(0, 0.1, (len(ELEMENTS), GAUSS_POINTS, 3, 3))
+        history = history + np.swapaxes(history, 2, 3)
+        materials.append(
+            Material(
+                shear,
+                bulk,
+                factor=1.6 - shear,
+                bulk_factor=1.2 + shear,
+                history=history,
+                bulk_history=random.normal(0, 0.1, len(ELEMENTS)),
+            )
+        )
+    return materials
+
+
+def _inputs(
+    materials: list[Material], active: Array, u: Array, real: Any, variant: list[int]
+) -> list[Any]:
+    viscous = materials[0].history is not None
+    empty = np.zeros((0, 0, 0, 3, 3)), np.zeros((0, 0))
+    history = [one.history for one in materials] if viscous else empty[0]
+    bulk_history = [one.bulk_history for one in materials] if viscous else empty[1]
+    return [
+        oracle.integers(ELEMENTS),
+        *oracle.geometry(MESHES, variant, real),
+        GAUSS_POINTS,
+        oracle.scalars([one.shear for one in materials], real),
+        oracle.scalars([one.bulk for one in materials], real),
+        oracle.scalars([one.factor for one in materials], real),
+        oracle.scalars([one.bulk_factor for one in materials], real),
+        oracle.matrices(history, real),
+        oracle.scalars(bulk_history, real),
+        oracle.integers(active),
+        oracle.vectors(u, real),
+    ]
+
+
+def _residual(
+    materials: list[Material],
+    u: Array,
+    real: Any,
+    kind: str,
+    active: Array | None = None,
+    variant: list[int] = VARIANT,
+) -> tuple[Array, Array, Array]:
+    kernel = element_kernels(real, kind == "viscous", kind == "full_integration")
+    shape = len(u), len(ELEMENTS)
+    outputs = [
+        oracle.zeros((*shape, 8), vector_of(real)),
+        oracle.zeros(shape, real),
+        oracle.zeros(shape, real),
+    ]
+    active = np.ones(len(u)) if active is None else active
+    inputs = _inputs(materials, active, u, real, variant)
+    wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device="cpu")
+    force, energy, det = (output.numpy().astype(float) for output in outputs)
+    return force, energy, det
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("real", "error"), PRECISIONS)
+def test_element_forces_are_those_of_plain_shape_functions(
+    real: Any, error: float, kind: str
+) -> None:
+    materials, u = _materials(kind), _states(2)
+    force, _energy, _det = _residual(materials, u, real, kind)
+    for env, material in enumerate(materials):
+        expected = oracle.element_force(PLACED[env], u[env], material)
+        assert oracle.relative(force[env], expected) < error
+
+
+def test_element_force_is_the_slope_of_the_energy_by_central_differences() -> None:
+    materials, u = _materials("elastic"), _states(2)
+    v = np.random.default_rng(8).normal(0, 1, u.shape)
+    force, _energy, _det = _residual(materials, u, wp.float64, "elastic")
+    step = 1e-5
+    _, ahead, _ = _residual(materials, u + step * v, wp.float64, "elastic")
+    _, behind, _ = _residual(materials, u - step * v, wp.float64, "elastic")
+    slope = (ahead - behind) / (2 * step)
+    expected = np.einsum("beai,beai->be", force, v[:, ELEMENTS])
+    assert oracle.relative(slope, expected) < 1e-7
+
+
+@pytest.mark.parametrize(("real", "error"), PRECISIONS)
+def test_element_energy_and_least_det_are_the_oracles(real: Any, error: float) -> None:
+    materials, u = _materials("elastic"), _states(2)
+    _force, energy, det = _residual(materials, u, real, "elastic")
+    for env, material in enumerate(materials):
+        expected = oracle.element_energy(PLACED[env], u[env], material)
+        assert oracle.relative(energy[env], expected) < error
+        f, _slopes, _weight = oracle.deformation(PLACED[env], u[env])
+        assert oracle.relative(det[env], np.linalg.det(f).min(axis=1)) < error
+
+
+def test_rigid_motion_has_no_force_and_no_energy() -> None:
+    materials = _materials("elastic")
+    angle = 0.7
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    rigid = np.stack([mesh.nodes @ turn.T - mesh.nodes + 0.3 for mesh in PLACED])
+    force, energy, det = _residual(materials, rigid, wp.float64, "elastic")
+    assert np.abs(force).max() < 1e-14
+    assert np.abs(energy).max() < 1e-14
+    assert det == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: str) -> None:
+    """Bit for bit; on the other mesh it gets something else."""
+    materials, u = _materials(kind), _states(2)
+    together = _residual(materials, u, wp.float64, kind)
+    for env in range(2):
+        of = slice(env, env + 1)
+        for variant in (0, 1):
+            alone = _residual(materials[of], u[of], wp.float64, kind, variant=[variant])
+            for one, two in zip(together, alone, strict=True):
+                assert np.array_equal(one[env], two[0]) == (variant == VARIANT[env])
+
+
+def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> None:
+    """2e-7 of shear modulus times face, whatever the strain: what `FORCE_FLOOR` rests on."""
+    materials = _materials("elastic")
+    for scale in (1.0, 1e-2, 1e-4):
+        u = _states(2) * scale
+        force, _energy, _det = _residual(materials, u, wp.float32, "elastic")
+        for env, material in enumerate(materials):
+            expected = oracle.element_force(PLACED[env], u[env], material)
+            face = (1e-3 / 3e-3) ** 2
+            size = np.abs(expected).max() + material.shear * face
+            assert np.abs(force[env] - expected).max() < 2e-7 * size
+
+
+def test_environments_that_are_not_active_are_left_alone() -> None:
+    materials, u = _materials("elastic"), _states(2)
+    force, energy, det = _residual(materials, u, wp.float64, "elastic", np.array([0, 1]))
+    assert not force[0].any()
+    assert not energy[0].any()
+    assert not det[0].any()
+    assert np.abs(force[1]).max() > 0

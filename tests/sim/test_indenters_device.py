@@ -1,0 +1,212 @@
+# Warp reads the annotations of kernels as values: no `from __future__ import annotations` here.
+import inspect
+import linecache
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from numpy.typing import NDArray
+from support import stl_files as files
+
+from benchmarks.sim.effects.machine_code import machine_code
+from benchmarks.sim.effects.without import cut
+from sim.indenters import NAMES, Indenter, device, from_stl, named, plane, rounded_cone
+from sim.indenters.device import (
+    FAR,
+    PLAIN,
+    PartTable,
+    Traits,
+    distance_function,
+    table_struct,
+    traits_of,
+)
+
+Array = NDArray[np.float64]
+
+UNIT = 4e-3
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda:0",
+        marks=[
+            pytest.mark.gpu,
+            pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device"),
+        ],
+    ),
+]
+ALL = [named(name) for name in NAMES]
+SHARP = [named(name, 0.0) for name in NAMES]
+MORE = [plane(), rounded_cone(0.5, 0.1e-3)]
+
+
+@cache
+def _kernel(real: Any, traits: Traits = PLAIN, made: Any = distance_function) -> Any:
+    distance = made(real, traits)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def gaps(
+        # In:
+        table: table_struct(real, traits),
+        points: wp.array2d[wp.types.vector(3, real)],
+        # Out:
+        found_out: wp.array2d[wp.types.vector(4, real)],
+    ):
+        environment, point = wp.tid()
+        found_out[environment, point] = distance(table, environment, points[environment, point])
+
+    return gaps
+
+
+def _on_device(
+    indenters: list[Indenter], points: Array, real: Any, device: str, far: float = FAR
+) -> tuple[Array, Array]:
+    """Gap [m] and normal of points (environments, N, 3) [m], one indenter an environment."""
+    table = PartTable.pack(indenters, UNIT, real, device, far=far)
+    given = wp.array(points / UNIT, dtype=wp.types.vector(3, real), device=device)
+    found = wp.zeros(given.shape, dtype=wp.types.vector(4, real), device=device)
+    kernel = _kernel(real, table.traits)
+    wp.launch(kernel, given.shape, [table.struct, given], [found], device=device)
+    result = found.numpy().astype(float)
+    return result[..., 3] * UNIT, result[..., :3]
+
+
+def _cloud(environments: int, count: int) -> Array:
+    rng = np.random.default_rng(7)
+    low, high = [-9e-3, -9e-3, -2e-3], [9e-3, 9e-3, 5e-3]
+    return rng.uniform(low, high, (environments, count, 3))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize(
+    ("real", "gap_error", "normal_error"),
+    [(wp.float32, 1e-5, 1e-3), (wp.float64, 1e-12, 1e-10)],
+    ids=["float32", "float64"],
+)
+def test_any_mix_of_indenters_in_one_launch_gives_the_gaps_of_the_oracle(
+    real: Any, gap_error: float, normal_error: float, device: str
+) -> None:
+    indenters = ALL + SHARP + MORE
+    points = _cloud(len(indenters), 3000)
+    gaps, normals = _on_device(indenters, points, real, device)
+    for indenter, cloud, gap, normal in zip(indenters, points, gaps, normals, strict=True):
+        true, true_normal = indenter.distance(cloud)
+        near = (true < FAR) & (gap < FAR)
+        assert near.sum() > 50, indenter.name
+        np.testing.assert_allclose(gap[near], true[near], rtol=0, atol=gap_error * UNIT)
+        # Where two faces are as near as rounding can tell, either normal is right.
+        apart = np.abs(normal - true_normal)[near].max(axis=1) > normal_error
+        assert apart.mean() < 1e-3, indenter.name
+
+
+def test_far_away_the_gap_is_a_lower_bound_that_is_far_too() -> None:
+    points = _cloud(len(ALL), 3000)
+    gaps, _ = _on_device(ALL, points, wp.float64, "cpu")
+    exact, _ = _on_device(ALL, points, wp.float64, "cpu", far=1.0)
+    bound = gaps != exact
+    assert bound.mean() > 0.2
+    assert np.all(gaps[bound] > FAR)
+    # Beside an oblique edge the oracle's gap is of first order only, so it may be the lesser one.
+    assert np.quantile(gaps[bound] / exact[bound], 0.999) < 1.001
+    assert np.max(gaps[bound] / exact[bound]) < 1.05
+
+
+def test_a_single_indenter_without_a_path_will_do() -> None:
+    points = _cloud(1, 100)
+    gaps, _ = _on_device([named("sphere")], points, wp.float64, "cpu", far=1.0)
+    np.testing.assert_allclose(gaps[0], named("sphere").distance(points[0])[0], atol=1e-15)
+
+
+def test_equal_indenters_are_stored_once() -> None:
+    table = PartTable.pack([named("moon"), plane(), named("moon")], UNIT, wp.float32, "cpu")
+    assert table.count == 3
+    assert table.struct.indenter.numpy().tolist() == [0, 1, 0]
+    assert table.struct.first.numpy().tolist() == [0, 2, 3]
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
+    path = tmp_path_factory.mktemp("stl") / "block.stl"
+    files.write_binary(path, files.block(3, 4, 5))
+    return from_stl(path, edge_radius=0.4e-3, spacing=0.15e-3, reach=4e-3)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize(
+    ("real", "gap_error", "normal_error"),
+    [(wp.float32, 1e-5, 2e-3), (wp.float64, 1e-12, 1e-9)],
+    ids=["float32", "float64"],
+)
+def test_bodies_from_files_and_bodies_that_lean_give_the_gaps_of_the_oracle(
+    real: Any, gap_error: float, normal_error: float, device: str, block: Indenter
+) -> None:
+    leaning = named("wave").tilted(0.1, -0.2)
+    indenters = [block, leaning, block.tilted(-0.1, 0.05), named("moon")]
+    points = _cloud(len(indenters), 3000) * [0.4, 0.4, 0.8]
+    gaps, normals = _on_device(indenters, points, real, device)
+    for indenter, cloud, gap, normal in zip(indenters, points, gaps, normals, strict=True):
+        true, true_normal = indenter.distance(cloud)
+        near = (true < FAR) & (gap < FAR)
+        assert near.sum() > 500, indenter.name
+        np.testing.assert_allclose(gap[near], true[near], rtol=0, atol=gap_error * UNIT)
+        apart = np.abs(normal - true_normal)[near].max(axis=1) > normal_error
+        assert apart.mean() < 2e-3, indenter.name
+
+
+def test_far_from_a_leaning_body_the_gap_is_a_lower_bound_that_is_far_too() -> None:
+    indenters = [named("prism").tilted(0.2, 0.1), named("cone").tilted(-0.1, 0.3)]
+    points = _cloud(2, 3000)
+    gaps, _ = _on_device(indenters, points, wp.float64, "cpu")
+    exact, _ = _on_device(indenters, points, wp.float64, "cpu", far=1.0)
+    bound = gaps != exact
+    assert bound.mean() > 0.2
+    assert np.all(gaps[bound] > FAR)
+    assert np.max(gaps[bound] / exact[bound]) < 1.05
+
+
+def test_beside_others_that_lean_an_upright_indenter_keeps_every_bit() -> None:
+    points = np.repeat(_cloud(1, 3000), 2, axis=0)
+    alone = _on_device([named("moon"), plane()], points, wp.float32, "cpu")
+    beside = _on_device([named("moon"), named("wave").tilted(0.1, 0.0)], points, wp.float32, "cpu")
+    for found, expected in zip(beside, alone, strict=True):
+        np.testing.assert_array_equal(found[0], expected[0])
+
+
+@pytest.mark.slow
+def test_what_no_indenter_has_leaves_no_trace_in_the_machine_code(block: Indenter) -> None:
+    """The function is that of a source which never knew bodies from files, or a tilt."""
+    source = inspect.getsource(device)
+    for flag in ("traits.tilted", "traits.sampled"):
+        source = cut(source, flag)
+    assert "field_distance(table" not in source
+    assert "table.turn" not in source
+    never = ModuleType("sim_indenters_device_cut")
+    file = "sim_indenters_device_cut.py"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+    exec(compile(source, file, "exec", dont_inherit=True), never.__dict__)
+    # The same struct, so that nothing but the function can differ.
+    never.__dict__["table_struct"] = table_struct
+    plain = machine_code(_kernel(wp.float64))
+    assert plain == machine_code(_kernel(wp.float64, PLAIN, never.distance_function))
+    assert plain != machine_code(_kernel(wp.float64, traits_of([block.tilted(0.1, 0)])))
+    table = PartTable.pack([named("moon")], UNIT, wp.float64, "cpu")
+    assert not hasattr(table.struct, "turn")
+    assert not hasattr(table.struct, "field")
+
+
+def test_a_body_from_a_file_is_stored_once_however_it_leans(
+    block: Indenter, tmp_path: Path
+) -> None:
+    files.write_binary(tmp_path / "ball.stl", files.ball(1.0, 9))
+    ball = from_stl(tmp_path / "ball.stl", edge_radius=0.0, spacing=0.2e-3, reach=2e-3)
+    many = [block, block.tilted(-0.1, 0.05), plane(), ball]
+    table = PartTable.pack(many, UNIT, wp.float32, "cpu").struct
+    assert block.solid is not None
+    assert ball.solid is not None
+    first = block.solid.distances(block.edge_radius).grid.count
+    second = ball.solid.distances(0.0).grid.count
+    assert table.field_first.numpy().tolist() == [0, 0, -1, first]
+    assert table.field.shape == (first + second,)

@@ -1,0 +1,166 @@
+"""Presses by indenters from files and by indenters that lean, in every tier."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import stl_files as files
+
+from sim import Body, Effects, Friction, Result, Scene, press, simulate, simulate_many
+from sim.__main__ import main
+from sim.fem.numerics import Numerics
+from sim.indenters import Indenter, box, from_stl, named, sphere
+from sim.mpm import MpmNumerics
+from sim.planner.features import probe
+from sim.simulate import Tier
+from sim.store import load_result, save_results
+
+TILT = math.radians(6), math.radians(-4)
+COARSE = Numerics(spacing=1.3e-3)
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
+    path = tmp_path_factory.mktemp("stl") / "block.stl"
+    files.write_binary(path, files.block(4, 5, 6))
+    return from_stl(path, edge_radius=0.4e-3, spacing=0.15e-3, reach=3e-3)
+
+
+EXACT = box(4e-3, 5e-3, 0.4e-3)
+
+
+def _pressed(indenter: Indenter, tier: Tier, **given: object) -> Result:
+    scene = Scene(indenter, press([0.5e-3, 0.8e-3]), effects=Effects(friction=Friction(0.4)))
+    return simulate(scene, tier, **given)  # type: ignore[arg-type]
+
+
+def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) -> None:
+    force = _pressed(block.tilted(*TILT), "layer").force[1:, 2]
+    expected = _pressed(EXACT.tilted(*TILT), "layer").force[1:, 2]
+    np.testing.assert_allclose(force, expected, rtol=0.01)
+
+
+def test_the_planner_knows_how_sharp_a_body_from_a_file_is(block: Indenter) -> None:
+    features = probe(Scene(block, press([0.5e-3]))).features
+    assert features.sharpest == pytest.approx(0.4 / 4)
+
+
+def test_a_result_can_be_read_without_the_file_that_it_was_made_with(
+    block: Indenter, tmp_path: Path
+) -> None:
+    path = files.write_text(tmp_path / "gone.stl", files.block(4, 5, 6))
+    indenter = from_stl(path, edge_radius=0.0, spacing=0.2e-3, reach=2e-3)
+    result = simulate(Scene(indenter, press([0.3e-3])), "layer")
+    save_results(tmp_path / "kept.zarr", [result])
+    path.unlink()
+    kept = load_result(tmp_path / "kept.zarr")
+    assert kept.scene == result.scene
+    np.testing.assert_array_equal(kept.surface, result.surface)
+
+
+def test_the_command_line_presses_a_file_that_leans(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tips").mkdir()
+    inside_out = files.block(2, 3, 6)[0], files.block(2, 3, 6)[1][:, ::-1]
+    path = files.write_binary(tmp_path / "tips" / "block.stl", inside_out)
+    words = ["press", "--depths", "0.3", "--tier", "layer", "--shape", str(path), "--tilt", "-2,1"]
+    words += ["--stl-unit", "mm", "--stl-up=-z"]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert "note: block.stl is inside out: its triangles were turned round" in told.err
+    assert told.out.startswith("block, edges 0.3 mm;")
+    assert (tmp_path / "press-block.png").is_file()
+    assert main([*words, "--json"]) == 0
+    force = json.loads(capsys.readouterr().out)["force_n"]
+    exact = box(2e-3, 3e-3, 0.3e-3).tilted(math.radians(-2), math.radians(1))
+    expected = -simulate(Scene(exact, press([0.3e-3])), "layer").force[1:, 2]
+    np.testing.assert_allclose(force, expected, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--shape nowhere.stl", "cannot read or write: .*nowhere.stl"),
+        ("--shape cut.stl", "wrong input: cut.stl: 384 bytes; .*cut short"),
+        ("--shape cut.stl --radius 3", "wrong input: --radius: given with --shape cut.stl"),
+        ("--shape prism --stl-up=-z", "--stl-up: given with --shape prism; allowed: an STL file"),
+        ("--shape prism --tilt 40,0", "indenter prism.tilt about x: 0.698"),
+        ("--shape plane --tilt 1,0", "indenter plane.tilt: it has no lowest point"),
+    ],
+)
+def test_the_command_line_says_what_is_wrong_with_a_file_or_a_tilt(
+    words: str,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    whole = files.write_binary(tmp_path / "cut.stl", files.block(4, 5, 6))
+    whole.write_bytes(whole.read_bytes()[:384])
+    assert main(["press", "--tier", "layer", *words.split()]) == 2
+    assert re.search(said, capsys.readouterr().err)
+    assert [path.name for path in tmp_path.iterdir()] == ["cut.stl"]
+
+
+@pytest.mark.slow
+def test_fem_presses_a_body_from_a_file_like_the_exact_one(block: Indenter, tmp_path: Path) -> None:
+    path = files.write_binary(tmp_path / "ball.stl", files.ball(4.0, 41))
+    ball = from_stl(path, edge_radius=0.0, spacing=0.15e-3, reach=3e-3)
+    for found, exact in (
+        (ball, sphere(4e-3)),
+        (block, EXACT),
+        (block.tilted(*TILT), EXACT.tilted(*TILT)),
+    ):
+        wrench = _pressed(found, "fem", numerics=COARSE).wrench[1:]
+        expected = _pressed(exact, "fem", numerics=COARSE).wrench[1:]
+        scale = np.abs(expected[:, 2:3])
+        np.testing.assert_allclose(wrench[:, :3] / scale, expected[:, :3] / scale, atol=0.02)
+        np.testing.assert_allclose(wrench[:, 3:] / scale, expected[:, 3:] / scale, atol=0.02 * 2e-3)
+
+
+@pytest.mark.slow
+def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -> None:
+    about = math.radians(8)
+    aside = 4e-3 * math.sin(about)
+    leaning = Scene(sphere(4e-3).tilted(0.0, about), press([0.8e-3]))
+    moved = Scene(sphere(4e-3), press([0.8e-3], at=(aside, 0.0)))
+    numerics = Numerics(spacing=1.3e-3, graded=False)
+    found, expected = simulate_many([leaning, moved], "fem", numerics=numerics)
+    assert isinstance(found, Result)
+    assert isinstance(expected, Result)
+    np.testing.assert_allclose(found.force[1:], expected.force[1:], atol=2e-3)
+    # The torque is about the tip: the origin of the one that leans.
+    lever = np.cross([aside, 0, 0], expected.force[1])
+    torque = expected.wrench[1, 3:] + lever
+    np.testing.assert_allclose(found.wrench[1, 3:], torque, atol=2e-5)
+
+
+@pytest.mark.slow
+def test_scenes_of_every_kind_of_indenter_are_solved_in_one_call(block: Indenter) -> None:
+    indenters = [named("cylinder"), block, named("cylinder").tilted(*TILT), block.tilted(*TILT)]
+    scenes = [Scene(one, press([0.4e-3])) for one in indenters]
+    together = simulate_many(scenes, "fem", numerics=COARSE)
+    for scene, outcome in zip(scenes, together, strict=True):
+        assert isinstance(outcome, Result)
+        alone = simulate(scene, "fem", numerics=COARSE)
+        np.testing.assert_allclose(outcome.force, alone.force, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_mpm_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) -> None:
+    body = Body(size_x=10e-3, size_y=10e-3, thickness=4e-3)
+    numerics = MpmNumerics(cell=0.5e-3)
+    for found, exact in ((block, EXACT), (block.tilted(*TILT), EXACT.tilted(*TILT))):
+        scenes = [Scene(one, press([0.4e-3], speed=0.2), body) for one in (found, exact)]
+        outcomes = simulate_many(scenes, "mpm", numerics=numerics)
+        forces = [one.force[1, 2] for one in outcomes if isinstance(one, Result)]
+        assert forces[1] < -0.05
+        assert forces[0] == pytest.approx(forces[1], rel=0.03)

@@ -1,0 +1,145 @@
+"""One time step of the material points: against NumPy, and against what must be kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import mpm_oracle as oracle
+from support.mpm_oracle import Array
+
+from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press
+from sim.indenters import sphere
+from sim.mpm import MpmNumerics
+from sim.mpm.kernels import IMPULSE_UNIT
+from sim.mpm.lattice import wave_speed
+from sim.mpm.state import State
+
+SMALL = Body(size_x=1.5e-3, size_y=1e-3, thickness=1e-3)
+SCENE = Scene(sphere(1e-3), press([0.2e-3]), SMALL)
+EXACT = MpmNumerics(cell=0.5e-3, jitter=0.3, precision="float64")
+
+
+def _stirred(scene: Scene, numerics: MpmNumerics) -> tuple[State, Array]:
+    """A deformed state that moves, and the nodes' velocity (X, Y, Z, 3)."""
+    state, lattice, _ = oracle.state_of([scene], numerics)
+    random = np.random.default_rng(1)
+    count = len(lattice.rest)
+    oracle.put(state.shift, random.uniform(-0.3, 0.3, (1, count, 3)))
+    oracle.put(state.gradient, random.uniform(-0.1, 0.1, (1, count, 3, 3)))
+    velocity = random.uniform(-0.1, 0.1, (*lattice.nodes, 3))
+    oracle.put(state.velocity, velocity.reshape(1, -1, 3))
+    oracle.put(state.sums, np.zeros(state.sums.shape))
+    return state, velocity
+
+
+@pytest.mark.parametrize(("precision", "error"), [("float64", 1e-11), ("float32", 2e-6)])
+def test_a_step_of_the_particles_is_what_numpy_says(precision: str, error: float) -> None:
+    numerics = replace(EXACT, precision=precision)
+    state, velocity = _stirred(SCENE, numerics)
+    shear, bulk = float(state.shear.numpy()[0]), float(state.bulk.numpy()[0])
+    wanted = oracle.move(
+        state.lattice, velocity, state.shift.numpy()[0], state.gradient.numpy()[0], shear, bulk
+    )
+    state.move_particles()
+    shift, gradient, sums = wanted
+    np.testing.assert_allclose(state.shift.numpy()[0], shift, atol=error)
+    np.testing.assert_allclose(state.gradient.numpy()[0], gradient, atol=error)
+    np.testing.assert_allclose(oracle.sums_of(state), sums, atol=error)
+    assert np.abs(sums[..., 1:]).max() > 0.01
+
+
+def test_particles_give_the_grid_their_mass_and_momentum_and_not_more() -> None:
+    state, _ = _stirred(SCENE, EXACT)
+    before = state.shift.numpy()[0].copy()
+    state.move_particles()
+    velocity = state.shift.numpy()[0] - before
+    volume = state.lattice.volume
+    sums = oracle.sums_of(state).sum(axis=(0, 1, 2))
+    assert sums[0] == pytest.approx(volume.sum(), rel=1e-10)
+    np.testing.assert_allclose(sums[1:], volume @ velocity, atol=1e-10)
+
+
+def test_what_nodes_gain_is_what_indenter_base_and_weight_gave_them() -> None:
+    effects = Effects(friction=Friction(0.4), gravity=Gravity((3.0, -2.0, -9.0)))
+    scene = Scene(sphere(1e-3), press([0.2e-3]), SMALL, effects)
+    state, lattice, paces = oracle.state_of([scene], EXACT, settle=False)
+    state.advance(int(paces[0].steps))
+    sums = oracle.sums_of(state)
+    oracle.put(state.step, np.array([paces[0].steps - 1]))
+    state.history.zero_()
+    state.begin_step()
+    state.step_nodes()
+    velocity = state.velocity.numpy()[0].reshape(*lattice.nodes, 3)
+    change = (sums[..., :1] * velocity - sums[..., 1:]).sum(axis=(0, 1, 2))
+    impulses = state.history.numpy()[0].sum(axis=0) / IMPULSE_UNIT
+    weight = state._weight.numpy()[0] * lattice.volume.sum()
+    np.testing.assert_allclose(change, impulses[:3] + impulses[6:] + weight, atol=1e-10)
+    assert impulses[2] < -1e-3 < 1e-3 < impulses[8]
+
+
+def test_the_velocity_field_vanishes_on_the_base() -> None:
+    state, lattice, paces = oracle.state_of([SCENE], EXACT)
+    state.advance(int(paces[0].steps) - 1)
+    velocity = state.velocity.numpy()[0].reshape(*lattice.nodes, 3)
+    base = lattice.corner[2]
+    spline = np.array([0.125, 0.75, 0.125])
+    on_base = np.tensordot(velocity[:, :, base - 1 : base + 2], spline, axes=(2, 0))
+    assert np.abs(velocity[:, :, base + 1]).max() > 1e-5
+    np.testing.assert_allclose(on_base, 0.0, atol=1e-18)
+
+
+def test_a_body_with_nothing_to_hold_it_falls_freely() -> None:
+    effects = Effects(gravity=Gravity((1.0, -2.0, -9.0)), inertia=Inertia())
+    scene = Scene(sphere(1e-3), press([0.1e-3]), SMALL, effects)
+    numerics = replace(EXACT, base="particles")
+    state, lattice, paces = oracle.state_of([scene], numerics, free=True, settle=False)
+    oracle.put(state._corners, np.full((*state._corners.shape, 3), 50.0))
+    steps = 40
+    state.advance(steps)
+    cell, time = lattice.cell, paces[0].time_step
+    # Velocity first, then place, each step: the sum of 1 to `steps`.
+    fallen = np.array([1.0, -2.0, -9.0]) * time**2 * steps * (steps + 1) / 2 / cell
+    np.testing.assert_allclose(
+        state.shift.numpy()[0], np.broadcast_to(fallen, (len(lattice.rest), 3)), rtol=1e-6
+    )
+    np.testing.assert_allclose(state.gradient.numpy(), 0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_what_is_at_rest_stays_at_rest_to_the_last_bit(precision: str) -> None:
+    state, _, _ = oracle.state_of([SCENE], replace(EXACT, precision=precision))
+    oracle.put(state._corners, np.full((*state._corners.shape, 3), 50.0))
+    readings = state.advance(30)
+    assert not readings.any()
+    assert not state.shift.numpy().any()
+    assert not state.gradient.numpy().any()
+
+
+def test_a_bonded_column_swings_at_the_speed_of_sound() -> None:
+    # With nu = 0 a column's sides do not move: a quarter wave stands in it, its period 4 T / c.
+    body = Body(size_x=2e-3, size_y=2e-3, thickness=8e-3, poisson=0.0)
+    scene = Scene(sphere(1e-3), press([0.1e-3]), body, Effects(inertia=Inertia()))
+    state, lattice, paces = oracle.state_of([scene], MpmNumerics(cell=0.5e-3, precision="float64"))
+    oracle.put(state._corners, np.full((*state._corners.shape, 3), 50.0))
+    oracle.put(state._at, np.array([[0, 0, 10_000]]))
+    height = np.arange(lattice.nodes[2]) - lattice.corner[2]
+    rising = 1e-5 * np.sin(np.pi / 2 * np.clip(height, -1, 16) / 16)
+    velocity = np.zeros((*lattice.nodes, 3))
+    velocity[..., 2] = rising
+    oracle.put(state.velocity, velocity.reshape(1, -1, 3))
+    oracle.put(state.sums, np.zeros(state.sums.shape))
+    state.move_particles()
+    top = []
+    half = 2 * body.thickness / wave_speed(body) / paces[0].time_step
+    for _ in range(round(1.2 * half)):
+        state.advance(1)
+        top.append(float(state.surface()[0, 1, 1, 2]))
+    # The first of these is the second step: putting the velocity in was one.
+    time = np.arange(len(top)) + 2
+    falling = time > half / 2
+    back = np.interp(0.0, -np.array(top)[falling], time[falling])
+    assert back == pytest.approx(half, rel=0.01)
+    assert max(top) == pytest.approx(1e-5 * 2 * half / math.tau, rel=0.02)

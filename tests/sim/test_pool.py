@@ -1,0 +1,245 @@
+"""Scenes shared among processes: the same answers, and no process survives what goes wrong."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+from sim.pool import WorkerLost
+
+BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+NUMERICS = Numerics(spacing=4e-3 / 3, precision="float64", newton_max=8, halvings=0)
+SCENES = [
+    Scene(sphere(3e-3), press([depth], at=at), BODY)
+    for depth, at in ((0.1e-3, (0, 0)), (0.2e-3, (1e-3, 0)), (0.1e-3, (0, 1e-3)))
+]
+HEAVY = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
+HEAVY_NUMERICS = Numerics(spacing=0.3e-3)
+"""Half a minute or more: nothing that is stopped has finished by itself."""
+
+
+@pytest.fixture(autouse=True)
+def _dumps_in_a_folder_of_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+
+
+def workers() -> list[int]:
+    """Processes of ours that came from `multiprocessing`, its resource tracker left out."""
+    listed = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
+    return [pid for pid in map(int, listed) if b"spawn_main" in command(pid)]
+
+
+def command(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def test_two_processes_give_the_same_bits_in_the_same_order_and_tell_how_far_they_are() -> None:
+    told: list[float] = []
+    alone = simulate_many(SCENES, numerics=NUMERICS)
+    shared = simulate_many(SCENES, numerics=NUMERICS, processes=2, progress=told.append)
+    for one, other, scene in zip(alone, shared, SCENES, strict=True):
+        assert isinstance(one, Result)
+        assert isinstance(other, Result)
+        assert one.scene == other.scene == scene
+        for name in ("wrench", "surface_x", "surface_y", "surface", "traction"):
+            assert np.array_equal(getattr(one, name), getattr(other, name)), name
+        for name in one.quality.__slots__:
+            values = getattr(one.quality, name), getattr(other.quality, name)
+            assert np.array_equal(*values, equal_nan=True), name
+        assert one.record["mesh"] == other.record["mesh"]
+    assert told == [1 / 3, 2 / 3, 1]
+
+
+def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one() -> None:
+    numerics = replace(NUMERICS, newton_max=3)
+    scenes = [Scene(sphere(3e-3), press([2e-6]), BODY), Scene(sphere(3e-3), press([1e-3]), BODY)]
+    fine, diverged = simulate_many(scenes, numerics=numerics, processes=2)
+    _, here = simulate_many(scenes, numerics=numerics)
+    assert isinstance(fine, Result)
+    assert isinstance(diverged, SimulationDiverged)
+    assert isinstance(here, SimulationDiverged)
+    assert diverged.tried == here.tried != ()
+    assert str(diverged).split("state:")[0] == str(here).split("state:")[0]
+    assert diverged.dump is not None
+    assert diverged.dump.exists()
+    again = pickle.loads(pickle.dumps(diverged))
+    assert (str(again), again.tried, again.dump) == (
+        str(diverged),
+        diverged.tried,
+        diverged.dump,
+    )
+
+
+def test_a_scene_that_means_nothing_is_refused_here_as_itself() -> None:
+    numerics = replace(NUMERICS, spacing=0.3e-6)
+    with pytest.raises(SceneError) as here:
+        simulate_many(SCENES, numerics=numerics)
+    with pytest.raises(SceneError) as there:
+        simulate_many(SCENES, numerics=numerics, processes=2)
+    assert str(there.value) == str(here.value)
+    assert not workers()
+
+
+@pytest.mark.parametrize("processes", [0, -1, True, 2.0, "2"])
+def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
+    with pytest.raises(SceneError, match=r"processes: .*; allowed: whole numbers from 1 up"):
+        simulate_many(SCENES, numerics=NUMERICS, processes=processes)
+
+
+def test_a_gpu_is_not_shared_among_processes() -> None:
+    said = r"processes: 2 on device 'cuda:0'.*allowed: 1, or device 'cpu'"
+    with pytest.raises(SceneError, match=said):
+        simulate_many(SCENES, device="cuda:0", processes=2)
+
+
+def test_meshes_of_separate_processes_cannot_be_made_to_agree() -> None:
+    with pytest.raises(SceneError, match=r"numerics.one_topology: True with 2 processes"):
+        simulate_many(SCENES, numerics=replace(NUMERICS, one_topology=True), processes=2)
+
+
+def test_other_tiers_are_shared_too() -> None:
+    alone = simulate_many(SCENES[:2], "layer")
+    shared = simulate_many(SCENES[:2], "layer", processes=2)
+    for one, other in zip(alone, shared, strict=True):
+        assert isinstance(one, Result)
+        assert isinstance(other, Result)
+        assert np.array_equal(one.wrench, other.wrench)
+
+
+def once_two_work(act: object) -> threading.Thread:
+    """Calls `act` with the worker processes once two of them are there and had time to begin."""
+
+    def wait() -> None:
+        parent = f"/proc/{os.getpid()}/task"
+        deadline = time.monotonic() + 30
+        found: list[int] = []
+        while len(found) < 2 and time.monotonic() < deadline:
+            time.sleep(0.05)
+            listed = [
+                int(pid)
+                for thread in os.listdir(parent)
+                for pid in Path(f"{parent}/{thread}/children").read_text().split()
+            ]
+            found = [pid for pid in listed if b"spawn_main" in command(pid)]
+        time.sleep(1.5)
+        act(found)  # type: ignore[operator]
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    return thread
+
+
+def test_a_worker_that_is_killed_is_told_of_and_takes_the_others_with_it() -> None:
+    thread = once_two_work(lambda found: os.kill(found[0], signal.SIGKILL))
+    began = time.monotonic()
+    with pytest.raises(
+        WorkerLost, match=r"killed by SIGKILL, most likely for lack of memory, 0 of"
+    ):
+        simulate_many([HEAVY] * 3, numerics=HEAVY_NUMERICS, processes=2)
+    assert time.monotonic() - began < 20
+    thread.join()
+    assert not workers()
+
+
+def test_ctrl_c_stops_the_workers_at_once() -> None:
+    pressed: list[float] = []
+
+    def press_it(_found: list[int]) -> None:
+        pressed.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = once_two_work(press_it)
+    with pytest.raises(KeyboardInterrupt):
+        simulate_many([HEAVY] * 3, numerics=HEAVY_NUMERICS, processes=2)
+    assert time.monotonic() - pressed[0] < 3
+    thread.join()
+    assert not workers()
+
+
+SCRIPT = """
+import sys
+from sim import Scene, press, simulate_many
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+{guard}
+    print("begun", flush=True)
+    simulate_many([Scene(sphere(4e-3), press([1e-3]))] * 3, numerics=Numerics(spacing=0.3e-3),
+                  processes=2)
+"""
+
+
+def script(tmp_path: Path, guard: str) -> subprocess.Popen[str]:
+    path = tmp_path / "script.py"
+    path.write_text(SCRIPT.format(guard=guard))
+    return subprocess.Popen(
+        [sys.executable, str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        start_new_session=True,
+    )
+
+
+def group(leader: int) -> list[int]:
+    """Processes of the session that `leader` began."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit() and b"spawn_main" in command(int(folder.name)):
+            try:
+                if os.getsid(int(folder.name)) == leader:
+                    found.append(int(folder.name))
+            except ProcessLookupError:
+                continue
+    return found
+
+
+@pytest.mark.parametrize("with_signal", [signal.SIGINT, signal.SIGKILL])
+def test_workers_do_not_outlive_their_parent(tmp_path: Path, with_signal: signal.Signals) -> None:
+    parent = script(tmp_path, 'if __name__ == "__main__":')
+    deadline = time.monotonic() + 30
+    while len(group(parent.pid)) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.5)
+    # As a terminal does: to every process of the group.
+    if with_signal == signal.SIGINT:
+        os.killpg(parent.pid, with_signal)
+    else:
+        parent.kill()
+    said = parent.communicate(timeout=20)[1]
+    while group(parent.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not group(parent.pid)
+    if with_signal == signal.SIGINT:
+        assert said.count("Traceback") == 1, said
+        assert said.rstrip().endswith("KeyboardInterrupt")
+
+
+def test_a_script_without_its_guard_is_told_so(tmp_path: Path) -> None:
+    parent = script(tmp_path, "if True:")
+    said = parent.communicate(timeout=40)[1]
+    assert parent.returncode == 1
+    assert "ended with exit code 1, 0 of 3 scenes done; a script that asks for processes" in said
+
+
+def test_workers_say_nothing_of_their_own(capfd: pytest.CaptureFixture[str]) -> None:
+    simulate_many(SCENES[:2], numerics=NUMERICS, processes=2)
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")

@@ -1,0 +1,130 @@
+"""Runs `python -m rig collect` as a technician does, and finds its processes to kill them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from benchmarks.faults import quick as reliability
+from benchmarks.faults.processes import family, stream_process
+from recorder import check
+
+ROOT = Path(__file__).parents[2]
+
+
+def quick_bench(folder: Path, sensor: str, *, limits: str = "{}") -> Path:
+    """A mock bench that wastes no test's time: short preflight, fast travel where nothing is near.
+
+    Args:
+        folder: Where to write it.
+        sensor: The bench it extends.
+        limits: YAML mapping merged over its limits.
+    """
+    return reliability.quick_bench(folder, sensor, ROOT / "benches", limits=limits)
+
+
+def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
+    """What `check` finds that a busy machine cannot have caused.
+
+    The emulators share this machine's cores: one that is held up for 50 ms makes a gap, and so does
+    an emulated controller whose clock stands still meanwhile.
+
+    Args:
+        session: What to check.
+        stopped: Whether streams may end before the session does.
+    """
+    excused = {"gap", "clock-step"} | ({"truncated"} if stopped else set())
+    return [str(finding) for finding in check(session) if finding.code not in excused]
+
+
+@dataclass
+class Collection:
+    """One running collection."""
+
+    session: Path
+    process: subprocess.Popen[str]
+    lines: list[str] = field(default_factory=list)
+
+    @classmethod
+    def start(cls, session: Path, *arguments: str, sensor: str = "tacpalm") -> Collection:
+        where = [] if "--resume" in arguments else ["--out", str(session)]
+        if "--bench" not in arguments and "--resume" not in arguments:
+            where += ["--sensor", sensor]
+        # What somebody measured of this machine's mock benches is none of a test's business.
+        where += ["--calibrations", str(session.parent / "none-measured")]
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        return cls(session, process)
+
+    def wait(self, timeout: float = 55.0) -> int:
+        """Its exit code, with everything it printed in `lines`."""
+        try:
+            output, _ = self.process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            self.kill_all()
+            output, _ = self.process.communicate()
+            raise AssertionError(f"hangs after:\n{output}") from None
+        self.lines += output.splitlines()
+        return self.process.returncode
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines)
+
+    def processes(self) -> dict[int, str]:
+        """Command lines of this collection's processes, the main one among them, by pid."""
+        return family(self.process.pid)
+
+    def emulator(self, module: str) -> int:
+        """The pid of the emulator `python -m <module>`."""
+        return next(pid for pid, command in self.processes().items() if f"-m {module}" in command)
+
+    def stream(self, name: str) -> int:
+        """The pid of one stream's process: the one that writes `<session>/streams/<name>`."""
+        return stream_process(self.processes(), self.session, name)
+
+    def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
+        """Wait for `condition`, with the collection still running."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if self.process.poll() is not None or time.monotonic() > deadline:
+                self.kill_all()
+                output, _ = self.process.communicate()
+                raise AssertionError(f"it did not come so far:\n{output}")
+            time.sleep(0.02)
+
+    def recording(self) -> bool:
+        """Whether frames, poses and forces are being stored."""
+        return any(self.session.glob("streams/*/value/c/*/*/*.partial")) or any(
+            self.session.glob("streams/force/t_ns/journal-*")
+        )
+
+    def segments(self) -> int:
+        """Bytes of the segment journal: grows by one row a phase."""
+        return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
+
+    def kill_all(self) -> None:
+        """SIGKILL to every process, children first found, main last."""
+        pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)
+        for pid in pids:
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        deadline = time.monotonic() + 10
+        while any(Path(f"/proc/{pid}").exists() for pid in pids if pid != self.process.pid):
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.01)

@@ -1,0 +1,37 @@
+"""A process that dies in front of any call that changes files."""
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nothing that the program does afterwards reaches the disk."""
+
+
+class FailingCalls:
+    """Counts the calls that change files and dies in front of one of them."""
+
+    NAMES = ("pwrite", "pwritev", "write", "ftruncate", "fsync", "fdatasync", "unlink")
+    PATH_NAMES = ("replace", "unlink", "mkdir", "write_bytes")
+
+    def __init__(self, patch: pytest.MonkeyPatch, fatal: int | None) -> None:
+        self.calls = 0
+        self._fatal = fatal
+        for owner, names in ((os, self.NAMES), (Path, self.PATH_NAMES)):
+            for name in names:
+                patch.setattr(owner, name, self._counted(getattr(owner, name)))
+        patch.setattr(shutil, "rmtree", self._counted(shutil.rmtree))
+
+    def _counted(self, real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            self.calls += 1
+            if self._fatal is not None and self.calls >= self._fatal:
+                raise Killed
+            return real(*args, **options)
+
+        return call

@@ -1,0 +1,183 @@
+"""A batch of tangents assembled two ways: by the stencil's kernels, and densely by NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from support import fem_oracles as oracle
+from support.fem_oracles import Array, Material
+
+from sim.fem.contact import face_rule
+from sim.fem.matrix import Stencil
+from sim.fem.mesh import SLOTS, Mesh, neighbours
+from sim.fem.scalars import matrix_of
+
+GRID = oracle.domed_mesh()
+MESHES = (GRID, oracle.moved(GRID, 0.06))
+"""Two bodies on one grid."""
+COUNT = len(GRID.nodes)
+SHAPE = face_rule(2)[0]
+FILLED = 7.0
+"""What is in the matrix before it is assembled."""
+
+
+class Tangents:
+    """Three environments on two bodies, of which the last is off; every input drawn at random."""
+
+    def __init__(
+        self, variant: str = "elastic", strain: float = 0.02, contact: float = 3.0
+    ) -> None:
+        random = np.random.default_rng(8)
+        self.variant = variant
+        self.active = np.array([1, 1, 0])
+        self.body = np.array([1, 0, 1])
+        self.u = random.normal(0, strain, (3, COUNT, 3)) * GRID.free[:, None]
+        self.mass = random.uniform(0.5, 1.5, (2, COUNT))
+        self.shift = np.array([0.0, 0.3, 0.6])
+        self.touched = random.integers(0, 2, (3, len(GRID.faces)))
+        points = random.normal(0, 1, (3, len(GRID.faces), len(SHAPE), 3, 3))
+        self.contact = contact * (points + np.swapaxes(points, -1, -2))
+        self.materials = [
+            self._material(random, *pair) for pair in ((0.35, 3.3), (0.4, 0.5), (1, 1))
+        ]
+
+    def _material(self, random: np.random.Generator, shear: float, bulk: float) -> Material:
+        if self.variant != "viscous":
+            return Material(shear, bulk, everywhere=self.variant == "full_integration")
+        history = random.normal(0, 0.1, (len(GRID.elements), 8, 3, 3))
+        return Material(
+            shear,
+            bulk,
+            factor=1.6 - shear,
+            bulk_factor=1.2 + shear,
+            history=history + np.swapaxes(history, 2, 3),
+            bulk_history=random.normal(0, 0.1, len(GRID.elements)),
+        )
+
+    def stencil(
+        self, real: Any, *, parallel: bool = False, half: bool = False, keep: bool = True
+    ) -> Stencil:
+        """Assembled by the kernels over a matrix full of `FILLED`."""
+        stencil = Stencil(
+            GRID,
+            real,
+            3,
+            "cpu",
+            viscous=self.variant == "viscous",
+            full_integration=self.variant == "full_integration",
+            parallel=parallel,
+            half=half,
+            keep=keep,
+        )
+        stencil.matrix.fill_(FILLED)
+        self.assemble(stencil, real)
+        return stencil
+
+    def assemble(self, stencil: Stencil, real: Any, anew: list[int] | None = None) -> None:
+        """Assemble once more, as things are now, the elastic part where `anew` says so."""
+        geometry = (
+            oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
+            oracle.scalars(np.stack([mesh.weight for mesh in MESHES]), real),
+            oracle.scalars(self.mass, real),
+            oracle.integers(self.body),
+        )
+        contact = (
+            oracle.scalars(SHAPE, real),
+            oracle.integers(self.touched),
+            oracle.matrices(self.contact, real),
+        )
+        stencil.assemble(
+            oracle.integers(self.active),
+            oracle.vectors(self.u, real),
+            geometry,
+            self.inputs(real, self.materials),
+            contact,
+            oracle.scalars(self.shift, real),
+            None if anew is None else oracle.integers(anew),
+        )
+
+    def inputs(self, real: Any, materials: list[Material]) -> tuple[Any, ...]:
+        names = ("shear", "bulk", "factor", "bulk_factor")
+        columns = [
+            oracle.scalars([getattr(one, name) for one in materials], real) for name in names
+        ]
+        if self.variant != "viscous":
+            return (*columns, oracle.zeros((0, 0, 0), matrix_of(real)), oracle.zeros((0, 0), real))
+        history = np.stack([one.history for one in materials])
+        bulk_history = np.stack([one.bulk_history for one in materials])
+        return (*columns, oracle.matrices(history, real), oracle.scalars(bulk_history, real))
+
+    def dense(self, env: int) -> Array:
+        """The same (N, 3, N, 3) from the complex step, face by face, and the definition."""
+        dense = _stiffness(MESHES[self.body[env]], self.u[env], self.materials[env])
+        blocks = np.einsum("spij,pa,pb->saibj", self.contact[env], SHAPE, SHAPE)
+        for face, touched, block in zip(GRID.faces, self.touched[env], blocks, strict=True):
+            dense[np.ix_(face, range(3), face, range(3))] += block * touched
+        own = np.arange(COUNT)
+        for axis in range(3):
+            dense[own, axis, own, axis] += self.shift[env] * self.mass[self.body[env]]
+        dense[~GRID.free] = 0.0
+        dense[:, :, ~GRID.free] = 0.0
+        return dense
+
+
+def _stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
+    """Dense tangent of the elements (N, 3, N, 3) by 24 complex steps.
+
+    Nodes of one parity along x, y and z move together: each element has just one of them.
+    """
+    dense = np.zeros((COUNT, 3, COUNT, 3))
+    grid = np.stack(np.unravel_index(np.arange(COUNT), np.array(mesh.cells) + 1), axis=-1)
+    parity = grid % 2 @ np.array([4, 2, 1])
+    for which in range(8):
+        moving = mesh.elements[parity[mesh.elements] == which]
+        for axis in range(3):
+            v = (parity == which)[:, None] * np.eye(3)[axis]
+            force = oracle.element_tangent(mesh, u, v, material)
+            np.add.at(dense[:, :, :, axis], (mesh.elements, slice(None), moving[:, None]), force)
+    return dense
+
+
+def flat_tangent(by: float) -> Stencil:
+    """The undeformed tangent of one body whose elements are `by` times as wide as high."""
+    nodes = GRID.nodes * np.array([by, by, 1.0])
+    jacobian = np.einsum("eai,qaj->eqij", nodes[GRID.elements], oracle.local_gradients())
+    one, real = [1.0], wp.float64
+    stencil = Stencil(GRID, real, 1, "cpu")
+    geometry = (
+        oracle.matrices(np.linalg.inv(jacobian)[None], real),
+        oracle.scalars(np.linalg.det(jacobian)[None], real),
+        oracle.scalars(np.ones((1, COUNT)), real),
+        oracle.integers([0]),
+    )
+    contact = (
+        oracle.scalars(SHAPE, real),
+        oracle.integers(np.zeros((1, len(GRID.faces)))),
+        oracle.matrices(np.zeros((1, len(GRID.faces), len(SHAPE), 3, 3)), real),
+    )
+    material = Tangents().inputs(real, [Material(0.35, 1.0)])
+    u = oracle.vectors(np.zeros((1, COUNT, 3)), real)
+    stencil.assemble(
+        oracle.integers(one), u, geometry, material, contact, oracle.scalars([0.0], real)
+    )
+    return stencil
+
+
+def spread_out(matrix: Array) -> Array:
+    """A stencil's blocks (N, 27, 3, 3) as a dense matrix (N, 3, N, 3)."""
+    near = neighbours(GRID.cells)
+    dense = np.zeros((COUNT, 3, COUNT, 3))
+    for slot in range(SLOTS):
+        rows = np.flatnonzero(near[:, slot] >= 0)
+        dense[rows, :, near[rows, slot]] = matrix[rows, slot]
+    return dense
+
+
+def columns_of(dense: Array) -> Array:
+    """What of a dense tangent couples nodes of one column (3N, 3N), with 1 for held nodes."""
+    column = np.arange(COUNT) // (GRID.cells[2] + 1)
+    kept = dense * (column[:, None] == column)[:, None, :, None]
+    kept = kept.reshape(3 * COUNT, 3 * COUNT)
+    return kept + np.diag(np.repeat(~GRID.free, 3).astype(float))

@@ -1,0 +1,41 @@
+"""Runs Python where the shim of rig.devices.hid gives it hidraw nodes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rig.core.errors import ConfigError
+from rig.devices.hid.shim import build
+
+ROOT = Path(__file__).parents[2]
+
+
+def library(folder: Path) -> Path:
+    """The shim, built; skips the test where it cannot be."""
+    try:
+        return build(folder)
+    except ConfigError as error:
+        pytest.skip(str(error))
+
+
+def run(shim: Path, code: str, *arguments: str, nodes: Path | None = None) -> str:
+    """What `code` prints with the shim preloaded."""
+    environment = os.environ | {"LD_PRELOAD": str(shim), "PYTHONPATH": str(ROOT)}
+    environment.pop("FAKE_HIDRAW", None)
+    if nodes is not None:
+        environment["FAKE_HIDRAW"] = str(nodes)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=40,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout

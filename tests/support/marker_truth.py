@@ -1,0 +1,158 @@
+"""Pictures whose markers are known, and how well they are found.
+
+Run it with `python tests/support/marker_truth.py`.
+
+The mock bench's camera draws discs at known places; the simulator's GelSight is lit by coloured
+lamps and has the mask of what it drew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.markers import CameraPreset, Segmenter, find_centres, grey, preset
+from rig.bench.worlds import MarkerView
+from rig.mock.world.picture import MarkerCamera, Surface
+
+VIEWS = {
+    "bench-gelsight": MarkerView("grid", 1.6e-3, 0.26e-3, 0.0249e-3, rows=7, columns=9),
+    "bench-tacpalm": MarkerView(
+        "hexagon", 2.6e-3, 0.55e-3, 0.075e-3, background=(92, 96, 104), ink=(226, 228, 222)
+    ),
+}
+"""What the mock benches show, by the preset that is meant for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """One picture."""
+
+    picture: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+    centres: NDArray[np.float64]
+    """Column and row (n, 2) of the markers that lie within the picture [px]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """How well the markers of some pictures were found."""
+
+    iou: float
+    """Least overlap of masks."""
+    mask_rms_px: float
+    """Of the centres of patches."""
+    grey_rms_px: float
+    """Of the centres weighted by grey."""
+    worst_px: float
+    """Of these, the farthest."""
+    missed: int
+    """Markers without a centre within 5 px, and centres without a marker."""
+    rate: float
+    """Masks a second of CPU time, the best of three."""
+
+
+def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> Iterator[Known]:
+    """Yield pictures of a press that deepens and shears."""
+    camera = MarkerCamera(view, grey_noise=grey_noise, seed=3)
+    stencil = MarkerCamera(replace(view, background=(0, 0, 0), ink=(255, 255, 255)))
+    depth = 1.2e-3 if view.layout == "grid" else 4.0e-3
+    radius_px = view.radius / view.pixel
+    for share in np.linspace(0, 1, frames):
+        surface = Surface(
+            (1e-3, -0.5e-3), depth * share, 3e-3, 4e-3, (0.4e-3 * share, 0.2e-3 * share)
+        )
+        centres = camera.pixels(surface)
+        # What is drawn is a disc half a pixel wider than it should be; the truth is what is drawn.
+        drawn = stencil.image(surface).min(axis=2) >= 128
+        inset = np.minimum(centres, [639, 479] - centres).min(axis=1)
+        yield Known(camera.image(surface), drawn, centres[inset > radius_px + 3])
+
+
+def simulated_pictures() -> Iterator[Known]:
+    """Yield coloured pictures of the simulator's GelSight under a sphere."""
+    from sim import press, simulate
+    from sim.indenters import named
+    from sim.sensors import CameraReadout, SurfaceField, readout, sensor
+
+    each = sensor("gelsight")
+    motion = press([0.3e-3, 0.6e-3, 1.0e-3], speed=each.speed)
+    top = SurfaceField.of(simulate(each.scene(named("sphere"), motion), tier="layer"))
+    reader = readout(each)
+    if not isinstance(reader, CameraReadout):
+        raise TypeError("the GelSight has a camera")
+    masks = reader.masks(top)[:, 0]
+    coverage = reader.coverage(top)[:, 0]
+    for picture, mask, cover in zip(reader.pictures(top), masks, coverage, strict=True):
+        truth = find_centres(mask, cover)
+        yield Known(picture, mask, truth.place[truth.whole])
+
+
+def measure(known: list[Known], name: str) -> Found:
+    """Return how well a preset finds the markers of pictures."""
+    found = preset(name)
+    if not isinstance(found, CameraPreset):
+        raise TypeError(f"{name} is not for pictures")
+    segmenter = Segmenter(found)
+    cv2.setNumThreads(1)
+    ious, by_mask, by_grey, missed = [], [], [], 0
+    for one in known:
+        mask = segmenter.mask(one.picture)
+        ious.append(np.sum(mask & one.mask) / np.sum(mask | one.mask))
+        for errors, light in ((by_mask, None), (by_grey, grey(one.picture))):
+            centres = find_centres(mask, light)
+            apart = np.linalg.norm(one.centres[:, None] - centres.place[None], axis=-1)
+            near = apart.min(axis=1)
+            errors += near[near < 5].tolist()
+            if light is not None:
+                missed += int(np.sum(near >= 5))
+                inset = np.minimum(centres.place, [639, 479] - centres.place).min(axis=1)
+                missed += int(np.sum((apart.min(axis=0) >= 5) & (inset > 25)))
+    spent = []
+    for _ in range(3):
+        began = time.process_time()
+        for one in known:
+            segmenter.mask(one.picture)
+        spent.append((time.process_time() - began) / len(known))
+    return Found(
+        min(ious), rms(by_mask), rms(by_grey), max(by_grey), missed, 1 / max(min(spent), 1e-9)
+    )
+
+
+def rms(values: list[float]) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def main() -> None:
+    """Print how well every preset does on what it could be meant for."""
+    print(f"{'pictures':32s}{'preset':18s}{'IoU':>7s}{'patch':>8s}{'grey':>8s}{'worst':>8s} missed")
+    cases = [
+        (f"{name}, noise {noise:g}", name, list(mock_pictures(view, grey_noise=noise)))
+        for name, view in VIEWS.items()
+        for noise in (1.0, 4.0)
+    ]
+    lit = list(simulated_pictures())
+    cases += [
+        ("bench-gelsight, noise 1", name, cases[0][2]) for name in ("gelsight", "gelsight-white")
+    ]
+    cases += [
+        ("simulated GelSight in colour", name, lit)
+        for name in ("bench-gelsight", "gelsight", "gelsight-white")
+    ]
+    for title, name, known in cases:
+        found = measure(known, name)
+        print(
+            f"{title:32s}{name:18s}{found.iou:7.3f}{found.mask_rms_px:8.3f}"
+            f"{found.grey_rms_px:8.3f}{found.worst_px:8.3f}{found.missed:5d}"
+            f"   {found.rate:5.0f} masks/s"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""Sessions to test with."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from recorder import (
+    SessionWriter,
+    StreamSpec,
+    StreamWriter,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
+
+Columns = dict[str, Any]
+Change = Callable[[str, Columns], Columns]
+
+T0 = 4_000_000_000_000_000  # a month after boot: float64 seconds could not hold it to the ns
+RATES = {"camera": 60.0, "force": 1000.0, "pose": 125.0, "taxels": 60.0}
+CONTACT_FRAME = [0.4, -0.1, 0.2, 0.0, 0.0, 0.0]
+PHASE_S = 0.4
+DEPTH = 8e-4
+
+
+def depth_at(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the indentation [m]: four phases of pressing, shearing, back and lifting."""
+    cycle = seconds % (4 * PHASE_S) / PHASE_S
+    return DEPTH * np.interp(cycle, [0, 1, 3, 4], [-0.05, 1, 1, -0.05])
+
+
+def shear_at(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the tangential displacement [m]."""
+    cycle = seconds % (4 * PHASE_S) / PHASE_S
+    return 5e-4 * np.interp(cycle, [0, 1, 2, 3, 4], [0, 0, 1, 0, 0])
+
+
+def picture(seconds: float, shape: tuple[int, int], noise: np.random.Generator) -> Any:
+    """Return an image (h, w, 3) of a grid of markers that follows the contact."""
+    now = np.array([seconds])
+    depth, shear = float(depth_at(now)[0]) / DEPTH, float(shear_at(now)[0]) / 5e-4
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    pitch = shape[1] / 10
+    away_x, away_y = x - shape[1] / 2, y - shape[0] / 2
+    bump = np.exp(-(away_x**2 + away_y**2) / (0.04 * shape[1] ** 2))
+    x = x - bump * (0.5 * pitch * shear + 0.25 * max(depth, 0) * away_x / pitch)
+    y = y - bump * 0.25 * max(depth, 0) * away_y / pitch
+    marker = (np.cos(2 * np.pi * x / pitch) + np.cos(2 * np.pi * y / pitch)) > 1.2
+    base = np.stack([150 + 40 * bump * depth, 120 - 30 * bump * depth, 170 - x * 0], axis=-1)
+    base[marker] = 30
+    base += noise.normal(0, 2, base.shape)
+    return np.clip(base, 0, 255).astype(np.uint8)
+
+
+def stream_columns(
+    name: str, seconds: float, shape: tuple[int, int], codec: str, seed: int
+) -> Columns:
+    """Return all rows of one stream, `seconds` long, from `T0` on."""
+    noise = np.random.default_rng([seed, len(name)])
+    count = int(seconds * RATES[name])
+    time = np.arange(count) / RATES[name]
+    t_ns = T0 + np.round(time * 1e9).astype(np.int64) + noise.integers(0, 200_000, count)
+    depth, shear = depth_at(time), shear_at(time)
+    press = -3.0 * np.maximum(depth / DEPTH, 0) ** 1.5
+    columns: Columns = {"t_ns": t_ns}
+    if name == "camera":
+        frames = [picture(t, shape, noise) for t in time]
+        if codec == "jpeg":
+            frames = [simplejpeg.encode_jpeg(frame, quality=90) for frame in frames]
+        columns |= {"value": frames, "device_t": time + 12.5}
+    if name == "force":
+        value = noise.normal(0, 0.02, (count, 6))
+        value[:, 2] += press
+        value[:, 0] += 0.4 * press * shear / 5e-4
+        columns |= {"value": value, "seq": np.arange(count) + 100, "status": time.astype(int) * 0}
+    if name == "pose":
+        value = np.tile(CONTACT_FRAME, (count, 1))
+        value[:, 2] -= depth
+        value[:, 0] += shear
+        columns |= {"value": value, "device_t": time, "speed_scaling": np.ones(count)}
+    if name == "taxels":
+        value = noise.normal(0, 2.1, (count, 16, 3)) + 30_000
+        reach = np.exp(-np.hypot(*(np.mgrid[:4, :4] - 1.5)).ravel())
+        value[:, :, 2] += 4000 * reach * np.maximum(depth, 0)[:, None] / DEPTH
+        value[:, :, 0] += 2500 * reach * shear[:, None] / 5e-4
+        columns |= {"value": value.astype(np.int32), "device_t": time, "seq": np.arange(count)}
+    return columns
+
+
+def specs(names: tuple[str, ...], shape: tuple[int, int], codec: str) -> list[StreamSpec]:
+    """Return the specs of the named streams."""
+    made = {
+        "camera": camera_spec(60, height=shape[0], width=shape[1], codec=codec, exposure=0.01),
+        "force": force_spec(1000),
+        "pose": pose_spec(125),
+        "taxels": taxels_spec(60),
+    }
+    return [made[name] for name in names]
+
+
+def append_all(path: Path, columns: Mapping[str, Any]) -> None:
+    """Append rows given as columns."""
+    with StreamWriter.open(path, sync_interval=30) as stream:
+        for row in range(len(columns["t_ns"])):
+            stream.append(**{name: values[row] for name, values in columns.items()})
+
+
+def make_session(
+    path: Path,
+    *,
+    seconds: float = 3.6,
+    names: tuple[str, ...] = ("camera", "force", "pose"),
+    codec: str = "jpeg",
+    shape: tuple[int, int] = (48, 64),
+    change: Change = lambda name, columns: columns,
+    finish: bool = True,
+) -> Path:
+    """Record a session of one press after another.
+
+    `change` may plant a fault: it is given every stream and table before it is written.
+    """
+    targets = {
+        "point": np.arange(50, dtype=np.int16),
+        "depth": np.full(50, DEPTH),
+        "direction": np.zeros(50, np.int16),
+        "planned": np.zeros((50, 3)),
+    }
+    attrs = {"sensor": "wedge", "indenter": "sphere", "mock": True, "contact_frame": CONTACT_FRAME}
+    session = SessionWriter.create(
+        path, attrs=attrs, streams=specs(names, shape, codec), targets=targets
+    )
+    with session:
+        session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+        for name in names:
+            columns = change(name, stream_columns(name, seconds, shape, codec, seed=1))
+            append_all(session.stream_path(name), columns)
+        count = int((seconds - 0.2) / PHASE_S)
+        start_ns = T0 + 100_000_000 + np.arange(count) * round(PHASE_S * 1e9)
+        table = {
+            "target": np.arange(count) // 4,
+            "phase": np.arange(count) % 4,
+            "outcome": np.zeros(count, int),
+            "run": np.zeros(count, int),
+            "start_ns": start_ns,
+            "end_ns": start_ns + round(PHASE_S * 0.9e9),
+        }
+        table = change("segments", table)
+        for row in range(len(table["target"])):
+            session.segments.append(**{name: int(values[row]) for name, values in table.items()})
+        session.reference.append(
+            point=0,
+            image=0 if "camera" in names else -1,
+            wrench=np.full(6, 0.25),
+            wrench_std=np.full(6, 0.02),
+            taxels=np.full((16, 3), 30_000.0 if "taxels" in names else np.nan),
+            run=0,
+            t_ns=T0,
+        )
+        if finish:
+            session.finish("complete", rate_hz=40)
+    return path
+
+
+def set_attrs(path: Path, **attrs: Any) -> None:
+    document = json.loads((path / "zarr.json").read_text())
+    document["attributes"] |= attrs
+    (path / "zarr.json").write_text(json.dumps(document))

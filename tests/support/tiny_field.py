@@ -1,0 +1,18 @@
+"""Settings of a field translator that trains in a second."""
+
+from __future__ import annotations
+
+from learning.config import read_settings
+from learning.translation.field.settings import PRESETS, FieldSettings
+
+TINY: dict[str, object] = {
+    "net.widths": [8, 8, 8, 16],
+    "map.widths": [8, 8, 16],
+    "map.numbers": 4,
+    "examples.patterns": 1,
+}
+
+
+def tiny(**changes: object) -> FieldSettings:
+    sets = [f"{key}={value}" for key, value in (TINY | changes).items()]
+    return read_settings(FieldSettings, PRESETS, "cpu_smoke", sets)

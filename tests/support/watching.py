@@ -1,0 +1,139 @@
+"""A page with nothing behind it but shared records and a session, and clients for it."""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import simplejpeg
+from websockets.sync.client import ClientConnection, connect
+
+from recorder import SessionWriter, StreamWriter, camera_spec
+from rig.acquire.request import Order
+from rig.acquire.stream_process import COUNTERS
+from rig.bench.bench import load_bench
+from rig.core.clock import SystemClock
+from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
+from rig.core.shared_memory import LatestRecord
+from rig.monitor.page.access import Gate
+from rig.monitor.page.messages import PageJob, page_job
+
+ROOT = Path(__file__).parents[2]
+BENCH, _ = load_bench(ROOT / "benches" / "tacpalm.yaml")
+TARGETS = 40
+
+
+@functools.cache
+def jpeg(seed: int) -> bytes:
+    """A camera's image that does not compress well, so that slow clients show."""
+    pixels = np.random.default_rng(seed).integers(0, 256, (480, 640, 3), dtype=np.uint8)
+    data: bytes = simplejpeg.encode_jpeg(pixels, quality=60)
+    return data
+
+
+@dataclass
+class Stage:
+    """What a collecting process and its streams would have made."""
+
+    folder: Path
+    images: list[bytes] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.clock = SystemClock()
+        self.session = self.folder / "s.zarr"
+        self.records = {
+            name: LatestRecord.create(self.folder / f"{name}.latest", kind)
+            for name, kind in (
+                ("force", FORCE_LATEST),
+                ("pose", POSE_LATEST),
+                ("camera", CAMERA_LATEST),
+            )
+        }
+        self.counters = {
+            name: LatestRecord.create(self.folder / f"{name}.counters", COUNTERS)
+            for name in self.records
+        }
+        SessionWriter.create(
+            self.session,
+            attrs={"sensor": "tacpalm", "rate_hz": 40.0},
+            streams=[camera_spec(30.0, height=480, width=640, codec="jpeg")],
+            targets={},
+        ).close()
+        self.camera = StreamWriter.open(self.session / "streams" / "camera")
+
+    def job(self, gate: Gate | None = None, **fields: Any) -> PageJob:
+        order = Order(self.session, targets=TARGETS)
+        gate = gate or Gate(port=0)
+        job = page_job(gate, BENCH, self.folder, order, BENCH.trajectory, TARGETS)
+        return PageJob(
+            job.gate,
+            job.bench,
+            job.folder,
+            job.session,
+            job.spots,
+            job.directions,
+            job.indenter,
+            **fields,
+        )
+
+    def writer(self) -> SessionWriter:
+        """The session, to add segments to."""
+        self.camera.close()
+        return SessionWriter.resume(self.session)
+
+    def press(self, force: tuple[float, ...], tip: tuple[float, float, float]) -> None:
+        """Show a wrench (6,) [N, N m] and a tip position in the contact frame [m]."""
+        now_ns = self.clock.now_ns()
+        self.records["force"].write((now_ns, 0, force))
+        place = np.add(BENCH.contact_frame[:3], tip)
+        self.records["pose"].write((now_ns, 0.0, 0, 2, 1.0, (*place, *BENCH.tool_rotation)))
+        self.counters["force"].write((now_ns, 900, 800, 3, 998.0, 0.004))
+
+    def picture(self) -> bytes:
+        """Record one more image and show its row; its bytes."""
+        data = jpeg(len(self.images) % 4)
+        now_ns = self.clock.now_ns()
+        row = self.camera.append(value=data, device_t=float("nan"), t_ns=now_ns)
+        self.images.append(data)
+        self.records["camera"].write((now_ns, row))
+        return data
+
+    def close(self) -> None:
+        self.camera.close()
+        for record in (*self.records.values(), *self.counters.values()):
+            record.close()
+
+
+def watch(
+    gate: Gate, port: int, *, token: str | None = None, origin: str | None = None
+) -> ClientConnection:
+    """A client as the page's script is one."""
+    where = f"127.0.0.1:{port}"
+    return connect(
+        f"ws://{where}/live",
+        origin=origin if origin is not None else f"http://{where}",  # type: ignore[arg-type]
+        additional_headers={"Cookie": f"rig_watch_{port}={token or gate.token}"},
+        compression=None,
+        open_timeout=10,
+    )
+
+
+def next_state(client: ClientConnection) -> dict[str, Any]:
+    """The next state, whatever else comes before it."""
+    while True:
+        message = client.recv(timeout=10)
+        if isinstance(message, str) and (content := json.loads(message))["kind"] == "state":
+            state: dict[str, Any] = content
+            return state
+
+
+def next_image(client: ClientConnection) -> bytes:
+    """The next image."""
+    while True:
+        message = client.recv(timeout=10)
+        if isinstance(message, bytes):
+            return message
