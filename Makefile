@@ -142,8 +142,8 @@ test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
 test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 
-check: $(VENV)/.dev  ## Lint, format check, types
-	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy
+check: $(VENV)/.dev  ## Lint, format check, types, who may import whom
+	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy && $(VENV)/bin/lint-imports --no-logo
 
 format: $(VENV)/.dev  ## Format the code
 	@$(PY) -m ruff format . && $(PY) -m ruff check --fix .

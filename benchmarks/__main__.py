@@ -15,7 +15,7 @@ class Benchmark:
     """One program that measures."""
 
     module: str
-    """Below `benchmarks`; has either `add_to(parsers)` or `main(arguments)`."""
+    """Has either `add_to(parsers)` or `main(arguments)`."""
     package: str
     """Whose errors and exit codes it ends with: `rig`, `sim` or `learning`."""
     help: str
@@ -23,38 +23,72 @@ class Benchmark:
 
 BENCHMARKS = {
     # Recording
-    "recording": Benchmark("recording.command", "rig", "what recording costs, beside other stores"),
-    "faults": Benchmark("faults.command", "rig", "break a mock bench in every way"),
-    "endurance": Benchmark("endurance.command", "rig", "half an hour on the mock bench"),
-    # The simulator
-    "hard-cases": Benchmark("sim.stability.command", "sim", "cases that break simulators"),
-    "refine": Benchmark("sim.refinement.command", "sim", "force from coarse to fine meshes"),
-    "accuracy": Benchmark("sim.accuracy.command", "sim", "error against time and memory"),
-    "cost-table": Benchmark("sim.cost_table.command", "sim", "what errors cost, for the planner"),
-    "speed": Benchmark("sim.speed.command", "sim", "the paper's 162 presses timed"),
-    "effects": Benchmark("sim.effects.command", "sim", "what an effect costs, on and off"),
-    "layer": Benchmark("sim.tiers.layer", "sim", "the `layer` tier, error and time"),
-    "mpm": Benchmark("sim.tiers.mpm", "sim", "the `mpm` tier beside `fem`"),
-    "render-check": Benchmark("sim.markers.check", "sim", "marker images against ray casting"),
-    "render-speed": Benchmark("sim.markers.timing", "sim", "marker images per second"),
-    "render-picture": Benchmark("sim.markers.picture", "sim", "draw markers before and after"),
-    "blender": Benchmark("sim.markers.blender", "sim", "the same images by Blender"),
-    "sensor-fit": Benchmark("sim.sensors.fit", "sim", "find the fitted numbers of the sensors"),
-    "sensor-speed": Benchmark("sim.sensors.timing", "sim", "time a frame of each sensor"),
-    "sensor-picture": Benchmark("sim.sensors.picture", "sim", "draw one press on every sensor"),
-    "live-forces": Benchmark("sim.sensors.accuracy", "sim", "live forces beside `layer` and `fem`"),
-    "live-session": Benchmark("sim.sensors.stream_accuracy", "sim", "a session solved again"),
-    "patterns": Benchmark("sim.pictures.patterns", "sim", "draw all marker patterns"),
-    "indenters": Benchmark("sim.pictures.indenters", "sim", "draw all indenters"),
-    # Learning
-    "latency": Benchmark("learning.latency.command", "learning", "error against time and size"),
-    "field-speed": Benchmark("learning.field_rate", "learning", "field translator, frames/s"),
-    "diffusion-full-size": Benchmark(
-        "learning.diffusion_full_size", "learning", "diffusion at the paper's size, on a GPU"
+    "recording": Benchmark(
+        "benchmarks.recording.command", "rig", "what recording costs, beside other stores"
     ),
-    "learning-tables": Benchmark("learning.tables.command", "learning", "the paper's tables"),
+    "faults": Benchmark("benchmarks.faults.command", "rig", "break a mock bench in every way"),
+    "endurance": Benchmark("benchmarks.endurance.command", "rig", "half an hour on the mock bench"),
+    # The simulator
+    "hard-cases": Benchmark(
+        "benchmarks.sim.stability.command", "sim", "cases that break simulators"
+    ),
+    "refine": Benchmark(
+        "benchmarks.sim.refinement.command", "sim", "force from coarse to fine meshes"
+    ),
+    "accuracy": Benchmark(
+        "benchmarks.sim.accuracy.command", "sim", "error against time and memory"
+    ),
+    "cost-table": Benchmark(
+        "benchmarks.sim.cost_table.command", "sim", "what errors cost, for the planner"
+    ),
+    "speed": Benchmark("benchmarks.sim.speed.command", "sim", "the paper's 162 presses timed"),
+    "effects": Benchmark(
+        "benchmarks.sim.effects.command", "sim", "what an effect costs, on and off"
+    ),
+    "layer": Benchmark("benchmarks.sim.tiers.layer", "sim", "the `layer` tier, error and time"),
+    "mpm": Benchmark("benchmarks.sim.tiers.mpm", "sim", "the `mpm` tier beside `fem`"),
+    "render-check": Benchmark(
+        "benchmarks.sim.render.check", "sim", "marker images against ray casting"
+    ),
+    "render-speed": Benchmark("benchmarks.sim.render.timing", "sim", "marker images per second"),
+    "render-picture": Benchmark(
+        "benchmarks.sim.render.picture", "sim", "draw markers before and after"
+    ),
+    "blender": Benchmark("benchmarks.sim.render.blender", "sim", "the same images by Blender"),
+    "sensor-fit": Benchmark(
+        "benchmarks.sim.sensors.fit", "sim", "find the fitted numbers of the sensors"
+    ),
+    "sensor-speed": Benchmark(
+        "benchmarks.sim.sensors.timing", "sim", "time a frame of each sensor"
+    ),
+    "sensor-picture": Benchmark(
+        "benchmarks.sim.sensors.picture", "sim", "draw one press on every sensor"
+    ),
+    "live-forces": Benchmark(
+        "benchmarks.sim.sensors.accuracy", "sim", "live forces beside `layer` and `fem`"
+    ),
+    "live-session": Benchmark(
+        "benchmarks.sim.sensors.stream_accuracy", "sim", "a session solved again"
+    ),
+    "patterns": Benchmark("benchmarks.sim.pictures.patterns", "sim", "draw all marker patterns"),
+    "indenters": Benchmark("benchmarks.sim.pictures.indenters", "sim", "draw all indenters"),
+    # Learning
+    "latency": Benchmark(
+        "benchmarks.learning.latency.command", "learning", "error against time and size"
+    ),
+    "field-speed": Benchmark(
+        "benchmarks.learning.field_rate", "learning", "field translator, frames/s"
+    ),
+    "diffusion-full-size": Benchmark(
+        "benchmarks.learning.diffusion_full_size",
+        "learning",
+        "diffusion at the paper's size, on a GPU",
+    ),
+    "learning-tables": Benchmark(
+        "benchmarks.learning.tables.command", "learning", "the paper's tables"
+    ),
     "learning-on-gpus": Benchmark(
-        "learning.tables.on_gpus", "learning", "all tables and ablations, on all GPUs"
+        "benchmarks.learning.tables.on_gpus", "learning", "all tables and ablations, on all GPUs"
     ),
 }
 
@@ -70,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if known is None:
         print(f"wrong input: {name!r}; allowed: {', '.join(BENCHMARKS)}", file=sys.stderr)
         return 2
-    module = import_module(f"benchmarks.{known.module}")
+    module = import_module(known.module)
     if hasattr(module, "main"):
         return int(module.main(arguments[1:]) or 0)
     parser = argparse.ArgumentParser(prog="python -m benchmarks")

@@ -34,7 +34,7 @@ def role_of(pid: int, command: str, session: Path) -> str:
         command: Its command line.
         session: What the collection writes.
     """
-    emulator = re.search(r"-m rig\.(\w+)\.(\w+)", command)
+    emulator = re.search(r"-m rig\.(?:devices|mock)\.(\w+)\.(\w+)", command)
     if emulator:
         of_world = {"host": "World", "solver": "World's solver"}
         return of_world.get(emulator[2], f"{emulator[1]} emulator")
