@@ -1,4 +1,4 @@
-# The lab's front door: every target only calls `python -m ...`. `make` lists them.
+# A checkout's front door: sets up the venv, then calls `python -m ...`. `make` lists the targets.
 SENSOR   ?= tacpalm
 VENV     := .venv
 PY       := $(VENV)/bin/python
@@ -14,126 +14,192 @@ DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test test-all check format setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test test-all check format reference setup clean
 
-help:  ## Show this list
-	@awk -F ':.*## ' '/^[a-z -]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+# Above a target: `##@` begins a group of the list, `#:` are the options of the target.
+help:
+	@echo 'make TARGET; make help-TARGET shows its options'
+	@awk '/^##@ / {printf "\n%s\n", substr($$0, 5)} \
+	  /^[a-z][a-z -]*:.*  ## / {split($$0, part, "  ## "); sub(/:.*/, "", part[1]); \
+	    n = split(part[1], names, " "); \
+	    for (i = 1; i <= n; i++) printf "  %-18s  %s\n", names[i], part[2]}' $(firstword $(MAKEFILE_LIST))
 
-collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
+help-%:
+	@awk -v target='$*' '/^#: / {options = substr($$0, 4); next} \
+	  /^[a-z][a-z -]*:.*  ## / {split($$0, part, "  ## "); sub(/:.*/, "", part[1]); \
+	    n = split(part[1], names, " "); \
+	    for (i = 1; i <= n; i++) if (names[i] == target) {found = 1; print part[2]; \
+	      line = "  make " target; m = split(options, word, " "); \
+	      for (k = 1; k <= m; k++) if (length(line word[k]) < 98) line = line " " word[k]; \
+	        else {print line " \\"; line = "      " word[k]} \
+	      print line}} \
+	  {options = ""} \
+	  END {if (!found) {print "no target " target "; make lists them"; exit 2}}' \
+	  $(firstword $(MAKEFILE_LIST))
+
+##@ Record
+
+#: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
+collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator $(OPERATOR)) $(WATCHARG)
 
-resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session: SESSION=sessions/x.zarr [BENCH=file] [WATCH=1]
+#: SESSION=sessions/x.zarr [BENCH=file] [WATCH=1]
+resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(WATCHARG)
 
-home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch, keep it in calibrations/: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim]
+#: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim]
+home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch, keep it in calibrations/
 	@$(PY) -m rig home $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
 
-calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Tap lightly, keep how late the camera is: SENSOR=tacpalm [INDENTER=] [BENCH=file] [WORLD=sim]
+#: SENSOR=tacpalm [INDENTER=] [BENCH=file] [WORLD=sim]
+calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Tap lightly, keep how late the camera is
 	@$(PY) -m rig calibrate-latency $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER))
 
-force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, table and curve: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file] [WORLD=sim]
+#: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file] [WORLD=sim]
+force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, table and curve
 	@$(PY) -m rig force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
 
-campaign: $(VENV)/.rig  ## Record what is left of a day: FILE=campaigns/day.yaml [LIST=1] [YES=1] [KEEP_GOING=1]
+#: FILE=campaigns/day.yaml [LIST=1] [YES=1] [KEEP_GOING=1]
+campaign: $(VENV)/.rig  ## Record what is left of a day
 	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(if $(KEEP_GOING),--keep-going)
 
-jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm by a SpaceMouse, take the contact origin: SENSOR=tacpalm [BENCH=file]
+#: SENSOR=tacpalm [BENCH=file]
+jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm by a SpaceMouse, take the contact origin
 	@$(PY) -m rig jog $(BENCHARG)
 
-grip: $(VENV)/.rig  ## Close the gripper on the indenter: SENSOR=tacpalm [OPEN=1] [BENCH=file]
+#: SENSOR=tacpalm [OPEN=1] [BENCH=file]
+grip: $(VENV)/.rig  ## Close the gripper on the indenter
 	@$(PY) -m rig grip $(BENCHARG) $(if $(OPEN),--open)
 
-preview: $(VENV)/.rig  ## Draw the plan and check its limits: SENSOR=tacpalm [OUT=plan.png]
+#: SENSOR=tacpalm [OUT=plan.png]
+preview: $(VENV)/.rig  ## Draw the plan and check its limits
 	@$(PY) -m rig preview $(BENCHARG) $(if $(OUT),--out $(OUT))
 
-compare: $(VENV)/.rig  ## Hold a mock session against the World's truth: SESSION= TRUTH=
-	@$(PY) -m rig compare --session $(SESSION) --truth $(TRUTH)
-
-mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C: SENSOR=tacpalm
+#: SENSOR=tacpalm
+mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
 	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)
 
-replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]
+#: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]
+replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again
 	@$(PY) -m rig replay --session $(SESSION) $(if $(SPEED),--speed $(SPEED)) $(if $(OUT),--out $(OUT)) $(foreach name,$(WITHOUT),--without $(name))
 
-check-session: $(VENV)/.rig  ## Look for faults in a session: SESSION=sessions/x.zarr
+#: SESSION= TRUTH=
+compare: $(VENV)/.rig  ## Hold a mock session against the World's truth
+	@$(PY) -m rig compare --session $(SESSION) --truth $(TRUTH)
+
+#: SESSION=sessions/x.zarr
+check-session: $(VENV)/.rig  ## Look for faults in a session
 	@$(PY) -m recorder check $(SESSION)
 
-endurance: $(VENV)/.rig  ## A long mock collection, watched: SENSOR=tacpalm [MINUTES=30] [OUT=docs/results/endurance.md]
-	@$(PY) -m benchmarks endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
+#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
+live: $(VENV)/.live  ## Forces from the sensor as it is pressed
+	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
 
-faults: $(VENV)/.nidaq  ## Break a mock bench in every way, write docs/results/reliability.md: [QUICK=1] [ONLY=row] [KILLS=100] (half an hour)
-	@$(PY) -m benchmarks faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
+##@ Simulate
 
-bench-recorder: $(VENV)/.bench  ## Measure what recording costs, write docs/results/recording.md: [QUICK=1] [ONLY=part] [OUT=page.md] (12 minutes)
-	@$(PY) -m benchmarks recording $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
-
-press: $(VENV)/.sim  ## Simulate a press, table and picture: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5 --mesh 1"]
+#: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5 --mesh 1"]
+press: $(VENV)/.sim  ## Simulate a press, table and picture
 	@$(PY) -m sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
-hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators, write docs/results/stability.md: [ONLY=case] [PLANTED=all] [DEVICE=cuda:0] [OUT=page.md] (10 minutes)
-	@$(PY) -m benchmarks hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
-
-refine: $(VENV)/.sim  ## Force and surface from coarse to fine meshes, all 18 shapes, write docs/results/refinement.md: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md] (hours on a CPU)
-	@$(PY) -m benchmarks refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
-
-accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh, write docs/results/accuracy.md: [ONLY=measure|page] [DEVICE=cuda:0] [OUT=docs/results/accuracy] [ARGS="--case sphere --smoke"] (15 minutes)
-	@$(PY) -m benchmarks accuracy $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
-
-cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...), write docs/results/cost-table.md: [ARGS="--validate | --seconds | --page | --take DIR"] [DEVICE=cuda:0] [OUT=page.md] (an hour)
-	@$(PY) -m benchmarks cost-table $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
-
-speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth, the floor, write docs/results/speed.md: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/results/speed] [ARGS="--again --smoke"] (20 minutes)
-	@$(PY) -m benchmarks speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
-
-simulate: $(VENV)/.sim  ## The paper's 810 states under 12 patterns, a marker archive: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
+#: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
+simulate: $(VENV)/.sim  ## The paper's 810 states under 12 patterns, a marker archive
 	@$(PY) -m sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
-simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated sensors: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
+#: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
+simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated sensors
 	@$(PY) -m sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
-markers: $(VENV)/.markers  ## Marker archive of sessions: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
+##@ Learn
+
+#: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
+markers: $(VENV)/.markers  ## Marker archive of sessions
 	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
-split: $(VENV)/.learning  ## Say which presses train and which test: ARCHIVE=x.markers.zarr [OUT=split.json] [ARGS="--new-press 0.2"]
+#: ARCHIVE=x.markers.zarr [OUT=split.json] [ARGS="--new-press 0.2"]
+split: $(VENV)/.learning  ## Say which presses train and which test
 	@$(PY) -m learning split $(ARCHIVE) --out $(or $(OUT),$(ARCHIVE:.markers.zarr=.split.json)) $(ARGS)
 
-train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(VENV)/.learning  ## Train a translator: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
+#: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
+train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(VENV)/.learning  ## Train a translator
 	@$(LAUNCH) -m learning $@ $(ARCHIVE) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
-train-force: $(VENV)/.learning  ## Train a force model: ARCHIVE= SENSOR= SPLIT= OUT=runs/x [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
-	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
-
-translate: $(VENV)/.learning  ## Show frames of a sensor as another's: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]
+#: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]
+translate: $(VENV)/.learning  ## Show frames of a sensor as another's
 	@$(PY) -m learning translate $(ARCHIVE) --source $(SOURCE) --target $(TARGET) --model $(or $(MODEL),flow) --out $(OUT) $(ARGS)
 
-compensate: $(VENV)/.learning  ## Priors of skins, and how labels are brought from one to another: ARCHIVE= OUT=file.json [ARGS="--split split.json"]
+#: ARCHIVE= OUT=file.json [ARGS="--split split.json"]
+compensate: $(VENV)/.learning  ## Priors of skins, and how labels are brought from one to another
 	@$(PY) -m learning compensate $(ARCHIVE) --out $(OUT) $(ARGS)
 
-evaluate: $(VENV)/.learning  ## Report of predictions and translations: FOLDER=results OUT=report
+#: ARCHIVE= SENSOR= SPLIT= OUT=runs/x [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
+train-force: $(VENV)/.learning  ## Train a force model
+	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+
+#: FOLDER=results OUT=report
+evaluate: $(VENV)/.learning  ## Report of predictions and translations
 	@$(PY) -m learning evaluate $(FOLDER) --out $(OUT) $(ARGS)
 
-experiment: $(VENV)/.learning  ## Translate, train, compensate, evaluate, all pairs: ARCHIVE= OUT=dir [PRESET=demo] [ARGS="--pairs a:b --device cuda:0"]
+#: ARCHIVE= OUT=dir [PRESET=demo] [ARGS="--pairs a:b --device cuda:0"]
+experiment: $(VENV)/.learning  ## Translate, train, compensate, evaluate, all pairs
 	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
-bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time: [ARGS="--model runs/x --archive x.markers.zarr"]
-	@$(PY) -m benchmarks latency $(ARGS)
-
-demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes): [OUT=runs/demo-learning]
+#: [OUT=runs/demo-learning]
+demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes)
 	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
-learning-tables: $(VENV)/.demo  ## The paper's tables on simulated groups of sensors, for a GPU: [OUT=runs/tables] [TABLES="material homogeneous-full"] [DEVICE=cuda:0] [JOBS=8]
+##@ Measure (pages are in docs/results/)
+
+#: [QUICK=1] [ONLY=row] [KILLS=100]
+faults: $(VENV)/.nidaq  ## Break a mock bench in every way: reliability.md (half an hour)
+	@$(PY) -m benchmarks faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
+
+#: SENSOR=tacpalm [MINUTES=30] [OUT=docs/results/endurance.md]
+endurance: $(VENV)/.rig  ## A long mock collection, watched: endurance.md (half an hour)
+	@$(PY) -m benchmarks endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
+
+#: [QUICK=1] [ONLY=part] [OUT=page.md]
+bench-recorder: $(VENV)/.bench  ## Measure what recording costs: recording.md (12 minutes)
+	@$(PY) -m benchmarks recording $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
+
+#: [ONLY=case] [PLANTED=all] [DEVICE=cuda:0] [OUT=page.md]
+hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators: stability.md (10 minutes)
+	@$(PY) -m benchmarks hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+
+#: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md]
+refine: $(VENV)/.sim  ## Coarse to fine meshes, all 18 shapes: refinement.md (hours on a CPU)
+	@$(PY) -m benchmarks refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+
+#: [ONLY=measure|page] [DEVICE=cuda:0] [OUT=docs/results/accuracy] [ARGS="--case sphere --smoke"]
+accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh: accuracy.md (15 minutes)
+	@$(PY) -m benchmarks accuracy $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+#: [ARGS="--validate | --seconds | --page | --take DIR"] [DEVICE=cuda:0] [OUT=page.md]
+cost-table: $(VENV)/.sim  ## What errors cost, for simulate(tolerance=...): cost-table.md (an hour)
+	@$(PY) -m benchmarks cost-table $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+#: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/results/speed] [ARGS="--again --smoke"]
+speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth: speed.md (20 minutes)
+	@$(PY) -m benchmarks speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
+
+#: [ARGS="--model runs/x --archive x.markers.zarr"]
+bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time
+	@$(PY) -m benchmarks latency $(ARGS)
+
+#: [OUT=runs/tables] [TABLES="material homogeneous-full"] [DEVICE=cuda:0] [JOBS=8]
+learning-tables: $(VENV)/.demo  ## The paper's tables on simulated groups of sensors, for a GPU
 	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash benchmarks/learning/tables/run.sh $(or $(OUT),runs/tables) $(TABLES)
 
-learning-ablations: $(VENV)/.demo  ## What limits them, one thing changed at a time, behind learning-tables: [OUT=runs/tables] [NAMES="half single-frame"] [DEVICE=cuda:0] [JOBS=8]
+#: [OUT=runs/tables] [NAMES="half single-frame"] [DEVICE=cuda:0] [JOBS=8]
+learning-ablations: $(VENV)/.demo  ## What limits them, one thing changed at a time; after learning-tables
 	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash benchmarks/learning/tables/ablations.sh $(or $(OUT),runs/tables) $(NAMES)
 
-learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by side, on all GPUs: [OUT=runs/tables] [ARGS="--only material,half --gpus 0,1"]
+#: [OUT=runs/tables] [ARGS="--only material,half --gpus 0,1"]
+learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by side, on all GPUs
 	@$(PY) benchmarks/learning/tables/on_gpus.py $(or $(OUT),runs/tables) $(ARGS)
 
-live: $(VENV)/.live  ## Forces from the sensor as it is pressed: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
-	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
+##@ Develop
 
 test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
 	@$(PY) -m pytest -q -n 2 --dist worksteal -m 'not serial'
@@ -145,10 +211,14 @@ test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
 check: $(VENV)/.dev  ## Lint, format check, types, who may import whom
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy && $(VENV)/bin/lint-imports --no-logo
 
+reference: $(VENV)/.rig  ## Write docs/reference from the commands and packages
+	@$(PY) tests/support/reference.py
+
 format: $(VENV)/.dev  ## Format the code
 	@$(PY) -m ruff format . && $(PY) -m ruff check --fix .
 
 setup: $(VENV)/.rig  ## Make the venv and install what recording needs
+
 
 clean:  ## Remove the venv and caches (sessions stay)
 	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache

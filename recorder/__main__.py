@@ -3,11 +3,14 @@
 `info` and `check` take marker archives as well.
 """
 
+from __future__ import annotations
+
 import argparse
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from recorder.check.check import check
 from recorder.convert import FORMATS, Options, export, import_session
@@ -20,6 +23,9 @@ from recorder.session.recover import recover
 from recorder.session.sheet import contact_sheet
 from recorder.store.files import is_url
 
+if TYPE_CHECKING:
+    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+
 _QUIET = 2.0  # shorter work shows no progress [s]
 
 
@@ -28,7 +34,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     130 after an interruption: whatever was being made is not there, or as it was before.
     """
-    options = _parser().parse_args(arguments)
+    return run(parser(), sys.argv[1:] if arguments is None else arguments)
+
+
+def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
+    """Run the command that `argv` names; errors are printed, the exit code says which they are."""
+    options = parser.parse_args(argv)
     try:
         return int(options.run(options))
     except SessionError as error:
@@ -146,11 +157,17 @@ def _directory(text: str) -> Path:
     return Path(text)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The parser of every command and its options."""
+    made = argparse.ArgumentParser(
         prog="python -m recorder", description="Look after recorded sessions and marker archives."
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    add_to(made.add_subparsers(required=True, metavar="COMMAND"))
+    return made
+
+
+def add_to(commands: Verbs) -> None:
+    """The commands and their options."""
 
     def command(
         name: str, run: object, text: str, *, remote: bool = False
@@ -205,7 +222,6 @@ def _parser() -> argparse.ArgumentParser:
     picture.add_argument(
         "--count", type=int, default=12, help="frames to show (default: %(default)s)"
     )
-    return parser
 
 
 if __name__ == "__main__":

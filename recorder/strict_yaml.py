@@ -75,12 +75,16 @@ def parse(text: str, name: str) -> Any:
         raise YamlError(f"{name}: not YAML: {error}") from None
 
 
-def read_mapping(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_mapping(
+    path: Path, above: tuple[Path, ...] = (), *, library: Path | None = None
+) -> dict[str, Any]:
     """Return the mapping in a YAML file, merged over the file that its `extends` names.
 
     Args:
         path: The file; the name that it extends is relative to it.
         above: Files that led here.
+        library: Folder that is looked into as well where `extends` says `NAME` or `../NAME` and
+            there is no such file.
 
     Raises:
         YamlError: No such file, not YAML, not a mapping, or files that extend each other.
@@ -100,7 +104,12 @@ def read_mapping(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
         return content
     if not isinstance(parent, str):
         raise YamlError(f"{path}.extends: found {said(parent)}; allowed: the name of a file")
-    return merged(read_mapping(path.parent / parent, (*above, path.resolve())), content)
+    extended = path.parent / parent
+    if library is not None and not extended.exists() and set(Path(parent).parts[:-1]) <= {".."}:
+        shared = library / Path(parent).name
+        extended = shared if shared.is_file() else extended
+    below = read_mapping(extended, (*above, path.resolve()), library=library)
+    return merged(below, content)
 
 
 def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

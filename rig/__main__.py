@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from recorder import SessionError
-from rig.acquire.control import Interrupted
 from rig.cli import (
     calibrate_latency,
     campaign,
@@ -22,15 +19,8 @@ from rig.cli import (
     preview,
     replay,
 )
-from rig.core.errors import (
-    EXIT_DEVICE_LOST,
-    EXIT_INTERRUPTED,
-    EXIT_SAFETY_STOP,
-    EXIT_WRONG_INPUT,
-    ConfigError,
-    DeviceLost,
-    SafetyStop,
-)
+from rig.cli.ending import run
+from rig.core.errors import EXIT_WRONG_INPUT
 
 _VERBS = (
     collect,
@@ -70,28 +60,6 @@ def main(argv: list[str] | None = None) -> int:
         )
         return EXIT_WRONG_INPUT
     return run(_arguments(), words)
-
-
-def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
-    options = parser.parse_args(argv)
-    try:
-        return int(options.run(options))
-    except ConfigError as error:
-        print(f"wrong input: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except DeviceLost as error:
-        print(f"device lost: {error}; nothing was recorded", file=sys.stderr)
-        return EXIT_DEVICE_LOST
-    except SafetyStop as error:
-        print(f"safety stop: {error}; nothing was recorded", file=sys.stderr)
-        return EXIT_SAFETY_STOP
-    except SessionError as error:
-        print(f"session: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except (KeyboardInterrupt, Interrupted):
-        print("interrupted; nothing was recorded", file=sys.stderr)
-        return EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":

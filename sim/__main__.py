@@ -4,18 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
 from sim.cli import archive, hold, loop, press
-from sim.cli.options import joined
-from sim.errors import SceneError, SimulationDiverged
-
-EXIT_DIVERGED = 1
-EXIT_WRONG_INPUT = 2
-EXIT_INTERRUPTED = 130
-
-TRIED_SHOWN = 5
-"""Last attempts that are told of when there is no solution."""
+from sim.cli.ending import EXIT_WRONG_INPUT, run
 
 _VERBS = (press, loop, hold, archive)
 
@@ -46,27 +37,6 @@ def main(argv: list[str] | None = None) -> int:
         )
         return EXIT_WRONG_INPUT
     return run(arguments(), words)
-
-
-def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
-    options = parser.parse_args(joined(argv))
-    try:
-        return int(options.run(options))
-    except SceneError as error:
-        print(f"wrong input: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except SimulationDiverged as error:
-        print(f"no solution: {error}", file=sys.stderr)
-        for attempt in error.tried[-TRIED_SHOWN:]:
-            print(f"  tried: {attempt}", file=sys.stderr)
-        return EXIT_DIVERGED
-    except OSError as error:
-        print(f"cannot read or write: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
-        return EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":

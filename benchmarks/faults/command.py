@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES
 
 if TYPE_CHECKING:
     from rig.cli.options import Verbs
@@ -39,7 +40,7 @@ def add_to(verbs: Verbs) -> None:
         "--quick", action="store_true", help="each row once, 10 kills in place of 100"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the kills (%(default)s)")
-    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    parser.add_argument("--benches", type=Path, default=BENCHES, help="folder of benches")
     parser.add_argument(
         "--out", type=Path, help="page to write (default: docs/results/reliability.md)"
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rig.bench.bench import find_bench
 from rig.core.errors import EXIT_DONE, ConfigError
+from rig.core.packaged import BENCHES
 
 if TYPE_CHECKING:
     from rig.cli.options import Verbs
@@ -42,7 +43,7 @@ def add_to(verbs: Verbs) -> None:
         default=Path("sessions"),
         help="folder on the disk to measure; what is written there is removed again",
     )
-    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    parser.add_argument("--benches", type=Path, default=BENCHES, help="folder of benches")
     parser.set_defaults(run=run)
 
 

@@ -116,7 +116,7 @@ def _rerun() -> Any:
         import rerun
     except ImportError as error:
         raise SessionError(
-            f"view needs rerun-sdk ({error}); install it: pip install -e '.[view]'"
+            f"view needs rerun-sdk ({error}); install it: pip install 'tactile-rig[view]'"
         ) from None
     return rerun
 

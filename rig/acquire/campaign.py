@@ -17,6 +17,7 @@ from rig.acquire.resume import first_open_target
 from rig.bench.bench import Bench, find_bench, load_bench
 from rig.core.config import build, read_yaml
 from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT, ConfigError
+from rig.core.packaged import CAMPAIGNS, packaged
 from trajectories import Plan, plan_from_json, rehearse
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
@@ -80,13 +81,14 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
     """Read a campaign file and every bench it names.
 
     Args:
-        path: YAML with `out`, `operator` (both optional) and `sessions`, a list of entries.
-        benches: Folder of bench files.
+        path: YAML with `out`, `operator` (both optional) and `sessions`, a list of entries; or the
+            name of the packaged one, `campaigns/day.yaml`.
+        benches: Folder of bench files; packaged ones are known without.
 
     Raises:
         ConfigError: Something in it, or in a bench it names, cannot be used.
     """
-    content = read_yaml(path)
+    content = read_yaml(packaged(path, CAMPAIGNS))
     if unknown := sorted(set(content) - {"out", "operator", "sessions"}):
         raise ConfigError(f"{path}: unknown {unknown}; known: ['operator', 'out', 'sessions']")
     listed = content.get("sessions")

@@ -10,6 +10,7 @@ from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.guard import GuardLimits
+from rig.core.packaged import BENCHES
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import ForceConfig
@@ -163,14 +164,22 @@ class Bench:
 def find_bench(sensor: str, folder: Path) -> Path:
     """The lab's bench file of `sensor` if there is one, else the mock bench.
 
+    Args:
+        sensor: Name of the file, less `.yaml`.
+        folder: Looked into first: its `lab/`, then itself; then come the packaged mock benches.
+
     Raises:
-        ConfigError: Neither exists.
+        ConfigError: None of them exists.
     """
-    for path in (folder / "lab" / f"{sensor}.yaml", folder / f"{sensor}.yaml"):
+    name = f"{sensor}.yaml"
+    for path in (folder / "lab" / name, folder / name, BENCHES / name):
         if path.exists():
             return path
-    known = sorted(path.stem for path in folder.glob("*.yaml") if path.stem != "mock")
-    raise ConfigError(f"SENSOR: found {sensor!r}; known in {folder}/: {', '.join(known)}")
+    places = (folder / "lab", folder, BENCHES)
+    known = {path.stem for place in places for path in place.glob("*.yaml")} - {"mock"}
+    raise ConfigError(
+        f"SENSOR: found {sensor!r}; known in {folder}/ or packaged: {', '.join(sorted(known))}"
+    )
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
@@ -199,10 +208,12 @@ def bench_from(content: dict[str, Any], where: str) -> Bench:
 def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:
     """A bench file, checked, and its content as read (stored in the session).
 
+    Its `extends` may name a packaged bench, as if that lay in `benches/`.
+
     Raises:
         ConfigError: See `rig.core.config`.
     """
-    content = read_yaml(path)
+    content = read_yaml(path, BENCHES)
     return bench_from(content, str(path)), content
 
 

@@ -115,7 +115,8 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
             return XelaDriver(bench.taxels, clock)
     except ImportError as error:
         raise ConfigError(
-            f"{name}: {error.name} is not installed; install the extra: pip install -e '.[rig]'"
+            f"{name}: {error.name} is not installed; install the extra: "
+            "pip install 'tactile-rig[rig]'"
         ) from None
     raise ConfigError(f"stream: found {name!r}; known: {', '.join(KINDS)}")
 

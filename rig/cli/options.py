@@ -29,7 +29,7 @@ def bench_options() -> argparse.ArgumentParser:
     """Which bench: --sensor or --bench, and --benches."""
     parser = argparse.ArgumentParser(add_help=False)
     chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--sensor", help="name of a bench file: benches/lab/ first, then benches/")
+    chosen.add_argument("--sensor", help="name of a bench file: benches/lab/, benches/, packaged")
     chosen.add_argument("--bench", type=Path, help="path of a bench file")
     parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of them")
     parser.add_argument(

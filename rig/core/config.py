@@ -38,16 +38,17 @@ class Pose:
         return (*self.position, *self.rotation)
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path, library: Path | None = None) -> dict[str, Any]:
     """The mapping in a YAML file, merged over the file its `extends` names.
 
-    Mappings merge key by key, everything else replaces. `extends` is relative to the file.
+    Mappings merge key by key, everything else replaces. `extends` is relative to the file; what is
+    not there, such as `../tacpalm.yaml` in a lab's folder, is looked for in `library`.
 
     Raises:
         ConfigError: No such file, not YAML, not a mapping, or files that extend each other.
     """
     try:
-        return read_mapping(path)
+        return read_mapping(path, library=library)
     except YamlError as error:
         raise ConfigError(str(error)) from None
 

@@ -50,7 +50,8 @@ def open_predictor(
         from learning.force.live import open_live
     except ImportError as error:
         raise ConfigError(
-            f"live: {error.name} is not installed; install the extra: pip install -e '.[learning]'"
+            f"live: {error.name} is not installed; install the extra: "
+            "pip install 'tactile-rig[learning]'"
         ) from None
     try:
         predictor = open_live(

@@ -8,18 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, quick_bench
+from support.collecting import quick_bench
 
 from benchmarks.endurance.long_run import long_bench, run_long
 from benchmarks.endurance.processes import Track, look, role_of
 from benchmarks.endurance.report import growth_of, page
 from rig.bench.bench import load_bench
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES
 from trajectories import rehearse
 
 
 def test_the_plan_is_as_long_as_asked_and_no_longer_than_needed(tmp_path: Path) -> None:
-    path, targets = long_bench(ROOT / "benches" / "tacpalm.yaml", 1800.0, tmp_path)
+    path, targets = long_bench(BENCHES / "tacpalm.yaml", 1800.0, tmp_path)
     bench, _ = load_bench(path)
     walked = rehearse(
         bench.trajectory,
@@ -34,7 +35,7 @@ def test_the_plan_is_as_long_as_asked_and_no_longer_than_needed(tmp_path: Path) 
 
 def test_more_than_directions_can_make_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"--minutes: 10000; allowed: up to"):
-        long_bench(ROOT / "benches" / "tacpalm.yaml", 6e5, tmp_path)
+        long_bench(BENCHES / "tacpalm.yaml", 6e5, tmp_path)
 
 
 def test_what_a_process_is_for_and_what_it_holds(tmp_path: Path) -> None:

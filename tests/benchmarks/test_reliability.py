@@ -24,9 +24,9 @@ from recorder import Session
 from rig.bench.bench import bench_from, load_bench
 from rig.core.clock import FakeClock
 from rig.core.guard import Guard
+from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
 
-BENCHES = Path(__file__).parents[2] / "benches"
 MS = 1_000_000
 SECOND = 1_000 * MS
 

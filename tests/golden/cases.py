@@ -14,7 +14,7 @@ BENCHES = ("gelsight", "gelsight-hetero", "gelsight-material", "tacpalm", "uskin
 
 def _bench(text: str, of: str = "gelsight") -> str:
     """A bench file that changes one of ours."""
-    return f"extends: {{root}}/benches/{of}.yaml\n{text}\n"
+    return f"extends: {{root}}/rig/bench/benches/{of}.yaml\n{text}\n"
 
 
 def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tuple[object, ...]:

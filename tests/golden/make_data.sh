@@ -9,7 +9,7 @@ cd "$root"
 
 # Sessions: one target each on the mock bench; few and clean pictures, to be small.
 cat > "$part/small.yaml" <<END
-extends: $root/benches/gelsight.yaml
+extends: $root/rig/bench/benches/gelsight.yaml
 camera: {rate_hz: 5.0}
 world: {noise: {grey: 0.0}}
 END

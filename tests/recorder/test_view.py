@@ -19,7 +19,7 @@ needs_rerun = [
     pytest.mark.slow,
     pytest.mark.skipif(
         importlib.util.find_spec("rerun") is None,
-        reason="rerun-sdk is not installed: pip install -e '.[view]'",
+        reason="rerun-sdk is not installed: pip install 'tactile-rig[view]'",
     ),
 ]
 
@@ -136,7 +136,7 @@ def test_without_rerun_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main(["view", str(recorded), "--save", "unused.rrd"]) == 2
-    assert "pip install -e '.[view]'" in capsys.readouterr().err
+    assert "pip install 'tactile-rig[view]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("part", [("--start", "-1"), ("--seconds", "0"), ("--start", "nan")])

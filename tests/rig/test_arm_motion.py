@@ -31,7 +31,7 @@ from rig.devices.arm.settings import ArmConfig
 pytestmark = pytest.mark.serial
 
 
-pytest.importorskip("rtde_control", reason="ur-rtde is not installed: pip install -e '.[rig]'")
+pytest.importorskip("rtde_control", reason="no ur-rtde: pip install 'tactile-rig[rig]'")
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = f"127.{110 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"

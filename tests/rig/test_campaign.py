@@ -25,6 +25,7 @@ from rig.acquire.campaign import (
     table,
 )
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES, CAMPAIGNS
 from rig.devices.gripper.settings import RobotiqConfig
 from trajectories import plan_to_json
 
@@ -41,7 +42,7 @@ sessions:
 def _campaign(folder: Path, text: str = DAY) -> Campaign:
     path = folder / "day.yaml"
     path.write_text(text.format(out=folder / "out"))
-    return load_campaign(path, ROOT / "benches")
+    return load_campaign(path, BENCHES)
 
 
 def _session(path: Path, item: Item, done: int, status: str) -> None:
@@ -113,7 +114,7 @@ def _run(
         asked.append(question)
         return True
 
-    settings = Settings(ROOT / "benches", ROOT / "calibrations", keep_going)
+    settings = Settings(BENCHES, ROOT / "calibrations", keep_going)
     code = run_campaign(campaign, settings, ask, said.append)
     return code, bench.ran, asked, said
 
@@ -163,7 +164,7 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(
     campaign = _campaign(tmp_path)
     bench = _Bench(campaign, [])
     monkeypatch.setattr(walk, "_record", bench)
-    settings = Settings(ROOT / "benches", ROOT / "calibrations")
+    settings = Settings(BENCHES, ROOT / "calibrations")
     assert run_campaign(campaign, settings, lambda _: False, lambda _: None) == 130
     assert bench.ran == []
 
@@ -190,7 +191,7 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
     def swap(item: Item) -> None:
         events.append(f"gripper: {item.entry.indenter}")
 
-    settings = Settings(ROOT / "benches", ROOT / "calibrations")
+    settings = Settings(BENCHES, ROOT / "calibrations")
     assert run_campaign(campaign, settings, ask, lambda _: None, swap) == 0
     entries = [item.entry for item in campaign.items]
     expected, before = [], ("", "")
@@ -255,8 +256,8 @@ def test_the_example_is_runnable_and_listing_records_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     out = tmp_path / "none"
-    day, benches = ROOT / "campaigns" / "day.yaml", ROOT / "benches"
-    arguments = ["--file", str(day), "--benches", str(benches), "--out", str(out), "--list"]
+    day = CAMPAIGNS / "day.yaml"
+    arguments = ["--file", str(day), "--benches", str(BENCHES), "--out", str(out), "--list"]
     assert main(["campaign", *arguments]) == 0
     assert "0 of 8 sessions done" in capsys.readouterr().out
     assert not out.exists()
@@ -282,7 +283,7 @@ def test_without_a_terminal_it_does_not_guess_that_something_is_mounted(
 
 def test_a_command_names_the_bench_the_session_and_the_operator(tmp_path: Path) -> None:
     campaign = _campaign(tmp_path)
-    settings = Settings(ROOT / "benches", tmp_path / "cal")
+    settings = Settings(BENCHES, tmp_path / "cal")
     arguments = command(progress_of(campaign)[0], campaign, settings)
     assert arguments[0] == "force-depth"
     for option, value in (
@@ -301,7 +302,7 @@ def test_a_campaign_killed_in_the_middle_goes_on_and_loses_nothing(tmp_path: Pat
     for sensor in ("gelsight", "uskin"):
         (benches / f"{sensor}.yaml").write_text(
             f"""
-extends: {ROOT / "benches" / f"{sensor}.yaml"}
+extends: {BENCHES / f"{sensor}.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 force_depth: {{kind: force_depth, depth_max_mm: 1.0, repeats: 3}}

@@ -11,6 +11,7 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import OUTCOMES, Session
+from rig.core.packaged import BENCHES
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
@@ -153,7 +154,7 @@ def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothin
     tmp_path: Path,
 ) -> None:
     bench = tmp_path / "lab.yaml"
-    base = Path(__file__).parents[2] / "benches" / "tacpalm.yaml"
+    base = BENCHES / "tacpalm.yaml"
     host = "127.0.0.239"
     bench.write_text(
         f"""

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.faults.kills import VICTIMS, Kills, kill_often
+from rig.core.packaged import BENCHES
 
 pytestmark = pytest.mark.serial
 
 
-BENCHES = Path(__file__).parents[2] / "benches"
 SEED_OF_ALL = 25
 """The first draw of this seed kills everything."""
 

@@ -21,6 +21,7 @@ from rig.acquire.resume import first_open_target
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
+from rig.core.packaged import BENCHES
 from rig.devices.gripper.robotiq_emulator import Fingers, RobotiqEmulator
 from rig.devices.gripper.robotiq_wire import AT_POSITION, MOVING, STOPPED_CLOSING, GripperStatus
 from rig.devices.gripper.settings import RobotiqConfig
@@ -236,7 +237,7 @@ UNPLUGGED = "Released: the foot pedal was unplugged"
 
 
 def sentinels_saw(folder: Path, mode: str) -> dict[str, list[object]]:
-    bench = ROOT / "benches" / "tacpalm.yaml"
+    bench = BENCHES / "tacpalm.yaml"
     text = hidraw_nodes.run(
         hidraw_nodes.library(folder), SENTINELS, str(folder / "pedal.hidraw"), mode, str(bench)
     )
@@ -277,7 +278,7 @@ def test_a_pause_pedal_toggles_the_pause_and_asks_for_one_when_it_is_taken_out(
 # Whole collections.
 
 BENCH = """
-extends: {root}/benches/tacpalm.yaml
+extends: {root}/rig/bench/benches/tacpalm.yaml
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{speed_mm_s: 2.0, travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 gripper: {{kind: robotiq_2f, port: runfolder/gripper.tty}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,13 @@ from rig.acquire import preflight
 from rig.bench.bench import Bench, find_bench, load_bench
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
+from rig.core.packaged import BENCHES
 from rig.core.samples import POSE_LATEST
 
 pytestmark = pytest.mark.serial
 
 
-BENCH: Bench = load_bench(find_bench("tacpalm", Path(__file__).parents[2] / "benches"))[0]
+BENCH: Bench = load_bench(find_bench("tacpalm", BENCHES))[0]
 RATES = {"force": 1000.0, "pose": 500.0, "camera": 30.0}
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -14,6 +13,7 @@ import pytest
 from rig.bench.bench import find_bench, load_bench
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES, CAMPAIGNS, packaged
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ def test_a_broken_file_is_named(tmp_path: Path, text: str, words: list[str]) -> 
         assert word in str(caught.value)
 
 
-BENCHES = Path(__file__).parents[2] / "benches"
+ROOT = Path(__file__).parents[2]
 TARGETS = {
     "gelsight": 240,
     "gelsight-material": 48,
@@ -160,16 +160,72 @@ def test_the_labs_bench_comes_before_the_mock_one(tmp_path: Path) -> None:
     assert find_bench("x", tmp_path) == tmp_path / "x.yaml"
     (tmp_path / "lab" / "x.yaml").touch()
     assert find_bench("x", tmp_path) == tmp_path / "lab" / "x.yaml"
-    with pytest.raises(ConfigError, match=r"known in .*: x"):
+    with pytest.raises(ConfigError, match=r"known in .*, x"):
         find_bench("y", tmp_path)
 
 
+def test_packaged_benches_come_last_and_are_known_in_any_folder(tmp_path: Path) -> None:
+    assert find_bench("tacpalm", tmp_path / "benches") == BENCHES / "tacpalm.yaml"
+    (tmp_path / "tacpalm.yaml").touch()
+    assert find_bench("tacpalm", tmp_path) == tmp_path / "tacpalm.yaml"
+
+
+@pytest.mark.parametrize("named", ["../tacpalm.yaml", "tacpalm.yaml", "../../tacpalm.yaml"])
+def test_a_labs_bench_extends_a_packaged_one_that_is_not_beside_it(
+    tmp_path: Path, named: str
+) -> None:
+    path = tmp_path / "benches" / "lab" / "mine.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text(f"extends: {named}\ndescription: mine\n")
+    bench, content = load_bench(path)
+    assert (bench.sensor, content["description"]) == ("tacpalm", "mine")
+
+
+def test_a_file_that_is_there_is_extended_before_the_packaged_one(tmp_path: Path) -> None:
+    own = tmp_path / "benches" / "tacpalm.yaml"
+    own.parent.mkdir()
+    own.write_text("extends: gelsight.yaml\ndescription: of the lab\n")
+    path = tmp_path / "benches" / "lab" / "mine.yaml"
+    path.parent.mkdir()
+    path.write_text("extends: ../tacpalm.yaml\n")
+    assert load_bench(path)[0].description == "of the lab"
+
+
+@pytest.mark.parametrize("named", ["other/tacpalm.yaml", "../nosuch.yaml", "/tacpalm.yaml"])
+def test_a_wrong_folder_is_not_taken_for_a_packaged_bench(tmp_path: Path, named: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"extends: {named}\n")
+    with pytest.raises(ConfigError, match="no such file"):
+        load_bench(path)
+
+
+@pytest.mark.parametrize(
+    ("written", "folder", "meant"),
+    [
+        ("campaigns/day.yaml", CAMPAIGNS, CAMPAIGNS / "day.yaml"),
+        ("day.yaml", CAMPAIGNS, CAMPAIGNS / "day.yaml"),
+        ("benches/mock-nano17.cal", BENCHES, BENCHES / "mock-nano17.cal"),
+        ("other/day.yaml", CAMPAIGNS, Path("other/day.yaml")),
+        ("campaigns/night.yaml", CAMPAIGNS, Path("campaigns/night.yaml")),
+    ],
+)
+def test_a_packaged_file_stands_in_for_one_that_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str, folder: Path, meant: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert packaged(Path(written), folder) == meant
+    own = tmp_path / written
+    own.parent.mkdir(exist_ok=True)
+    own.touch()
+    assert packaged(Path(written), folder) == Path(written)
+
+
 def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
-    shutil.copytree(BENCHES, tmp_path / "benches")
-    readme = (BENCHES / "lab" / "README.md").read_text()
+    readme = (ROOT / "benches" / "lab" / "README.md").read_text()
     example = re.search(r"```yaml\n(.*?)```", readme, re.DOTALL)
     assert example is not None
     path = tmp_path / "benches" / "lab" / "tacpalm.yaml"
+    path.parent.mkdir(parents=True)
     path.write_text(example[1])
     bench, _ = load_bench(path)
     assert not bench.mock
@@ -177,11 +233,11 @@ def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
 
 
 def test_the_guides_example_of_a_sensor_is_a_bench(tmp_path: Path) -> None:
-    shutil.copytree(BENCHES, tmp_path / "benches")
-    guide = (BENCHES.parent / "docs" / "adding-a-sensor.md").read_text()
+    guide = (ROOT / "docs" / "adding-a-sensor.md").read_text()
     example = re.search(r"```yaml\n(.*?)```", guide, re.DOTALL)
     assert example is not None
     path = tmp_path / "benches" / "digit.yaml"
+    path.parent.mkdir()
     path.write_text(example[1])
     bench, _ = load_bench(path)
     assert bench.sensor == "digit"

@@ -26,6 +26,7 @@ from rig.core.clock import SystemClock
 from rig.core.driver import Driver, Inbox, Receiver
 from rig.core.emulation import Emulator, SharedWorld
 from rig.core.errors import DeviceLost
+from rig.core.packaged import BENCHES
 from rig.devices.camera.jpeg import frame_stamp
 from rig.devices.camera.mjpeg_emulator import LoopSource, MjpegEmulator, MjpegEmulatorConfig
 from rig.devices.camera.opencv import OpenCvDriver
@@ -43,7 +44,7 @@ from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 
 CLOCK = SystemClock()
-CALIBRATION = Path(__file__).parents[2] / "benches" / "mock-nano17.cal"
+CALIBRATION = BENCHES / "mock-nano17.cal"
 OPEN_TIMEOUT = 5.0
 _numbers = itertools.count()
 

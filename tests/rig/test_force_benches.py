@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
 from rig.bench.bench import Bench, load_bench
 from rig.bench.stream_kinds import expected_rate, make_driver
 from rig.core.clock import FakeClock
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST
 from rig.devices.force.ati_serial import AtiSerialDriver
 from rig.devices.force.netft import NetFtDriver
@@ -26,7 +27,7 @@ from rig.mock.world.truth import Truth
 pytestmark = pytest.mark.serial
 
 
-CALIBRATION = ROOT / "benches" / "mock-nano17.cal"
+CALIBRATION = BENCHES / "mock-nano17.cal"
 NIDAQ = f"{{kind: nidaq, grpc: 'loopback:31763', calibration: {CALIBRATION}}}"
 ATI_SERIAL = (
     "{kind: ati_serial, address: runfolder/force, counts_per_n: 1280.0, counts_per_n_mm: 256.0, "

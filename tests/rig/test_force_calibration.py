@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES
 from rig.devices.force.calibration import (
     FORCE_UNITS,
     TORQUE_UNITS,
@@ -181,7 +182,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 def test_the_benches_own_calibration_is_whole_and_says_that_it_is_made_up() -> None:
-    path = Path(__file__).parents[2] / "benches" / "mock-nano17.cal"
+    path = BENCHES / "mock-nano17.cal"
     found = read_calibration(path)
     assert found.rated == pytest.approx(RATED)
     # A gauge must not saturate before the rated load is reached, on any one axis.

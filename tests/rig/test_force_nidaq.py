@@ -17,6 +17,7 @@ import pytest
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
+from rig.core.packaged import BENCHES
 from rig.core.samples import WORLD_STATE
 from rig.devices.force import nidaq_task
 from rig.devices.force.calibration import emit_calibration, read_calibration
@@ -27,7 +28,7 @@ from rig.devices.force.settings import NidaqConfig, ToolTransform
 
 CLOCK = SystemClock()
 PORT = 31763
-CALIBRATION = Path(__file__).parents[2] / "benches" / "mock-nano17.cal"
+CALIBRATION = BENCHES / "mock-nano17.cal"
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)
 _numbers = itertools.count()
 
@@ -298,7 +299,7 @@ def test_a_setting_that_reads_back_otherwise_is_refused(
 def test_without_the_library_the_extra_is_named(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "rig.devices.force.nidaq_task")
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
-    assert "install the extra: pip install -e '.[nidaq]'" in refused(host)
+    assert "install the extra: pip install 'tactile-rig[nidaq]'" in refused(host)
 
 
 def test_without_the_driver_of_the_card_it_is_said_so() -> None:

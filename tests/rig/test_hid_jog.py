@@ -21,6 +21,7 @@ from rig.acquire.jog import REACH, origin_text, planned
 from rig.bench.bench import load_bench
 from rig.core import emulation
 from rig.core.clock import SystemClock
+from rig.core.packaged import BENCHES
 from rig.devices.arm import emulator_faults
 
 pytestmark = pytest.mark.serial
@@ -61,7 +62,7 @@ def test_against_the_wall_of_the_box_it_stays() -> None:
 
 
 def test_the_origin_is_printed_as_a_bench_file_takes_it() -> None:
-    bench, _ = load_bench(ROOT / "benches" / "tacpalm.yaml")
+    bench, _ = load_bench(BENCHES / "tacpalm.yaml")
     text = origin_text(bench, (0.001, -0.002, 0.0005))
     snippet = yaml.safe_load(text[text.index("contact_frame:") : text.index("then")])
     assert snippet["contact_frame"] == {
@@ -73,7 +74,7 @@ def test_the_origin_is_printed_as_a_bench_file_takes_it() -> None:
 def test_a_bench_without_a_spacemouse_is_wrong_input(capfd: pytest.CaptureFixture[str]) -> None:
     from rig.__main__ import main
 
-    assert main(["jog", "--bench", str(ROOT / "benches" / "tacpalm.yaml")]) == 2
+    assert main(["jog", "--bench", str(BENCHES / "tacpalm.yaml")]) == 2
     assert "jog: missing" in capfd.readouterr().err
 
 
@@ -87,7 +88,7 @@ class Hand:
         bench = folder / "bench.yaml"
         bench.write_text(
             f"""
-extends: {ROOT / "benches" / "tacpalm.yaml"}
+extends: {BENCHES / "tacpalm.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2}}
 jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
 """

@@ -19,6 +19,7 @@ from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
 from rig.bench.bench import Bench, load_bench
 from rig.bench.worlds import AnalyticSpec, Sphere
 from rig.core.errors import ConfigError, SafetyStop
+from rig.core.packaged import BENCHES
 from rig.mock.world.analytic import AnalyticWorld
 from trajectories import Touch, plan_from_json, plan_to_json
 
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.serial
 
 
 def _bench(sensor: str) -> Bench:
-    return load_bench(ROOT / "benches" / f"{sensor}.yaml")[0]
+    return load_bench(BENCHES / f"{sensor}.yaml")[0]
 
 
 def _approach(
@@ -243,7 +244,7 @@ def test_home_finds_a_surface_that_the_bench_file_has_wrong_and_collect_goes_the
     bench = tmp_path / "bench.yaml"
     bench.write_text(
         f"""
-extends: {ROOT / "benches" / "gelsight.yaml"}
+extends: {BENCHES / "gelsight.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
@@ -274,7 +275,7 @@ def test_home_refuses_when_there_is_nothing_to_touch(tmp_path: Path) -> None:
     bench = tmp_path / "bench.yaml"
     bench.write_text(
         f"""
-extends: {ROOT / "benches" / "gelsight.yaml"}
+extends: {BENCHES / "gelsight.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 world_frame: {{position_mm: [-120.0, -430.0, 155.0]}}

@@ -17,6 +17,7 @@ from rig.acquire.calibration import latency
 from rig.acquire.calibration.latency import Lag, find_lag
 from rig.bench.bench import load_bench
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES
 from rig.devices.camera.jpeg import frame_stamp
 from trajectories import Taps, plan_from_json, plan_to_json
 
@@ -153,7 +154,7 @@ def test_taps_are_light_irregular_and_the_same_again() -> None:
     assert len(set(heights)) == len(heights)
     assert min(heights) > 0
     assert max(target.depth for target in targets) <= 0.5e-3
-    bench = load_bench(ROOT / "benches" / "gelsight.yaml")[0]
+    bench = load_bench(BENCHES / "gelsight.yaml")[0]
     with pytest.raises(ConfigError, match="depth-mm"):
         latency.plan_for(bench, depth=9e-3, count=12)
     with pytest.raises(ConfigError, match="taps"):
@@ -167,7 +168,7 @@ def test_the_emulated_cameras_lag_is_found(tmp_path: Path, delay_ms: float) -> N
     bench = tmp_path / "bench.yaml"
     bench.write_text(
         f"""
-extends: {ROOT / "benches" / "tacpalm.yaml"}
+extends: {BENCHES / "tacpalm.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 world: {{markers: {{delay_ms: {delay_ms}}}}}

@@ -23,13 +23,13 @@ from rig.__main__ import main
 from rig.bench.bench import find_bench, load_bench
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
+from rig.core.packaged import BENCHES
 from rig.monitor.forces import ForceLine, Seen, watch
 from rig.monitor.watched import Watched, mock_bench, replayed
 
 pytestmark = pytest.mark.serial
 
 
-BENCHES = Path(__file__).parents[2] / "benches"
 WORK_NS = 5_000_000
 """What the stub takes for a frame."""
 

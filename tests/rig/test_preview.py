@@ -8,8 +8,7 @@ import pytest
 from PIL import Image
 
 from rig.__main__ import main
-
-BENCHES = Path(__file__).parents[2] / "benches"
+from rig.core.packaged import BENCHES
 
 
 @pytest.mark.parametrize(

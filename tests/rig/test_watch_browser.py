@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 from support.chromium import CHROMIUM, Chromium
-from support.collecting import ROOT, Collection
+from support.collecting import Collection
+
+from rig.core.packaged import BENCHES
 
 pytestmark = [
     pytest.mark.serial,
@@ -42,7 +44,7 @@ def bench(folder: Path) -> Path:
     path = folder / "bench.yaml"
     path.write_text(
         f"""
-extends: {ROOT / "benches" / "tacpalm.yaml"}
+extends: {BENCHES / "tacpalm.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 trajectory: {{depth_step_mm: 2.25}}

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from rig.bench.bench import find_bench, load_bench
 from rig.bench.worlds import AnalyticSpec, Hysteresis, Layer, MarkerView, Punch, Sphere, TaxelField
+from rig.core.packaged import BENCHES
 from rig.mock.world.analytic import AnalyticWorld
 from rig.mock.world.picture import MarkerCamera, Surface
 from rig.mock.world.truth import Truth, TruthLog
@@ -236,10 +237,9 @@ def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end
 
 
 def test_full_depth_forces_stand_4_to_2_to_1() -> None:
-    benches = Path(__file__).parents[2] / "benches"
     force = {}
     for sensor in ("uskin", "gelsight-hetero", "tacpalm"):
-        bench, _ = load_bench(find_bench(sensor, benches))
+        bench, _ = load_bench(find_bench(sensor, BENCHES))
         assert bench.world is not None
         depth = bench.trajectory.depth_max
         force[sensor] = bench.world.indenter.force(bench.world.layer, depth)

@@ -17,6 +17,7 @@ from rig.bench.bench import bench_from, find_bench, load_bench, with_simulated_w
 from rig.core.clock import FakeClock
 from rig.core.config import build
 from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
 from rig.core.shared_memory import LatestRecord
 from rig.mock.emulators import Stage, world_commands
@@ -34,7 +35,6 @@ from rig.mock.world.simulated import (
 )
 from rig.mock.world.solver import Shared, Solver
 
-BENCHES = Path(__file__).parents[2] / "benches"
 MS = 1_000_000
 FRAME = (0.1, -0.2, 0.3, 0.0, 0.0, 0.0)
 COARSE = SimulatedSpec(sensor="gelsight", grid=32)

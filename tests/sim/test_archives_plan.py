@@ -6,12 +6,12 @@ import json
 from collections import Counter
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rig.bench.bench import load_bench
+from rig.core.packaged import BENCHES
 from sim import SceneError
 from sim.dataset import Plan, Solving, chosen_targets, families, gel, units
 from sim.dataset.plan import STATES, code, differing, force_scale, names, scenes
@@ -20,7 +20,6 @@ from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
 from trajectories import PressShear
 
 STATES_PLAN = Plan("states", (gel(),))
-BENCHES = Path(__file__).parents[2] / "benches"
 
 
 def group(rows: tuple[str, ...], **options: object) -> Plan:

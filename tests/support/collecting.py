@@ -14,6 +14,7 @@ from pathlib import Path
 from benchmarks.faults import quick as reliability
 from benchmarks.faults.processes import family, stream_process
 from recorder import check
+from rig.core.packaged import BENCHES
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,7 +27,7 @@ def quick_bench(folder: Path, sensor: str, *, limits: str = "{}") -> Path:
         sensor: The bench it extends.
         limits: YAML mapping merged over its limits.
     """
-    return reliability.quick_bench(folder, sensor, ROOT / "benches", limits=limits)
+    return reliability.quick_bench(folder, sensor, BENCHES, limits=limits)
 
 
 def faults_of(session: Path, *, stopped: bool = False) -> list[str]:

@@ -17,13 +17,13 @@ from rig.acquire.request import Order
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import load_bench
 from rig.core.clock import SystemClock
+from rig.core.packaged import BENCHES
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
 from rig.core.shared_memory import LatestRecord
 from rig.monitor.page.access import Gate
 from rig.monitor.page.messages import PageJob, page_job
 
-ROOT = Path(__file__).parents[2]
-BENCH, _ = load_bench(ROOT / "benches" / "tacpalm.yaml")
+BENCH, _ = load_bench(BENCHES / "tacpalm.yaml")
 TARGETS = 40
 
 

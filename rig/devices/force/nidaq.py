@@ -17,6 +17,7 @@ import numpy.typing as npt
 from rig.core.clock import Clock, Pacer
 from rig.core.driver import Inbox, Receiver
 from rig.core.errors import ConfigError, DeviceLost
+from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import Calibration, read_calibration
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED, SampleTimeline
 from rig.devices.force.settings import NidaqConfig
@@ -73,14 +74,14 @@ class NidaqDriver:
         """
         self.close()
         config = self._config
-        calibration = read_calibration(Path(config.calibration))
+        calibration = read_calibration(packaged(Path(config.calibration), BENCHES))
         self._calibration = calibration.moved(config.tool)
         try:
             from rig.devices.force.nidaq_task import AnalogTask
         except ImportError as error:
             raise ConfigError(
                 f"force: {error.name} is not installed; install the extra: "
-                "pip install -e '.[nidaq]'"
+                "pip install 'tactile-rig[nidaq]'"
             ) from None
         task = AnalogTask(
             config.device,

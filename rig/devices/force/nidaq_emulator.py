@@ -32,6 +32,7 @@ from rig.core.clock import Clock, Pacer, SystemClock
 from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import Disturbance
+from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import Calibration, read_calibration
 
 # The inputs of an emulated task of an NI card, and the buffer its sample clock fills.
@@ -489,7 +490,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
     args = parser.parse_args(argv)
     try:
-        calibration = read_calibration(args.calibration)
+        calibration = read_calibration(packaged(args.calibration, BENCHES))
     except ConfigError as error:
         parser.error(str(error))
     config = NidaqEmulatorConfig(

@@ -54,7 +54,7 @@ class NidaqConfig:
     UNTRUSTED_MASK: ClassVar[int] = SATURATED
 
     calibration: str
-    """The transducer's .cal file; a path from the folder the rig is run in."""
+    """The transducer's .cal file; a path from the folder the rig is run in, or a packaged one."""
     device: str = "Dev1"
     """Name of the card in NI MAX."""
     channels: str = "ai0:5"

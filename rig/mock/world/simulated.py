@@ -237,6 +237,6 @@ def _row(spec: SimulatedSpec) -> Any:
 
 def _missing(error: ImportError) -> ConfigError:
     return ConfigError(
-        f"world.kind: 'simulated', but {error}; allowed: with the simulator, pip install -c "
-        "constraints.txt -e '.[sim]'"
+        f"world.kind: 'simulated', but {error}; allowed: with the simulator, pip install "
+        "'tactile-rig[sim]'"
     )

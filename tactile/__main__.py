@@ -1,0 +1,113 @@
+"""Command line of the project: `tactile COMMAND`; `tactile.commands` is the table of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+
+from tactile.commands import COMMANDS, EXTRAS, FAMILIES, FRONTS, GROUPS, Command
+
+EXIT_WRONG_INPUT = 2
+HELP = ("-h", "--help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words:
+        print(overview(), file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    first, *rest = words
+    if first in HELP:
+        print(overview())
+        return 0
+    if first == "--version":
+        from importlib.metadata import version
+
+        print(f"tactile-rig {version('tactile-rig')}")
+        return 0
+    if first not in FAMILIES:
+        return _run(COMMANDS[first], rest) if first in COMMANDS else _unknown(first, _firsts())
+    if not rest:
+        print(family(first), file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    if rest[0] in HELP:
+        print(family(first))
+        return 0
+    known = COMMANDS.get(f"{first} {rest[0]}")
+    return _run(known, rest[1:]) if known else _unknown(f"{first} {rest[0]}", _seconds(first))
+
+
+def overview() -> str:
+    """Every command, by group."""
+    width = max(map(len, COMMANDS))
+    lines = ["usage: tactile COMMAND [options]; tactile COMMAND --help has them"]
+    for title, commands in GROUPS.items():
+        lines += ["", title, *_rows(commands, width)]
+    return "\n".join(lines)
+
+
+def family(first: str) -> str:
+    """The commands that begin with a word."""
+    commands = [COMMANDS[words] for words in _seconds(first)]
+    width = max(len(command.words) for command in commands)
+    usage = f"usage: tactile {first} COMMAND [options]; tactile {first} COMMAND --help has them"
+    return "\n".join([usage, "", f"{FAMILIES[first]}:", *_rows(commands, width)])
+
+
+def _rows(commands: Iterable[Command], width: int) -> list[str]:
+    return [f"  {command.words:{width}}  {command.help}" for command in commands]
+
+
+def _firsts() -> list[str]:
+    return list(dict.fromkeys(words.split()[0] for words in COMMANDS))
+
+
+def _seconds(first: str) -> list[str]:
+    return [words for words in COMMANDS if words.startswith(f"{first} ")]
+
+
+def _unknown(words: str, known: Sequence[str]) -> int:
+    """Say that there is no such command, and which come near; the exit code."""
+    from difflib import get_close_matches
+
+    last = words.split()[-1]
+    # `check` alone was meant as `session check`, `train-force` as `train force`.
+    same = [each for each in COMMANDS if last in (each.split()[-1], each.replace(" ", "-"))]
+    near = same or get_close_matches(words, [*COMMANDS, *known])
+    hint = f"did you mean {', '.join(near)}? " if near else ""
+    print(
+        f"wrong input: {words!r}: no such command; {hint}tactile --help lists them all",
+        file=sys.stderr,
+    )
+    return EXIT_WRONG_INPUT
+
+
+def _run(command: Command, rest: Sequence[str]) -> int:
+    """Run a command as its package would, under the name of `tactile`."""
+    import argparse
+    from importlib import import_module
+
+    try:
+        module = import_module(command.module)
+        front = import_module(FRONTS[command.package])
+        *before, _ = command.words.split()
+        parser = argparse.ArgumentParser(prog="tactile")
+        verbs = parser.add_subparsers(dest="verb", prog=" ".join(["tactile", *before]))
+        module.add_to(verbs)
+        verbs.choices[command.name].prog = f"tactile {command.words}"
+        return int(front.run(parser, [command.name, *rest]))
+    except ModuleNotFoundError as error:
+        extra = command.extra or EXTRAS[command.package]
+        if not extra or (error.name or "").partition(".")[0] in EXTRAS:
+            raise
+        print(
+            f"wrong input: tactile {command.words}: {error.name} is not installed; install the "
+            f"extra: pip install 'tactile-rig[{extra}]'",
+            file=sys.stderr,
+        )
+        return EXIT_WRONG_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,201 @@
+"""The command `tactile`: its table, its help, what it does with words it does not know."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support import reference
+
+from tactile.__main__ import family, main, overview
+from tactile.commands import COMMANDS, EXTRAS, FAMILIES, FRONTS, GROUPS, Command
+
+OURS = ("trajectories", "recorder", "rig", "sim", "learning")
+
+
+def _verbs(package: str) -> dict[str, argparse.ArgumentParser]:
+    """The verbs that `python -m PACKAGE` has, and their parsers."""
+    front = importlib.import_module(f"{package}.__main__")
+    make = {"rig": "_arguments", "recorder": "parser"}.get(package, "arguments")
+    parser = getattr(front, make)()
+    (verbs,) = (each for each in parser._actions if isinstance(each, argparse._SubParsersAction))
+    return dict(verbs.choices)
+
+
+@pytest.mark.parametrize("package", ["rig", "recorder", "sim", "learning"])
+def test_every_verb_of_a_package_is_reached_by_one_command(package: str) -> None:
+    reached = [command.name for command in COMMANDS.values() if command.package == package]
+    assert sorted(reached) == sorted(_verbs(package))
+
+
+def test_the_words_of_a_command_are_its_own_and_none_is_lost_between_groups() -> None:
+    assert len(COMMANDS) == sum(map(len, GROUPS.values()))
+    for words in COMMANDS:
+        first, *rest = words.split()
+        assert len(rest) == (first in FAMILIES)
+    assert {command.package for command in COMMANDS.values()} == set(FRONTS) == set(EXTRAS)
+
+
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=lambda each: each.words)
+def test_a_command_shows_its_own_name_in_its_usage(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*command.words.split(), "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: tactile {command.words} ")
+
+
+def test_verbs_of_verbs_are_named_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["sim", "archive", "states", "--help"])
+    assert capsys.readouterr().out.startswith("usage: tactile sim archive states ")
+
+
+HELPS = (["--help"], ["-h"], [], ["session", "--help"], ["train"], ["nosuch"], ["sim", "nosuch"])
+
+
+@pytest.mark.parametrize("words", HELPS, ids=" ".join)
+def test_help_imports_no_package(words: list[str]) -> None:
+    """Nor numpy: that is what makes it quick."""
+    code = f"""
+import sys
+from tactile.__main__ import main
+main({words!r})
+known = {{name.partition(".")[0] for name in sys.modules}}
+print("loaded:", sorted(known & {{"numpy", "zarr", "argparse", *{OURS!r}}}))
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == "loaded: []"
+
+
+def test_a_command_loads_its_own_package_alone() -> None:
+    code = """
+import contextlib, sys
+from tactile.__main__ import main
+with contextlib.suppress(SystemExit):
+    main(["session", "info", "--help"])
+print(sorted({name.partition(".")[0] for name in sys.modules} & {"rig", "sim", "learning"}))
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_overview_names_every_command_in_lines_of_a_terminal() -> None:
+    text = overview()
+    for title, commands in GROUPS.items():
+        assert f"\n{title}\n" in text
+        for command in commands:
+            assert f"  {command.words} " in text
+    assert max(map(len, text.splitlines())) < 100
+
+
+@pytest.mark.parametrize("first", FAMILIES)
+def test_a_family_lists_its_commands_and_no_other(first: str) -> None:
+    listed = [line.split()[:2] for line in family(first).splitlines()[3:]]
+    assert listed == [words.split() for words in COMMANDS if words.split()[0] == first]
+
+
+@pytest.mark.parametrize(
+    ("words", "near"),
+    [
+        (["colect"], "did you mean collect?"),
+        (["check"], "did you mean session check?"),
+        (["train-force"], "did you mean train force?"),
+        (["press"], "did you mean sim press?"),
+        (["session", "chekc"], "did you mean session check"),
+        (["xyzzy"], "no such command; tactile --help"),
+        (["sim", "force"], "'sim force': no such command"),
+    ],
+)
+def test_an_unknown_command_is_refused_and_the_nearest_are_named(
+    words: list[str], near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert near in said.err
+    assert not said.out
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("session info nosuch.zarr", 2, "no such session"),
+        ("collect --sensor nosuch", 2, "known in benches/ or packaged"),
+        ("compare --session nosuch.zarr --truth none", 2, "session:"),
+        ("sim press --depths 1,1", 2, "wrong input: --depths[1]"),
+        ("split nosuch.markers.zarr --out x.json", 2, "nosuch.markers.zarr"),
+    ],
+)
+def test_messages_and_exit_codes_are_those_of_the_verb(
+    words: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words.split()) == code
+    assert said in capsys.readouterr().err
+
+
+def test_a_wrong_option_ends_with_the_usage_of_the_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["session", "check"])
+    assert ended.value.code == 2
+    assert "tactile session check: error: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "missing", "extra"),
+    [
+        (["sim", "press", "--depths", "1"], "warp", "sim"),
+        (["train", "force", "--help"], "learning.force.command", ""),
+    ],
+)
+def test_a_missing_library_names_the_extra_and_a_missing_module_of_ours_is_a_fault(
+    words: list[str],
+    missing: str,
+    extra: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    for name in [each for each in sys.modules if each.startswith("sim.tiers")]:
+        monkeypatch.delitem(sys.modules, name)
+    if not extra:
+        with pytest.raises(ModuleNotFoundError):
+            main(words)
+        return
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert missing in line
+    assert line.endswith(f"pip install 'tactile-rig[{extra}]'")
+
+
+def test_the_pages_of_reference_are_those_of_the_table_and_the_packages() -> None:
+    for name, page in reference.PAGES.items():
+        written = (reference.FOLDER / name).read_text()
+        assert written == page(), f"docs/reference/{name} is old: make reference"
+
+
+def test_make_lists_its_targets_in_groups_of_short_lines() -> None:
+    ran = subprocess.run(
+        ["make"], cwd=reference.ROOT, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    assert max(map(len, ran)) < 100
+    titles = [line.split(" (")[0] for line in ran[1:] if line and not line.startswith(" ")]
+    assert titles == ["Record", "Simulate", "Learn", "Measure", "Develop"]
+    listed = {line.split()[0] for line in ran if line.startswith("  ")}
+    makefile = Path(reference.ROOT, "Makefile").read_text()
+    (phony,) = (line for line in makefile.splitlines() if line.startswith(".PHONY:"))
+    assert listed == set(phony.split()[1:]) - {"help"}
+
+
+def test_make_tells_the_options_of_a_target() -> None:
+    ran = subprocess.run(
+        ["make", "help-collect"], cwd=reference.ROOT, capture_output=True, text=True, check=True
+    )
+    assert "make collect SENSOR=tacpalm [TARGETS=8]" in ran.stdout
+    assert max(map(len, ran.stdout.splitlines())) <= 100
