@@ -229,11 +229,11 @@ int ioctl(int fd, unsigned long code, ...) {
 CLIENT = """
 import json, sys
 import numpy as np
-from rig.camera.config import CameraConfig
-from rig.camera.jpeg import frame_stamp
-from rig.camera.opencv import OpenCvDriver
-from rig.clock import SystemClock
-from rig.errors import ConfigError, DeviceLost
+from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.jpeg import frame_stamp
+from rig.devices.camera.opencv import OpenCvDriver
+from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError, DeviceLost
 
 options = {"address": "/dev/video77", "rate_hz": 100.0} | json.loads(sys.argv[1])
 driver = OpenCvDriver(CameraConfig(**options), SystemClock())

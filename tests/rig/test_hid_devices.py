@@ -14,11 +14,11 @@ pytestmark = pytest.mark.serial
 PEDAL = """
 import json, sys
 from pathlib import Path
-from rig.clock import SystemClock
-from rig.errors import DeviceLost
-from rig.hid.config import PedalConfig
-from rig.hid.emulator import HidEmulator
-from rig.hid.pedal import PedalDriver
+from rig.core.clock import SystemClock
+from rig.core.errors import DeviceLost
+from rig.devices.hid.settings import PedalConfig
+from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.pedal import PedalDriver
 
 clock = SystemClock()
 emulator = HidEmulator("pedal", Path(sys.argv[1]), clock)
@@ -66,10 +66,10 @@ print(json.dumps({"seen": seen, "lost": lost, "path": path, "garbage": driver.ga
 SPACEMOUSE = """
 import json, sys
 from pathlib import Path
-from rig.clock import SystemClock
-from rig.hid.config import SpaceMouseConfig
-from rig.hid.emulator import HidEmulator
-from rig.hid.spacemouse import SpaceMouseDriver
+from rig.core.clock import SystemClock
+from rig.devices.hid.settings import SpaceMouseConfig
+from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.spacemouse import SpaceMouseDriver
 
 clock = SystemClock()
 emulator = HidEmulator("spacemouse", Path(sys.argv[1]), clock)
@@ -95,9 +95,9 @@ print(json.dumps(found))
 """
 
 ABSENT = """
-from rig.errors import DeviceLost
-from rig.hid.config import PedalConfig
-from rig.hid.pedal import PedalDriver
+from rig.core.errors import DeviceLost
+from rig.devices.hid.settings import PedalConfig
+from rig.devices.hid.pedal import PedalDriver
 import sys
 for device in sys.argv[1:]:
     try:

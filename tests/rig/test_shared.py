@@ -39,7 +39,7 @@ def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> N
         import sys
         import numpy as np
         from pathlib import Path
-        from rig.shared import LatestRecord
+        from rig.core.shared_memory import LatestRecord
         dtype = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
         record = LatestRecord.attach(Path({str(path)!r}), dtype, writable=True)
         k = 0
