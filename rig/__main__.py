@@ -3,46 +3,39 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 
-from rig.cli import (
-    calibrate_latency,
-    campaign,
-    collect,
-    compare,
-    force_depth,
-    grip,
-    home,
-    jog,
-    live,
-    mock,
-    preview,
-    replay,
-)
 from rig.cli.ending import run
 from rig.core.errors import EXIT_WRONG_INPUT
 
 _VERBS = (
-    collect,
-    home,
-    calibrate_latency,
-    force_depth,
-    campaign,
-    jog,
-    live,
-    grip,
-    preview,
-    compare,
-    mock,
-    replay,
+    "collect",
+    "home",
+    "calibrate-latency",
+    "force-depth",
+    "campaign",
+    "jog",
+    "live",
+    "grip",
+    "preview",
+    "compare",
+    "mock",
+    "replay",
 )
 
 
-def _arguments() -> argparse.ArgumentParser:
+def _arguments(words: Sequence[str]) -> argparse.ArgumentParser:
+    """The options of the verb in `words`, of which alone the module is loaded; else of all."""
     parser = argparse.ArgumentParser(prog="python -m rig", description="The tactile bench.")
     verbs = parser.add_subparsers(dest="verb", required=True)
-    for verb in _VERBS:
-        verb.add_to(verbs)
+    chosen: Sequence[str] = _VERBS
+    if words and words[0] in _VERBS:
+        chosen = words[:1]
+        # The usage line names all of them none the less.
+        verbs.metavar = f"{{{','.join(_VERBS)}}}"
+    for verb in chosen:
+        importlib.import_module(f"rig.cli.{verb.replace('-', '_')}").add_to(verbs)
     return parser
 
 
@@ -59,7 +52,7 @@ def main(argv: list[str] | None = None) -> int:
             f"wrong input: {words[0]!r} has moved; run, from the repository: {now}", file=sys.stderr
         )
         return EXIT_WRONG_INPUT
-    return run(_arguments(), words)
+    return run(_arguments(words), words)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from recorder import Session, SessionError, SessionWriter
 from recorder.session.clocks import clock_lines, fit_clocks
 from recorder.session.sheet import contact_sheet
 from rig.acquire import summary
-from rig.acquire.control import Control, Interrupted, InterruptFlag
+from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Sentinels
 from rig.acquire.plan_runner import Walk, require_arrival
 from rig.acquire.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
@@ -41,9 +41,6 @@ from rig.core.errors import (
 from rig.core.geometry import compose, transform
 from rig.devices.arm.arm import Arm
 from trajectories import Plan, plan_to_json
-
-if TYPE_CHECKING:
-    from rig.monitor.page.page import Page
 
 logger = logging.getLogger(__name__)
 
@@ -76,7 +73,7 @@ class Collector:
         content: dict[str, Any],
         folder: Path,
         watch: Callable[[], None] | None = None,
-        page: Page | None = None,
+        page: Onlooker | None = None,
     ) -> None:
         self._watch = watch
         self._page = page

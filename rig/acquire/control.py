@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 # Ctrl-C as a wish, not an exception: the row in progress is finished, then the arm retracts.
 
@@ -98,3 +100,26 @@ class Control:
         with self._lock:
             if self._aborted_by is not None:
                 raise Interrupted(f"aborted by the {self._aborted_by}")
+
+
+class Onlooker(Protocol):
+    """Who is shown a running collection and may ask to pause or end it, as the page to watch on."""
+
+    def begin(
+        self,
+        control: Control,
+        progress: Callable[[], Mapping[str, Any]],
+        session: Path,
+        first: int,
+    ) -> None:
+        """Show a collection in progress.
+
+        Args:
+            control: Gets what the onlooker asks for.
+            progress: Tells how far it is; may be called in any thread.
+            session: Its session.
+            first: First target of this run.
+        """
+
+    def say(self, status: str, reason: str = "") -> None:
+        """Show a status."""

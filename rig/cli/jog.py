@@ -14,7 +14,6 @@ from rig.bench.bench import bench_from
 from rig.cli.options import banner, bench_options, chosen_bench
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, SafetyStop
-from rig.mock.bench import MockBench
 
 if TYPE_CHECKING:
     from rig.bench.bench import Bench
@@ -49,6 +48,8 @@ def run(options: argparse.Namespace) -> int:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None
         if bench.mock:
+            from rig.mock.bench import MockBench
+
             mock = stack.enter_context(MockBench(content, str(path), folder))
             bench, watch = bench_from(mock.content, str(path)), mock.check
         print(_jogged(bench, folder, watch, stack), flush=True)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from rig.cli.options import banner, bench_options, chosen_bench, source_options, sources_of
 from rig.core.errors import ConfigError
-from rig.mock.bench import MockBench
 
 if TYPE_CHECKING:
     from rig.cli.options import Verbs
@@ -30,6 +29,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError: The bench is no mock bench.
     """
+    from rig.mock.bench import MockBench
+
     path, bench, content = chosen_bench(options)
     if not bench.mock:
         raise ConfigError(f"{path}.mock: false; allowed: a mock bench")

@@ -15,7 +15,7 @@ from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
-from rig.mock.emulators import Sources
+from rig.core.sources import Sources
 from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, Gate, is_loopback
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rig.acquire.collector import Collector
 from rig.acquire.request import Order
 from rig.bench.bench import Bench, bench_from
-from rig.mock.bench import MockBench
-from rig.mock.emulators import Sources
+from rig.core.sources import Sources
 from trajectories import Plan
 
 if TYPE_CHECKING:
@@ -53,6 +52,9 @@ def record(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None
         if bench_from(content, str(path)).mock:
+            # A collection at a lab's devices loads nothing that stands in for a device.
+            from rig.mock.bench import MockBench
+
             mock = stack.enter_context(
                 MockBench(content, str(path), folder, sources=sources, truth=truth)
             )

@@ -16,13 +16,15 @@ import socket
 import socketserver
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from http.server import HTTPServer
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from rig.core.errors import ConfigError
 from rig.core.realtime import DEVICE_PRIORITY, be_punctual
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import LatestRecord
@@ -234,8 +236,14 @@ def loopback(text: str) -> str:
     raise argparse.ArgumentTypeError(f"found {text!r}; allowed: a loopback address, 127.x.y.z")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options every emulator has."""
+def emulator_parser(prog: str, doc: str | None) -> argparse.ArgumentParser:
+    """A parser with the options every emulator has.
+
+    Args:
+        prog: How the process is called.
+        doc: Docstring of its module.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=doc)
     parser.add_argument(
         "--host",
         type=loopback,
@@ -252,18 +260,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="end when whoever started me does",
     )
+    return parser
 
 
-def fault_port(args: argparse.Namespace, apply: Apply) -> FaultPort | None:
-    """The fault port that --host and --fault-port ask for; None without --fault-port.
+@dataclass(frozen=True, slots=True)
+class Served:
+    """What the process of an emulator serves."""
+
+    name: str
+    """What it is called in its one line of output."""
+    emulator: Emulator
+    """Not yet started."""
+    apply: Apply | None = None
+    """What a request at the fault port does; None: it takes no faults there."""
+    priority: int = DEVICE_PRIORITY
+    """Of the real-time scheduling that is asked for."""
+
+
+def run_emulator(
+    parser: argparse.ArgumentParser,
+    make: Callable[[argparse.Namespace, SharedWorld], Served],
+    argv: Sequence[str] | None = None,
+) -> int:
+    """The body of an emulator's `main`: read the options, make it, serve until told to end.
 
     Args:
-        args: What `add_arguments` parsed.
-        apply: What a request does, `rig.core.fault_injection.Disturbance.inject` for most devices.
+        parser: Of `emulator_parser`, with the emulator's own options.
+        make: Makes what is served, of the options and the World that --world names. A ConfigError
+            of it is the message with which the process ends at once.
+        argv: Options; None: those of this process.
+
+    Returns:
+        Exit code: 0, or 2 when an option is wrong or the address cannot be listened on.
     """
-    if args.fault_port is None:
-        return None
-    return FaultPort(args.host, args.fault_port, apply)
+    args = parser.parse_args(argv)
+    world = SharedWorld(args.world)
+    try:
+        served = make(args, world)
+    except ConfigError as error:
+        parser.error(str(error))
+    faults = None
+    if served.apply is not None and args.fault_port is not None:
+        faults = FaultPort(args.host, args.fault_port, served.apply)
+    try:
+        return serve(
+            served.name,
+            served.emulator,
+            until_stdin_closes=args.until_stdin_closes,
+            priority=served.priority,
+            faults=faults,
+        )
+    finally:
+        world.close()
 
 
 def serve(
@@ -281,7 +329,7 @@ def serve(
         emulator: What is served.
         until_stdin_closes: End when whoever started this process is gone.
         priority: Of the real-time scheduling that is asked for.
-        faults: Where faults are put in, see `fault_port`.
+        faults: Where faults are put in.
 
     Returns:
         Exit code: 0, or 2 when the address cannot be listened on.

@@ -24,7 +24,8 @@ from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import LatestRecord
-from rig.mock.emulators import Sources, Stage, emulator_commands, world_commands
+from rig.core.sources import Sources
+from rig.mock.emulators import Stage, emulator_commands, world_commands
 from rig.mock.processes import Launched
 from rig.mock.world.simulated import PRESS_FILE
 

@@ -13,6 +13,7 @@ from rig.bench.worlds import Noise, SimulatedSpec
 from rig.core.emulation import PORTS
 from rig.core.errors import ConfigError
 from rig.core.geometry import compose
+from rig.core.sources import Sources
 from rig.core.units import from_si
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.settings import CameraConfig
@@ -23,33 +24,6 @@ from rig.devices.taxels.settings import XelaConfig
 
 _START_HEIGHT = 0.03
 # Where the arm waits, above the middle of the sensor [m].
-
-
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """Real recordings to serve in place of what the World would show."""
-
-    camera: Path | None = None
-    """A folder of images or a video file."""
-    camera_motion: str = "moving"
-    """`moving`: one source frame per camera frame; `still`: each image held for seconds."""
-    taxels: Path | None = None
-    """A .npy file of raw counts (T, 48)."""
-
-    def __post_init__(self) -> None:
-        """Refuse a path that is not there before anything is started."""
-        for name, path in (("CAMERA", self.camera), ("TAXELS", self.taxels)):
-            if path is not None and not path.exists():
-                raise ConfigError(f"{name}: {path}: no such file or folder")
-
-    def facts(self) -> dict[str, Any]:
-        """What the session says of them: names, not paths of this machine."""
-        facts: dict[str, Any] = {}
-        if self.camera is not None:
-            facts["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
-        if self.taxels is not None:
-            facts["taxels"] = {"name": self.taxels.name}
-        return facts
 
 
 @dataclass(frozen=True, slots=True)

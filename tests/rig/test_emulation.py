@@ -80,7 +80,7 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
 EMULATORS = sorted(
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for path in (ROOT / "rig").rglob("*.py")
-    if "type=loopback" in path.read_text() or "add_arguments(parser)" in path.read_text()
+    if "type=loopback" in path.read_text() or "= emulator_parser(" in path.read_text()
 )
 EMULATORS = [
     name for name in EMULATORS if name not in ("rig.core.emulation", "rig.mock.world.host")

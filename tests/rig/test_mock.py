@@ -11,8 +11,8 @@ import pytest
 from rig.bench.bench import find_bench, load_bench
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
+from rig.core.sources import Sources
 from rig.mock.bench import MockBench, free_loopback
-from rig.mock.emulators import Sources
 
 pytestmark = pytest.mark.serial
 

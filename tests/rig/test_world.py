@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from pathlib import Path
@@ -221,7 +222,7 @@ def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end
 ) -> None:
     states = walk(BARE, press(1e-3))
     path = tmp_path / "truth"
-    with TruthLog(path) as log:
+    with contextlib.closing(TruthLog(path)) as log:
         for state in states:
             log.append(state)
     with path.open("ab") as file:

@@ -16,14 +16,15 @@ import selectors
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.emulation import SharedWorld, add_arguments, serve
+from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.errors import ConfigError
 from rig.core.fault_injection import Disturbance, spoilt_bytes
 from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH
@@ -442,10 +443,9 @@ def _plain(word: str) -> str:
     return f"{float(word):.17f}"
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run one emulated arm until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m rig.devices.arm.emulator", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("python -m rig.devices.arm.emulator", __doc__)
     parser.add_argument("--state", type=Path, metavar="PATH", help="file to publish the pose in")
     parser.add_argument(
         "--pose",
@@ -469,22 +469,20 @@ def main(argv: list[str] | None = None) -> int:
         metavar="N",
         help="contact force that makes a protective stop [N] (%(default)s)",
     )
-    arguments = parser.parse_args([_plain(word) for word in argv or sys.argv[1:]])
-    tcp = np.array(arguments.tcp)
-    pose = arguments.pose or compose(flange_pose(np.array(POSTURE)), tcp)
+    return run_emulator(parser, _make, [_plain(word) for word in argv or sys.argv[1:]])
+
+
+def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
+    tcp = np.array(args.tcp)
+    pose = args.pose or compose(flange_pose(np.array(POSTURE)), tcp)
     try:
-        controller = Controller(np.array(pose), tcp, force_limit=arguments.force_limit)
+        controller = Controller(np.array(pose), tcp, force_limit=args.force_limit)
     except ValueError as error:
-        parser.error(str(error))
-    state = LatestRecord.publish(arguments.state, ARM_TRUTH) if arguments.state else None
-    world = SharedWorld(arguments.world)
-    emulator = ArmEmulator(arguments.host, controller, SystemClock(), state=state, world=world)
-    try:
-        return serve("arm", emulator, until_stdin_closes=arguments.until_stdin_closes)
-    finally:
-        world.close()
-        if state is not None:
-            state.close()
+        raise ConfigError(str(error)) from error
+    state = LatestRecord.publish(args.state, ARM_TRUTH) if args.state else None
+    return Served(
+        "arm", ArmEmulator(args.host, controller, SystemClock(), state=state, world=world)
+    )
 
 
 if __name__ == "__main__":

@@ -31,7 +31,15 @@ import numpy.typing as npt
 
 from recorder.strict_yaml import natural_key
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
-from rig.core.emulation import NamelessServer, SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.emulation import (
+    NamelessServer,
+    Served,
+    SharedWorld,
+    World,
+    emulator_parser,
+    run_emulator,
+)
+from rig.core.errors import ConfigError
 from rig.core.fault_injection import Disturbance
 from rig.core.realtime import CAMERA_PRIORITY
 from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, torn
@@ -405,8 +413,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="rig.devices.camera.mjpeg_emulator", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.camera.mjpeg_emulator", __doc__)
     parser.add_argument("--port", type=int, default=8090, help="(%(default)s)")
     parser.add_argument("--fps", type=float, default=30.0, help="frames per second (%(default)s)")
     pictures = parser.add_mutually_exclusive_group(required=True)
@@ -420,8 +427,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--delay-ms", type=float, default=0.0,
         help="deliver each frame so long after the moment it shows [ms] (%(default)s)",
     )  # fmt: skip
-    args = parser.parse_args(argv)
-    world = SharedWorld(args.world)
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
     source: FrameSource
     try:
         if args.source is None:
@@ -432,19 +441,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             hold = round(_STILL * args.fps) if args.motion == "still" else 1
             source = LoopSource(args.source, hold=hold)
     except (OSError, ValueError) as error:
-        parser.error(str(error))
+        raise ConfigError(str(error)) from error
     config = MjpegEmulatorConfig(args.host, args.port, args.fps, 1e-3 * args.delay_ms)
     emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
-    try:
-        return serve(
-            "camera",
-            emulator,
-            until_stdin_closes=args.until_stdin_closes,
-            priority=CAMERA_PRIORITY,
-            faults=fault_port(args, emulator.disturbance.inject),
-        )
-    finally:
-        world.close()
+    return Served("camera", emulator, emulator.disturbance.inject, CAMERA_PRIORITY)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer, SystemClock
-from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.emulation import Served, SharedWorld, World, emulator_parser, run_emulator
+from rig.core.errors import ConfigError
 from rig.core.fault_injection import Disturbance, spoilt_bytes
 from rig.devices.force.ati_serial_wire import PROMPT, Record, emit
 from rig.devices.force.settings import RECORD_BYTES
@@ -198,10 +199,7 @@ class AtiSerialEmulator:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="rig.devices.force.ati_serial_emulator", description=__doc__
-    )
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.force.ati_serial_emulator", __doc__)
     defaults = AtiSerialEmulatorConfig(Path())
     parser.add_argument("--link", type=Path, required=True, help="link to the pty, to be made")
     parser.add_argument(
@@ -215,10 +213,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--rate-hz", type=float, default=defaults.rate_hz, help="records per second (%(default)s)"
     )
     parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
-    args = parser.parse_args(argv)
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
     for name in ("counts_per_n", "counts_per_n_mm", "baud", "rate_hz"):
         if not getattr(args, name) > 0:
-            parser.error(f"{name}: found {getattr(args, name)}; allowed: above 0")
+            raise ConfigError(f"{name}: found {getattr(args, name)}; allowed: above 0")
     config = AtiSerialEmulatorConfig(
         args.link,
         args.counts_per_n,
@@ -228,17 +229,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.noise,
         args.seed,
     )
-    world = SharedWorld(args.world)
-    try:
-        emulator = AtiSerialEmulator(config, world, SystemClock())
-        return serve(
-            "ati_serial",
-            emulator,
-            until_stdin_closes=args.until_stdin_closes,
-            faults=fault_port(args, emulator.disturbance.inject),
-        )
-    finally:
-        world.close()
+    emulator = AtiSerialEmulator(config, world, SystemClock())
+    return Served("ati_serial", emulator, emulator.disturbance.inject)
 
 
 if __name__ == "__main__":

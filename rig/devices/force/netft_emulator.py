@@ -24,8 +24,14 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.core.clock import Clock, Pacer, SystemClock
-from rig.core.emulation import NamelessServer, SharedWorld, World, add_arguments, fault_port, serve
-from rig.core.errors import ConfigError
+from rig.core.emulation import (
+    NamelessServer,
+    Served,
+    SharedWorld,
+    World,
+    emulator_parser,
+    run_emulator,
+)
 from rig.core.fault_injection import Disturbance, spoilt_bytes
 from rig.devices.force.netft_wire import (
     COMMAND_BIAS,
@@ -257,14 +263,16 @@ class _Handler(BaseHTTPRequestHandler):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="rig.devices.force.netft_emulator", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.force.netft_emulator", __doc__)
     parser.add_argument("--http-port", type=int, default=8080, help="(%(default)s)")
     parser.add_argument("--udp-port", type=int, default=49152, help="(%(default)s)")
     parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
     parser.add_argument("--force-unit", default="N", help="the box's unit (%(default)s)")
     parser.add_argument("--torque-unit", default="N-mm", help="the box's unit (%(default)s)")
-    args = parser.parse_args(argv)
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
     page = Page(
         product="Net F/T emulator",
         serial="FT00000",
@@ -274,20 +282,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     config = NetFtEmulatorConfig(
         args.host, args.http_port, args.udp_port, page, args.noise, args.seed
     )
-    world = SharedWorld(args.world)
-    try:
-        emulator = NetFtEmulator(config, world, SystemClock())
-    except ConfigError as error:
-        parser.error(str(error))
-    try:
-        return serve(
-            "netft",
-            emulator,
-            until_stdin_closes=args.until_stdin_closes,
-            faults=fault_port(args, emulator.disturbance.inject),
-        )
-    finally:
-        world.close()
+    emulator = NetFtEmulator(config, world, SystemClock())
+    return Served("netft", emulator, emulator.disturbance.inject)
 
 
 if __name__ == "__main__":

@@ -29,8 +29,7 @@ from nidaqmx._stubs import nidaqmx_pb2 as pb
 from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
 
 from rig.core.clock import Clock, Pacer, SystemClock
-from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
-from rig.core.errors import ConfigError
+from rig.core.emulation import Served, SharedWorld, World, emulator_parser, run_emulator
 from rig.core.fault_injection import Disturbance
 from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import Calibration, read_calibration
@@ -480,33 +479,27 @@ def _spoilt(volts: Array, rng: random.Random) -> Array:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="rig.devices.force.nidaq_emulator", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.force.nidaq_emulator", __doc__)
     parser.add_argument("--port", type=int, default=31763, help="(%(default)s)")
     parser.add_argument(
         "--calibration", type=Path, required=True, help="the transducer's .cal file"
     )
     parser.add_argument("--device", default="Dev1", help="name of the card (%(default)s)")
     parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
-    args = parser.parse_args(argv)
-    try:
-        calibration = read_calibration(packaged(args.calibration, BENCHES))
-    except ConfigError as error:
-        parser.error(str(error))
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
     config = NidaqEmulatorConfig(
-        calibration, args.host, args.port, args.device, noise=args.noise, seed=args.seed
+        read_calibration(packaged(args.calibration, BENCHES)),
+        args.host,
+        args.port,
+        args.device,
+        noise=args.noise,
+        seed=args.seed,
     )
-    world = SharedWorld(args.world)
-    try:
-        emulator = NidaqEmulator(config, world, SystemClock())
-        return serve(
-            "nidaq",
-            emulator,
-            until_stdin_closes=args.until_stdin_closes,
-            faults=fault_port(args, emulator.disturbance.inject),
-        )
-    finally:
-        world.close()
+    emulator = NidaqEmulator(config, world, SystemClock())
+    return Served("nidaq", emulator, emulator.disturbance.inject)
 
 
 if __name__ == "__main__":

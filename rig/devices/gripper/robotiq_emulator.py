@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.emulation import add_arguments, fault_port, serve
+from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
 from rig.core.fault_injection import Disturbance, spoilt_bytes
 from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
@@ -340,10 +340,7 @@ class RobotiqEmulator:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="rig.devices.gripper.robotiq_emulator", description=__doc__
-    )
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.gripper.robotiq_emulator", __doc__)
     parser.add_argument("--link", type=Path, required=True, help="where the port's link is put")
     parser.add_argument("--slave", type=int, default=9, help="Modbus address (%(default)s)")
     parser.add_argument(
@@ -352,16 +349,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--holding", action="store_true", help="start activated and closed on the object"
     )
-    args = parser.parse_args(argv)
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
     clock = SystemClock()
     fingers = Fingers(clock, object_at=args.object, holding=args.holding)
     emulator = RobotiqEmulator(fingers, args.link, clock, slave=args.slave, seed=args.seed)
-    return serve(
-        "gripper",
-        emulator,
-        until_stdin_closes=args.until_stdin_closes,
-        faults=fault_port(args, emulator.inject),
-    )
+    return Served("gripper", emulator, emulator.inject)
 
 
 if __name__ == "__main__":

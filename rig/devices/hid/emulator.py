@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
-from rig.core.emulation import add_arguments, fault_port, serve
+from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.errors import ConfigError
 from rig.core.fault_injection import Disturbance, spoilt_bytes
 from rig.devices.hid.reports import Axes, CapReport, emit_cap, emit_keys
 
@@ -86,14 +87,14 @@ class HidEmulator:
         seed: Of the disturbance's garbage.
 
     Raises:
-        ValueError: Another kind, or another ending.
+        ConfigError: Another kind, or another ending.
     """
 
     def __init__(self, kind: str, path: Path, clock: Clock, *, seed: int = 0) -> None:
         if kind not in KINDS:
-            raise ValueError(f"kind: found {kind!r}; allowed: {', '.join(KINDS)}")
+            raise ConfigError(f"kind: found {kind!r}; allowed: {', '.join(KINDS)}")
         if path.suffix != ".hidraw":
-            raise ValueError(f"{path}: allowed: a name that ends with .hidraw")
+            raise ConfigError(f"{path}: allowed: a name that ends with .hidraw")
         self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=seed)
         self._kind = kind
         self._path = path
@@ -238,21 +239,15 @@ class HidEmulator:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="rig.devices.hid.emulator", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.hid.emulator", __doc__)
     parser.add_argument("--kind", choices=sorted(KINDS), required=True, help="which device")
     parser.add_argument("--socket", type=Path, required=True, help="its node, NAME.hidraw")
-    args = parser.parse_args(argv)
-    try:
-        emulator = HidEmulator(args.kind, args.socket, SystemClock(), seed=args.seed)
-    except ValueError as error:
-        parser.error(str(error))
-    return serve(
-        args.kind,
-        emulator,
-        until_stdin_closes=args.until_stdin_closes,
-        faults=fault_port(args, emulator.inject),
-    )
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
+    emulator = HidEmulator(args.kind, args.socket, SystemClock(), seed=args.seed)
+    return Served(args.kind, emulator, emulator.inject)
 
 
 if __name__ == "__main__":

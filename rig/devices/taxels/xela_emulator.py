@@ -30,7 +30,8 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
-from rig.core.emulation import SharedWorld, World, add_arguments, fault_port, serve
+from rig.core.emulation import Served, SharedWorld, World, emulator_parser, run_emulator
+from rig.core.errors import ConfigError
 from rig.core.fault_injection import Disturbance, spoilt_text
 
 Log = npt.NDArray[np.float64]
@@ -258,15 +259,17 @@ def load_log(path: Path) -> Log:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to end; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="rig.devices.taxels.xela_emulator", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("rig.devices.taxels.xela_emulator", __doc__)
     parser.add_argument("--port", type=int, default=5000, help="(%(default)s)")
     parser.add_argument("--rate-hz", type=float, default=60.0, help="(%(default)s)")
     parser.add_argument("--jitter-ms", type=float, default=0.0, help="std of the lateness (none)")
     parser.add_argument("--layout", choices=("1.7", "1.8"), default="1.8", help="(%(default)s)")
     parser.add_argument("--noise", type=float, default=0.0, help="std [counts] (none)")
     parser.add_argument("--source", type=Path, help="log of raw counts (.npy), not the World")
-    args = parser.parse_args(argv)
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
     config = XelaEmulatorConfig(
         host=args.host,
         port=args.port,
@@ -279,18 +282,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         log = None if args.source is None else load_log(args.source)
     except (OSError, ValueError) as error:
-        parser.error(f"--source: {error}")
-    world = SharedWorld(args.world)
+        raise ConfigError(f"--source: {error}") from error
     emulator = XelaEmulator(config, world if log is None else log, SystemClock())
-    try:
-        return serve(
-            "xela",
-            emulator,
-            until_stdin_closes=args.until_stdin_closes,
-            faults=fault_port(args, emulator.disturbance.inject),
-        )
-    finally:
-        world.close()
+    return Served("xela", emulator, emulator.disturbance.inject)
 
 
 if __name__ == "__main__":

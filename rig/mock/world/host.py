@@ -9,13 +9,14 @@ emulators of the sensors only serve what it publishes.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 from rig.core.clock import SystemClock
-from rig.core.emulation import add_arguments, serve
+from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.errors import ConfigError
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import LatestRecord
 from rig.mock.world import build_world
@@ -33,7 +34,7 @@ class WorldHost:
         world: The World.
         arm: ARM_TRUTH record to follow.
         states: WORLD_STATE record to publish in.
-        truth: Log of every state, or None.
+        truth: Log of every state, closed with the host; or None.
     """
 
     def __init__(
@@ -62,6 +63,8 @@ class WorldHost:
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
+        if self._truth is not None:
+            self._truth.close()
 
     def _run(self) -> None:
         clock = SystemClock()
@@ -82,25 +85,25 @@ class WorldHost:
                 self._truth.append(state)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run until told to stop."""
-    parser = argparse.ArgumentParser(prog="python -m rig.mock.world.host", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("python -m rig.mock.world.host", __doc__)
     parser.add_argument("--spec", type=Path, required=True, help="JSON with world, contact_frame")
     parser.add_argument("--arm", type=Path, required=True, help="the arm emulator's pose")
     parser.add_argument("--truth", type=Path, help="log every state here, for tests")
-    options = parser.parse_args(argv)
-    if options.world is None:
-        parser.error("--world: missing; allowed: the file to publish states in")
-    with contextlib.ExitStack() as stack:
-        truth = stack.enter_context(TruthLog(options.truth)) if options.truth else None
-        host = WorldHost(
-            build_world(options.spec),
-            LatestRecord.attach(options.arm, ARM_TRUTH),
-            LatestRecord.attach(options.world, WORLD_STATE, writable=True),
-            truth,
-        )
-        return serve("world", host, until_stdin_closes=options.until_stdin_closes)
+    return run_emulator(parser, _make, argv)
+
+
+def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
+    if args.world is None:
+        raise ConfigError("--world: missing; allowed: the file to publish states in")
+    host = WorldHost(
+        build_world(args.spec),
+        LatestRecord.attach(args.arm, ARM_TRUTH),
+        LatestRecord.attach(args.world, WORLD_STATE, writable=True),
+        TruthLog(args.truth) if args.truth else None,
+    )
+    return Served("world", host)
 
 
 if __name__ == "__main__":

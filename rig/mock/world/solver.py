@@ -9,7 +9,6 @@ between two solutions is a straight line, and nothing ever waits in a queue.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import signal
 import sys
@@ -21,7 +20,7 @@ import numpy as np
 
 from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
-from rig.core.emulation import add_arguments, serve
+from rig.core.emulation import emulator_parser, serve
 from rig.core.errors import EXIT_DEVICE_LOST, ConfigError
 from rig.core.realtime import SOLVER_PRIORITY
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
@@ -189,8 +188,7 @@ class Solver:
 
 def main(argv: list[str] | None = None) -> int:
     """Solve until told to stop."""
-    parser = argparse.ArgumentParser(prog="python -m rig.mock.world.solver", description=__doc__)
-    add_arguments(parser)
+    parser = emulator_parser("python -m rig.mock.world.solver", __doc__)
     parser.add_argument("--spec", type=Path, required=True, help="JSON that the mock bench writes")
     parser.add_argument("--arm", type=Path, required=True, help="the arm emulator's pose")
     options = parser.parse_args(argv)

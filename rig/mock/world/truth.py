@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -27,15 +26,8 @@ class TruthLog:
             self._record[name] = state[name]
         self._file.write(self._record.tobytes())
 
-    def __enter__(self) -> TruthLog:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Write what is left; safe twice."""
         self._file.close()
 
 

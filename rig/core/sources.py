@@ -1,0 +1,36 @@
+"""Real recordings that the emulators of a mock bench serve in place of its World."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What is served; None: what the World shows."""
+
+    camera: Path | None = None
+    """A folder of images or a video file."""
+    camera_motion: str = "moving"
+    """`moving`: one source frame per camera frame; `still`: each image held for seconds."""
+    taxels: Path | None = None
+    """A .npy file of raw counts (T, 48)."""
+
+    def __post_init__(self) -> None:
+        """Refuse a path that is not there before anything is started."""
+        for name, path in (("CAMERA", self.camera), ("TAXELS", self.taxels)):
+            if path is not None and not path.exists():
+                raise ConfigError(f"{name}: {path}: no such file or folder")
+
+    def facts(self) -> dict[str, Any]:
+        """What the session says of them: names, not paths of this machine."""
+        facts: dict[str, Any] = {}
+        if self.camera is not None:
+            facts["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
+        if self.taxels is not None:
+            facts["taxels"] = {"name": self.taxels.name}
+        return facts

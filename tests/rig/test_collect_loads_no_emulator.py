@@ -1,0 +1,102 @@
+"""A collection at a lab's devices loads nothing that stands in for a device, in no process."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from support.collecting import ROOT, quick_bench
+
+from rig.bench.bench import load_bench
+from rig.mock.bench import MockBench
+
+STANDS_IN = re.compile(r"emulator|emulated_|player|playback|^rig\.(mock|replay)\b")
+TELL_AT_EXIT = """
+import atexit, os, sys
+
+def tell():
+    names = [name for name in sys.modules if name.partition(".")[0] == "rig"]
+    with open(os.path.join(os.environ["TOLD"], f"{os.getpid()}.txt"), "w") as file:
+        file.write("\\n".join([" ".join(sys.orig_argv), *names]))
+
+def tell_and_exit(code):
+    tell()
+    leave(code)
+
+atexit.register(tell)
+# The arm's process ends by it.
+leave, os._exit = os._exit, tell_and_exit
+"""
+
+
+def lab_content(content: dict[str, Any]) -> dict[str, Any]:
+    """A mock bench's file with its addresses as a lab's: nothing in it says what is behind them."""
+    mock_only = ("world", "simulated", "world_frame")
+    kept = {name: value for name, value in content.items() if name not in mock_only}
+    return {**kept, "mock": False}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("sensor", ["tacpalm", "uskin"])
+def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path: Path) -> None:
+    told, hook, run = (tmp_path / name for name in ("told", "hook", "run"))
+    for folder in (told, hook, run):
+        folder.mkdir()
+    (hook / "sitecustomize.py").write_text(TELL_AT_EXIT)
+    path = quick_bench(tmp_path, sensor)
+    with MockBench(load_bench(path)[1], str(path), run) as mock:
+        lab = tmp_path / "lab.yaml"
+        lab.write_text(yaml.safe_dump(lab_content(mock.content)))
+        session = tmp_path / "s.zarr"
+        done = subprocess.run(
+            [
+                *(sys.executable, "-m", "rig", "collect", "--bench", str(lab)),
+                *("--out", str(session), "--targets", "1"),
+                *("--calibrations", str(tmp_path / "none-measured")),
+            ],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": f"{hook}:{ROOT}", "TOLD": str(told)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=55,
+        )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "LAB BENCH" in done.stdout
+    processes = {file.stem: file.read_text().splitlines() for file in told.iterdir()}
+    loaded = {name for _, *names in processes.values() for name in names}
+    # All have told: the collecting process and one for each of its three streams, then the arm's.
+    streams = [names for names in processes.values() if "rig.acquire.stream_process" in names]
+    movers = [names for names in processes.values() if "rig.devices.arm.mover" in names]
+    assert len(streams) == 4
+    assert any(names not in streams for names in movers)
+    assert not sorted(name for name in loaded if STANDS_IN.search(name))
+
+
+def test_the_collector_and_the_drivers_import_neither_mock_nor_page() -> None:
+    wrong = []
+    for room in ("core", "devices", "bench", "acquire"):
+        for path in sorted((ROOT / "rig" / room).rglob("*.py")):
+            text = path.read_text()
+            names = {
+                node.module or ""
+                for node in ast.walk(ast.parse(text))
+                if isinstance(node, ast.ImportFrom)
+            }
+            wrong += [
+                f"{path.relative_to(ROOT)}: {name}"
+                for name in names
+                if re.match(r"rig\.(mock|monitor|replay|cli)\b", name)
+            ]
+    # The emulated camera draws the World, and the type of a picture's surface is the World's.
+    assert wrong == [
+        "rig/devices/camera/mjpeg_emulator.py: rig.mock.world",
+        "rig/bench/worlds.py: rig.mock.world.picture",
+    ]
