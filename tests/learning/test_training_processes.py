@@ -17,10 +17,8 @@ import sys
 from dataclasses import dataclass
 import torch
 from torch import nn
-from learning.training.launch import LaunchSettings, accelerator, described
-from learning.training.run_folder import RunFolder
-from learning.training.sampling import batch, generator, seed_torch
-from learning.training.stopping import Stop
+from learning.training.run import LaunchSettings, RunFolder, Stop, accelerator, described
+from learning.training.run import batch, generator, seed_torch
 
 @dataclass(frozen=True)
 class Toy:
