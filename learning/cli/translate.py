@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
 
     from learning.data.splits import read_split
     from learning.translation.archive import Model, draw_sheet, hash_of, translate_archive
-    from learning.translation.translator import load_translator
+    from learning.translation.loading import load_translator
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)
