@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from recorder import SessionError
+from recorder.errors import SessionError
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]

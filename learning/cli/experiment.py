@@ -14,10 +14,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "experiment",
-        help="translate, train, compensate, evaluate: all pairs of an archive, one report",
         description="Carries forces from each sensor of an archive to each other: trains the "
         "translators, a force model for each source, one for each pair on translated frames, and "
         "reports what they predict of presses that none of them saw, before and after. Stopped "

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-force",
-        help="train a force model on labelled presses",
         description="Learns Fx, Fy, Fz [N] from sequences of marker images of a sensor, or of a "
         "translated one (A-to-B). Ctrl-C saves; --resume goes on as if nothing had been.",
     )

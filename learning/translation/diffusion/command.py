@@ -16,10 +16,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-diffusion",
-        help="train the paper's translator on SD-Turbo",
         description="Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you have: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. Stopped by Ctrl-C, the same "
         "command with --resume goes on. Several GPUs: torchrun --nproc-per-node N -m learning ...",

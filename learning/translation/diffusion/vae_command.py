@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-marker-vae",
-        help="train the autoencoder of the paper's translator, before that",
         description="Trains the adapter of SD-Turbo's autoencoder on the frames of all sensors of "
         "an archive. Stopped by Ctrl-C, the same command with --resume goes on.",
     )

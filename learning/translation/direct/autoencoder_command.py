@@ -14,10 +14,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-autoencoder",
-        help="train the marker autoencoder on any archives",
         description="Trains a network to give back marker images: of archives, and of random "
         "patterns that move as nothing does; without an archive of those alone. train-direct "
         "begins with its encoder, evaluate compares images by its features. Stopped by Ctrl-C, "

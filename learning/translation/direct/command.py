@@ -17,10 +17,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-direct",
-        help="train the direct translator on a group of sensors",
         description="Trains one network for all pairs of an archive's sensors, on location pairs. "
         "As in the paper: first on simulated states with the encoder of an autoencoder "
         "(--autoencoder), then from there on each group of sensors (--from). Stopped by Ctrl-C, "

@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-field",
-        help="train the field translator on a group of sensors",
         description="Trains one field translator for all pairs of an archive's sensors: a net "
         "that sees how a sensor is deformed, and a map from each sensor's deformation to each "
         "other's. Stopped by Ctrl-C, the same command with --resume goes on. Several GPUs: "
