@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from recorder.errors import SessionError
+from recorder.processes import WorkerLost
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -30,6 +31,9 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         return EXIT_WRONG_INPUT
     except OSError as error:
         print(f"cannot read or write: {error}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
+    except WorkerLost as error:
+        print(f"cannot go on: {error}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     except KeyboardInterrupt:
         print("interrupted; the same command goes on with an archive", file=sys.stderr)
