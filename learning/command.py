@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from recorder import SessionError
+from recorder.errors import SessionError
+from recorder.processes import WorkerLost
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -30,9 +32,58 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     except OSError as error:
         print(f"cannot read or write: {error}", file=sys.stderr)
         return EXIT_WRONG_INPUT
+    except WorkerLost as error:
+        print(f"cannot go on: {error}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
     except KeyboardInterrupt:
         print("interrupted; the same command goes on with an archive", file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def add_inputs(parser: argparse.ArgumentParser) -> None:
+    """Add what a training reads, and where it writes."""
+    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="of its presses")
+    add_run(parser)
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Add where a training writes."""
+    parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
+
+
+def add_settings(
+    parser: argparse.ArgumentParser,
+    preset: str = "ours",
+    known: str | None = None,
+    example: str = "over the preset",
+) -> None:
+    """Add a preset, and settings over it.
+
+    Args:
+        parser: Of the verb.
+        preset: The one that is taken unless another is named.
+        known: What is said of presets; None: that there are others and files.
+        example: What is said of settings.
+    """
+    parser.add_argument(
+        "--preset", default=preset, metavar="NAME", help=known or f"or a YAML file ({preset})"
+    )
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=example)
+
+
+def add_sensors(parser: argparse.ArgumentParser) -> None:
+    """Add the option that chooses some of an archive's sensors."""
+    parser.add_argument(
+        "--sensors", metavar="NAME,...", help="learn from these (all that are not held out)"
+    )
+
+
+def add_resume(
+    parser: argparse.ArgumentParser, help_text: str = "go on with the run that is there"
+) -> None:
+    """Add the option to go on."""
+    parser.add_argument("--resume", action="store_true", help=help_text)
 
 
 def add_unseen(parser: argparse.ArgumentParser) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+from collections.abc import Sequence
 
 from rig.cli.ending import run
 from rig.core.errors import EXIT_WRONG_INPUT

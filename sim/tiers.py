@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future, as_completed
 from typing import TYPE_CHECKING, Literal
 
 from sim.errors import SceneError, SimulationDiverged
-from sim.pool import (
-    Spawning,
-    WorkerLost,
-    check_processes,
-    interrupts_kept_off,
-    lost_worker,
-    make_ready,
-)
 from sim.result import Outcome, Result
 from sim.scene import Scene
 
@@ -106,6 +97,25 @@ def simulate_many(
     return simulate_fem(scenes, numerics, device=device, progress=progress)
 
 
+FEWER = "fewer processes or a coarser mesh"
+"""What is allowed where a worker was killed for lack of memory."""
+
+
+def check_processes(processes: int, device: str) -> None:
+    """Refuse a number of processes that cannot be.
+
+    Raises:
+        SceneError: Not a whole number from 1 up; or several where the device is not the CPU.
+    """
+    if not isinstance(processes, int) or isinstance(processes, bool) or processes < 1:
+        raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
+    if processes > 1 and device != "cpu":
+        raise SceneError(
+            f"processes: {processes} on device {device!r}, which solves scenes side by side in one "
+            "process; allowed: 1, or device 'cpu'"
+        )
+
+
 def simulate_in_processes(
     scenes: Sequence[Scene],
     tier: Tier,
@@ -137,30 +147,26 @@ def simulate_in_processes(
             f"numerics.one_topology: True with {processes} processes, which solve scenes one by "
             "one; allowed: False"
         )
-    context = Spawning()
-    executor = ProcessPoolExecutor(
-        min(processes, len(scenes)), mp_context=context, initializer=make_ready, initargs=(tier,)
-    )
-    done = 0
-    try:
-        with interrupts_kept_off():
-            tasks = [executor.submit(_solve, scene, tier, numerics) for scene in scenes]
-        for task in as_completed(tasks):
+    from recorder.processes import Workers  # hundreds of modules, which one process needs not
+
+    workers = Workers(min(processes, len(scenes)), _make_ready, tier, fewer=FEWER)
+    workers.done = f"0 of {len(scenes)} scenes"
+    with workers:
+        tasks = [workers.submit(_solve, scene, tier, numerics) for scene in scenes]
+        for done, task in enumerate(as_completed(tasks), 1):
             _raise_error_of(task)
-            done += 1
+            workers.done = f"{done} of {len(scenes)} scenes"
             if progress is not None:
                 progress(done / len(scenes))
         return [task.result() for task in tasks]
-    except BrokenProcessPool as broken:
-        executor.shutdown(wait=True)
-        raise WorkerLost(
-            lost_worker(context.started, f"{done} of {len(scenes)} scenes")
-        ) from broken
-    finally:
-        if done < len(scenes):
-            for worker in context.started:
-                worker.terminate()
-        executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _make_ready(tier: Tier) -> None:
+    """Start Warp in a worker without a banner of its own."""
+    if tier != "layer":
+        from sim.device import ready_device
+
+        ready_device("cpu")
 
 
 def _solve(scene: Scene, tier: Tier, numerics: Numerics | MpmNumerics | None) -> Outcome:

@@ -17,10 +17,9 @@ ROLES = "new_indenter"
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "evaluate",
-        help="write the report of predictions and translations",
         description="Gathers what `predict` wrote, and scores of translated frames, in one HTML "
         "page with CSV tables. With --archive and --translated, translated frames are scored first "
         "(Dice, markers [px, mm], distances) and the scores are kept in FOLDER.",

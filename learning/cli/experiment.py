@@ -7,15 +7,16 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from learning.command import add_settings
+
 if TYPE_CHECKING:
     from learning.command import Verbs
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "experiment",
-        help="translate, train, compensate, evaluate: all pairs of an archive, one report",
         description="Carries forces from each sensor of an archive to each other: trains the "
         "translators, a force model for each source, one for each pair on translated frames, and "
         "reports what they predict of presses that none of them saw, before and after. Stopped "
@@ -23,10 +24,7 @@ def add_to(verbs: Verbs) -> None:
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for all")
-    parser.add_argument("--preset", default="demo", metavar="NAME", help="or a YAML file (demo)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="over the preset"
-    )
+    add_settings(parser, "demo")
     parser.add_argument("--pairs", metavar="A:B,...", help="from A to B (all directed pairs)")
     parser.add_argument("--device", default="cpu", metavar="NAME", help="cpu, cuda:0, ... (cpu)")
     parser.add_argument(

@@ -14,10 +14,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "export-genforce",
-        help="write a marker archive as a GenForce training folder",
         description="Writes img, force and depth as the published training folders have them; the "
         "folder appears whole or not at all.",
     )

@@ -11,10 +11,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "export-onnx",
-        help="write one step of a force model as ONNX",
         description="Writes frame, state and untouched image in, force [N] and next state out, and "
         "compares it with torch. python -m rig live and python -m benchmarks latency run it.",
     )

@@ -15,10 +15,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "import-genforce",
-        help="make a marker archive of the published GenForce folders",
         description="Reads a folder of the published recordings: one with img, force and depth, "
         "one of simulated pictures, or a run as it was collected. Started again it goes on.",
     )

@@ -17,10 +17,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "markers",
-        help="make a marker archive of recorded sessions",
         description="Finds the markers in pictures or taxels of sessions, one for each indenter "
         "on each sensor. Started again with the same sessions it goes on where it was.",
     )

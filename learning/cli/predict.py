@@ -21,10 +21,9 @@ ROLES = "new_indenter,new_press"
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "predict",
-        help="predict the forces of frames",
         description="Runs a force model over whole presses of a sensor and writes what it says [N] "
         "beside the labels [N], for `evaluate`.",
     )

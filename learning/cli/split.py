@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "split",
-        help="say which presses models are trained on and which they are tested on",
         description="Gives every press of an archive a role, the same under all sensors. A press "
         "is a location; all presses of unseen indenters are for the test.",
     )

@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "translate",
-        help="make of a sensor's frames what another would have shown",
         description="Writes a marker archive with a sensor A-to-B for each pair: translated frames "
         "and labels of A, references and scale of B. Started again with the same options it goes "
         "on where it was.",
@@ -52,7 +51,7 @@ def _run(options: argparse.Namespace) -> int:
 
     from learning.data.splits import read_split
     from learning.translation.archive import Model, draw_sheet, hash_of, translate_archive
-    from learning.translation.translator import load_translator
+    from learning.translation.loading import load_translator
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)

@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "compensate",
-        help="fit material priors, choose how labels are brought from skin to skin",
         description="Fits force over depth of each sensor (degree 2, loading and unloading) and "
         "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a label-free "
         "default, a label-free choice by the priors' fits, and an oracle that knows the target's "

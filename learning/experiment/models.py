@@ -29,7 +29,8 @@ from learning.translation.archive import Model, hash_of
 from learning.translation.direct import autoencoder_command as train_autoencoder
 from learning.translation.direct import command as train_direct
 from learning.translation.field import command as train_field
-from learning.translation.translator import FLOW, load_translator
+from learning.translation.loading import load_translator
+from learning.translation.translator import FLOW
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,9 @@ Whatever is there already is not made again.
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 from collections.abc import Callable, Mapping, Sequence, Set
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from learning.progress import Progress
 from learning.translation import archive as translated
 from learning.translation.archive import Model
 from recorder import MarkerArchive
+from recorder.processes import Workers
 
 Piece = tuple[str, ...]
 """A method of a worker and its arguments."""
@@ -198,17 +198,14 @@ def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
         LearningError: A piece that cannot be done, or for which there is no memory beside the
             others; pieces that run meanwhile end first.
         SessionError: A damaged archive.
+        WorkerLost: A process was killed, by a lack of memory for example.
         KeyboardInterrupt: It was stopped; what trains saves where it is.
     """
     if jobs == 1:
         worker = Worker(work, say)
         return [worker.do(piece) for piece in work.pieces]
-    context = multiprocessing.get_context("spawn")  # a GPU does not survive a fork
-    pool = ProcessPoolExecutor(jobs, context, _begin, (work,))
-    try:
-        return _done(pool, work.pieces, say)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    with Workers(jobs, _begin, work, patient=True, fewer="fewer jobs") as workers:
+        return _done(workers, work.pieces, say)
 
 
 _worker: Worker | None = None
@@ -244,7 +241,7 @@ def _do(piece: Piece) -> tuple[Done, list[str]]:
     return done, [*_said]
 
 
-def _done(pool: Executor, pieces: Mapping[Piece, Set[Piece]], say: Say) -> list[Done]:
+def _done(pool: Workers | Executor, pieces: Mapping[Piece, Set[Piece]], say: Say) -> list[Done]:
     """Return what pieces give, in their order; each begins when all it needs is done."""
     due, found = dict(pieces), dict[Piece, Done]()
     running: dict[Future[tuple[Done, list[str]]], Piece] = {}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from learning.command import add_resume, add_settings
 from learning.errors import LearningError
 from learning.progress import Progress
 
@@ -23,10 +25,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-force",
-        help="train a force model on labelled presses",
         description="Learns Fx, Fy, Fz [N] from sequences of marker images of a sensor, or of a "
         "translated one (A-to-B). Ctrl-C saves; --resume goes on as if nothing had been.",
     )
@@ -34,14 +35,11 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument("--sensor", metavar="NAME,...", required=True, help="what is learned from")
     parser.add_argument("--split", type=Path, metavar="FILE", required=True, help="split.json")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
-    parser.add_argument(
-        "--preset",
-        default="half",
-        metavar="NAME",
-        help="a preset, or a YAML file of your own (half)",
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="e.g. sequences.batch=32"
+    add_settings(
+        parser,
+        "half",
+        "a preset, or a YAML file of your own (half)",
+        example="e.g. sequences.batch=32",
     )
     parser.add_argument(
         "--start-from", type=Path, metavar="MODEL", help="begin with the weights of this model"
@@ -55,77 +53,61 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--choice", default="default", metavar="NAME", help="which d0 and lambda of it (default)"
     )
-    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
+    add_resume(parser, "go on with the run in --out")
     parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
-    from learning.data.splits import read_split
     from learning.force import load_force_model
     from learning.force.data import labels_of
     from learning.force.model import PRESETS, ForceSettings
-    from learning.force.predict import KIND
+    from learning.force.predict import KIND, ForcePredictor
     from learning.force.train import train_force
-    from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
-    from recorder import MarkerArchive
+    from learning.training.command import Training, open_data, run_training
 
     settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
-    archive, split = MarkerArchive(options.archive), read_split(options.split)
-    split.check(archive)
+    archive, split = open_data(options)
     sensors = _sensors(options, archive, split)
     compensation = _compensation(options, sensors)
     start_from = None if options.start_from is None else load_force_model(options.start_from)
-    runs_on = accelerator(settings.launch)
-    data = [archive_fingerprint(archive), split.fingerprint, *sensors, *_begun_with(options)]
-    with RunFolder.open(
-        options.out,
-        KIND,
-        settings,
-        " ".join(data),
-        options.resume,
-        facts={"sensors": sensors},
-        writes=runs_on.is_main_process,
-    ) as run:
-        if run.finished:
-            print(f"{options.out}: is finished")
-            return 0
-        print(described(runs_on), file=sys.stderr)
-        training, validation = (
+
+    def train(training: Training) -> Iterator[str]:
+        presses, validation = (
             [
-                presses
+                found
                 for name in sensors
-                if len(presses := _presses(archive[name], split, role, settings, runs_on.device))
+                if len(found := _presses(archive[name], split, role, settings, training.device))
             ]
             for role in ("train", "validation")
         )
-        steps = Progress("steps", sys.stderr)
-        try:
-            with Stop(lambda line: print(line, file=sys.stderr)) as stop:
-                predictor = train_force(
-                    training,
-                    settings,
-                    run,
-                    validation=validation,
-                    start_from=start_from,
-                    compensation=compensation,
-                    accelerator=runs_on,
-                    stopped=lambda: stop.asked,
-                    progress=steps,
-                )
-        finally:
-            steps.close()
-        if stop.asked and not run.finished:
-            print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
-            return EXIT_INTERRUPTED
-    if runs_on.is_main_process:
-        print(f"{options.out}: trained on {sum(map(len, training)):,} presses")
-        for presses in validation:
-            wanted = labels_of(presses, compensation).cpu().numpy()
-            x, y, z = abs(predictor.predict(presses) - wanted).mean(axis=0)
-            print(f"{presses.sensor}: off in validation by Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N")
-    return 0
+        with training.stop:
+            predictor = train_force(
+                presses,
+                settings,
+                training.run,
+                validation=validation,
+                start_from=start_from,
+                compensation=compensation,
+                accelerator=training.accelerator,
+                stopped=training.stopping,
+                progress=training.steps,
+            )
+        return told(predictor, presses, validation) if training.run.writes else iter(())
+
+    def told(
+        predictor: ForcePredictor, presses: list[Presses], validation: list[Presses]
+    ) -> Iterator[str]:
+        yield f"{options.out}: trained on {sum(map(len, presses)):,} presses"
+        for each in validation:
+            wanted = labels_of(each, compensation).cpu().numpy()
+            x, y, z = abs(predictor.predict(each) - wanted).mean(axis=0)
+            yield f"{each.sensor}: off in validation by Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N"
+
+    data = [archive_fingerprint(archive), split.fingerprint, *sensors, *_begun_with(options)]
+    facts = {"sensors": sensors}
+    return run_training(options, KIND, settings, " ".join(data), train, facts=facts)
 
 
 def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:

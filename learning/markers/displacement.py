@@ -10,9 +10,8 @@ Discs that grew together are cut where they meet.
 from __future__ import annotations
 
 import functools
-import multiprocessing
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,6 +23,7 @@ from scipy.spatial import cKDTree
 from learning.errors import LearningError
 from learning.markers.segment import Centres, find_centres
 from recorder.markers import HEIGHT, PACKED, SMALLEST_PX, WIDTH, Lattice, pack, unpack
+from recorder.processes import Workers
 
 if TYPE_CHECKING:
     from learning.translation.translator import SensorView
@@ -607,6 +607,7 @@ def fields_of_presses(
 
     Raises:
         LearningError: A reference without markers.
+        WorkerLost: A process was killed, by a lack of memory for example.
     """
     total = len(presses.packed)
     shape = LATTICE.shape if form == "displacement" else (3, MAP_SIDE, MAP_SIDE)
@@ -649,10 +650,12 @@ def _computed(jobs: list[_Job], processes: int) -> Iterator[tuple[int, NDArray[n
     if processes < 2 or len(jobs) < 2:
         yield from map(_fields, jobs)
         return
-    # Forking a process in which torch has threads can hang.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(jobs)), mp_context=context) as pool:
-        yield from pool.map(_fields, jobs)
+    with Workers(min(processes, len(jobs))) as workers:
+        tasks = deque(workers.submit(_fields, job) for job in jobs)
+        while tasks:
+            workers.done = f"{len(jobs) - len(tasks)} of {len(jobs)} groups of presses"
+            # Taken off: what was given back need not be kept here as well.
+            yield tasks.popleft().result()
 
 
 def _fields(job: _Job) -> tuple[int, NDArray[np.floating[Any]]]:

@@ -1,17 +1,17 @@
 """Marker-to-marker translation: what another sensor would have shown of the same press.
 
 Four translators behind one interface (`translator`): `flow` is classical and needs no training,
-`field`, `direct` and `diffusion` are trained. `archive` translates whole archives.
+`field`, `direct` and `diffusion` are trained. `loading` opens one, `archive` translates whole
+archives.
 """
 
+from learning.translation.loading import LEARNED, load_translator
 from learning.translation.translator import (
     FLOW,
-    LEARNED,
     PairTranslator,
     SensorView,
     Translator,
     aimed,
-    load_translator,
     require_masks,
 )
 

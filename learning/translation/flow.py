@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,10 +12,6 @@ from learning.data.images import warp
 from learning.markers.displacement import LATTICE, SMOOTHING, FieldReader, edge_level
 from learning.translation.translator import FLOW, SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
-
-if TYPE_CHECKING:
-    import torch
-
 
 # Masks warped by displacement fields, many at once, on any device.
 
@@ -90,8 +85,6 @@ class FlowTranslator:
             LearningError: Wrong shapes or types, a reference that is needed and not there, or one
                 without markers.
         """
-        import torch
-
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()

@@ -1,10 +1,8 @@
-"""What every translator does, and the one that a name or a folder stands for."""
+"""What every translator does, and what it is given."""
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
 
 FLOW = "flow"
 """Name of the translator that needs no training, and so no folder."""
-LEARNED = ("field", "direct", "diffusion")
-"""Kinds of translators that are trained: each is a package of `learning.translation`."""
 
 _SAME_DISCS_PX = 3.0  # a disc of an untouched uSkin lies within this of where it is drawn
 
@@ -109,34 +105,6 @@ def aimed(translator: Translator, source: SensorView, target: SensorView) -> Tra
     if isinstance(translator, PairTranslator):
         return translator.between(source, target)
     return translator
-
-
-def load_translator(name_or_folder: str | Path, device: torch.device | str = "cpu") -> Translator:
-    """Return a translator.
-
-    Args:
-        name_or_folder: `flow`, or the folder of a finished training run.
-        device: Where a learned one computes.
-
-    Raises:
-        LearningError: No such folder, or one of something else than a translator.
-    """
-    if str(name_or_folder) == FLOW:
-        from learning.translation.flow import FlowTranslator
-
-        return FlowTranslator()
-    from learning.training.checkpoint import CONFIG, read_config
-
-    folder = Path(name_or_folder)
-    kind = read_config(folder).kind
-    if kind not in LEARNED:
-        raise LearningError(
-            f"{folder / CONFIG}: found kind {kind!r}; allowed: {', '.join(LEARNED)}, or {FLOW!r} "
-            "in place of a folder"
-        )
-    package = importlib.import_module(f"learning.translation.{kind}")
-    loaded: Translator = package.load(folder, device)
-    return loaded
 
 
 def require_masks(

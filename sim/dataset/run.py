@@ -9,8 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -23,6 +22,7 @@ from scipy.stats import poisson
 from recorder import SessionError
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
 from recorder.markers import count_markers, unpack
+from recorder.processes import WorkerLost, Workers
 from sim.dataset.generate import LATTICE, Made, Packed, Reader, make_unit, reader
 from sim.dataset.plan import (
     Family,
@@ -40,10 +40,10 @@ from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES
 from sim.markers import named as pattern_named
-from sim.pool import Spawning, WorkerLost, interrupts_kept_off, lost_worker, make_ready
 from sim.result import to_json
 from sim.scene import Scene
 from sim.sensors import CameraSignal, SimulatedSensor
+from sim.tiers import FEWER
 
 # An archive begun from a plan, or found again with its plan in it.
 
@@ -350,41 +350,28 @@ def make_in_processes(
         SceneError, OSError: As `make_unit`; units in flight are given up.
         WorkerLost: A process was killed, by a lack of memory for example.
     """
-    context = Spawning()
     rest = iter(units)
     pending: set[Future[Made]] = set()
-    executor = ProcessPoolExecutor(
-        max(1, min(processes, len(units))),
-        mp_context=context,
-        initializer=make_ready,
-        initargs=("fem", device),  # images are made by Warp, whatever the tier
-    )
     done = 0
-    finished = False
-    try:
+    # Images are made by Warp, whatever the tier.
+    workers = Workers(max(1, min(processes, len(units))), ready_device, device, fewer=FEWER)
+    workers.done = f"0 of {len(units)} units"
+    with workers:
         while True:
             # No more than are worked on, so that a stop is one.
             while len(pending) < processes and not stop.asked:
                 unit = next(rest, None)
                 if unit is None:
                     break
-                with _one_thread(), interrupts_kept_off():
-                    pending.add(executor.submit(make_unit, begun.path, begun.plan, unit, device))
+                with _one_thread():
+                    pending.add(workers.submit(make_unit, begun.path, begun.plan, unit, device))
             if not pending:
-                finished = True
                 return
             ready, pending = wait(pending, return_when=FIRST_COMPLETED)
             for task in ready:
                 yield task.result()
                 done += 1
-    except BrokenProcessPool as broken:
-        executor.shutdown(wait=True)
-        raise WorkerLost(lost_worker(context.started, f"{done} of {len(units)} units")) from broken
-    finally:
-        if not finished:
-            for worker in context.started:
-                worker.terminate()
-        executor.shutdown(wait=True, cancel_futures=True)
+                workers.done = f"{done} of {len(units)} units"
 
 
 @contextlib.contextmanager

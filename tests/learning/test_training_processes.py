@@ -17,10 +17,8 @@ import sys
 from dataclasses import dataclass
 import torch
 from torch import nn
-from learning.training.run import LaunchSettings, accelerator, described
-from learning.training.run import RunFolder
+from learning.training.run import LaunchSettings, RunFolder, Stop, accelerator, described
 from learning.training.run import batch, generator, seed_torch
-from learning.training.run import Stop
 
 @dataclass(frozen=True)
 class Toy:

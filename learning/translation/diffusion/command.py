@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from learning.command import add_resume, add_sensors, add_settings
 from learning.errors import LearningError
-from learning.progress import Progress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -16,10 +16,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-diffusion",
-        help="train the paper's translator on SD-Turbo",
         description="Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you have: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. Stopped by Ctrl-C, the same "
         "command with --resume goes on. Several GPUs: torchrun --nproc-per-node N -m learning ...",
@@ -27,14 +26,9 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument("archive", nargs="?", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--split", type=Path, metavar="JSON", help="of its presses")
     parser.add_argument("--out", type=Path, metavar="RUN", help="folder of the run")
-    parser.add_argument(
-        "--preset",
-        default="ours",
-        metavar="NAME",
-        help="paper_main, paper_supplement, authors_code, ours, or a YAML file (%(default)s)",
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="over the preset"
+    add_settings(
+        parser,
+        known="paper_main, paper_supplement, authors_code, ours, or a YAML file (%(default)s)",
     )
     parser.add_argument("--base", metavar="DIR", help="SD-Turbo: unet/, vae/ (weights.base)")
     parser.add_argument("--clip", metavar="DIR", help="CLIP ViT-B/32 (weights.clip)")
@@ -46,16 +40,14 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--from", dest="start_from", type=Path, metavar="RUN", help="start from this translator"
     )
-    parser.add_argument(
-        "--sensors", metavar="NAME,...", help="learn from these (all that are not held out)"
-    )
+    add_sensors(parser)
     parser.add_argument(
         "--pairing",
         default="supplement",
         choices=("supplement", "authors_code"),
         help="which frames of a press are paired (%(default)s)",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with the run that is there")
+    add_resume(parser)
     parser.add_argument(
         "--full-size-check",
         type=Path,
@@ -79,11 +71,11 @@ def _run(options: argparse.Namespace) -> int:
         raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
 
     from learning.archive_writer import archive_fingerprint
-    from learning.data.splits import read_split
     from learning.training.checkpoint import read_model_folder
-    from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
+    from learning.training.command import Training, open_data, run_training, trained_on
     from learning.translation.diffusion.data import read_image_pairs
-    from learning.translation.diffusion.train import read_pretrained, train
+    from learning.translation.diffusion.train import read_pretrained
+    from learning.translation.diffusion.train import train as train_translator
     from learning.translation.diffusion.translator import (
         BASE,
         KIND,
@@ -92,12 +84,10 @@ def _run(options: argparse.Namespace) -> int:
         vae_adapter_of,
     )
     from learning.translation.diffusion.weights import fingerprint, require_base_folder
-    from recorder import MarkerArchive
 
     settings = _settings(options)
-    archive, split = MarkerArchive(options.archive), read_split(options.split)
-    split.check(archive)
-    sensors = options.sensors.split(",") if options.sensors else split.trained_sensors(archive)
+    archive, split = open_data(options)
+    sensors = trained_on(options, archive, split)
     require_base_folder(settings.weights.base)
     base = fingerprint(settings.weights.base)
     vae_adapter, state, begun = None, None, ""
@@ -109,7 +99,40 @@ def _run(options: argparse.Namespace) -> int:
         require_base(before, base)
         state, begun = before.weights(), before.hash()
         vae_adapter = vae_adapter_of(state)
-    runs_on = accelerator(settings.launch)
+
+    def train(training: Training) -> None:
+        pretrained = read_pretrained(settings)
+        pairs, validation = (
+            read_image_pairs(
+                archive,
+                split,
+                role,
+                sensors=sensors,
+                preset=options.pairing,
+                device=training.device,
+                progress=training.reading,
+            )
+            if len(split.locations(role))
+            else None
+            for role in ("train", "validation")
+        )
+        if pairs is None:
+            raise LearningError(f"{options.split}: found no press to train on; allowed: some")
+        print(f"{len(pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
+        with training.stop:
+            train_translator(
+                pairs,
+                pretrained,
+                settings,
+                validation=validation,
+                vae_adapter=vae_adapter,
+                start_from=state,
+                run=training.run,
+                accelerator=training.accelerator,
+                stopping=training.stopping,
+                progress=training.steps,
+            )
+
     data = [
         "archive",
         archive_fingerprint(archive),
@@ -119,59 +142,7 @@ def _run(options: argparse.Namespace) -> int:
         base,
         begun,
     ]
-    with RunFolder.open(
-        options.out,
-        KIND,
-        settings,
-        " ".join(data),
-        options.resume,
-        facts={BASE: base},
-        writes=runs_on.is_main_process,
-    ) as run:
-        if run.finished:
-            print(f"{options.out}: is finished")
-            return 0
-        print(described(runs_on), file=sys.stderr)
-        reading, steps = Progress("images", sys.stderr), Progress("steps", sys.stderr)
-        pretrained = read_pretrained(settings)
-        training, validation = (
-            read_image_pairs(
-                archive,
-                split,
-                role,
-                sensors=sensors,
-                preset=options.pairing,
-                device=runs_on.device,
-                progress=reading,
-            )
-            if len(split.locations(role))
-            else None
-            for role in ("train", "validation")
-        )
-        if training is None:
-            raise LearningError(f"{options.split}: found no press to train on; allowed: some")
-        print(f"{len(training):,} pairs of {', '.join(sensors)}", file=sys.stderr)
-        try:
-            with Stop(lambda line: print(line, file=sys.stderr)) as stop:
-                train(
-                    training,
-                    pretrained,
-                    settings,
-                    validation=validation,
-                    vae_adapter=vae_adapter,
-                    start_from=state,
-                    run=run,
-                    accelerator=runs_on,
-                    stopping=lambda: stop.asked,
-                    progress=steps,
-                )
-        finally:
-            steps.close()
-        if stop.asked and not run.finished:
-            print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
-            return EXIT_INTERRUPTED
-    print(f"{options.out}: trained")
-    return 0
+    return run_training(options, KIND, settings, " ".join(data), train, facts={BASE: base})
 
 
 def _settings(options: argparse.Namespace) -> TranslatorSettings:

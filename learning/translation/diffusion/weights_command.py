@@ -11,10 +11,9 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "import-weights",
-        help="make the authors' published checkpoints usable",
         description="Reads model_N.pkl of the authors' translator or checkpoint.pth of their "
         "marker autoencoder, without running anything that is in it, and writes the folder of a "
         "training: for translate --model, train-diffusion --from, or train-diffusion --marker-vae.",

@@ -1,0 +1,52 @@
+"""The translator that a name or a folder stands for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from learning.translation.translator import FLOW, Translator
+
+if TYPE_CHECKING:
+    import torch
+
+LEARNED = ("field", "direct", "diffusion")
+"""Kinds of translators that are trained, as the folders of their runs name them."""
+
+
+def load_translator(name_or_folder: str | Path, device: torch.device | str = "cpu") -> Translator:
+    """Return a translator.
+
+    Args:
+        name_or_folder: `flow`, or the folder of a finished training run.
+        device: Where a learned one computes.
+
+    Raises:
+        LearningError: No such folder, or one of something else than a translator.
+    """
+    if str(name_or_folder) == FLOW:
+        from learning.translation.flow import FlowTranslator
+
+        return FlowTranslator()
+    from learning.training.checkpoint import CONFIG, read_config
+
+    folder = Path(name_or_folder)
+    kind = read_config(folder).kind
+    # Each where it is needed: diffusion wants libraries that the others do without.
+    if kind == "field":
+        from learning.translation import field
+
+        return field.load(folder, device)
+    if kind == "direct":
+        from learning.translation import direct
+
+        return direct.load(folder, device)
+    if kind == "diffusion":
+        from learning.translation import diffusion
+
+        return diffusion.load(folder, device)
+    raise LearningError(
+        f"{folder / CONFIG}: found kind {kind!r}; allowed: {', '.join(LEARNED)}, or {FLOW!r} "
+        "in place of a folder"
+    )
