@@ -299,11 +299,10 @@ class Assembly:
         self.effects = scenes[0].effects.key
         self.environments = len(scenes)
         vec3, mat33 = vector_of(real), matrix_of(real)
-        planted = numerics.planted
-        shape, rule = face_rule(numerics.contact_points, nodal=planted.nodal_contact)
+        shape, rule = face_rule(numerics.contact_points)
         self.points = len(rule)
 
-        self._element = element_kernels(real, "viscosity" in self.effects, planted.full_integration)
+        self._element = element_kernels(real, "viscosity" in self.effects)
         self._residual = residual_kernel(real, "inertia" in self.effects, "gravity" in self.effects)
 
         self._elements = self._array(mesh.elements, wp.int32)
@@ -342,7 +341,8 @@ class Assembly:
         self.element_energy = wp.zeros((environments, elements), dtype=real, device=device)
         self._element_det = wp.zeros((environments, elements), dtype=real, device=device)
         self.face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
-        self._face_energy = wp.zeros((environments, faces), dtype=real, device=device)
+        self.face_energy = wp.zeros((environments, faces), dtype=real, device=device)
+        """Energy of the contact springs of each face (B, S) [E T^3]."""
         self.touched = wp.zeros((environments, faces), dtype=wp.int32, device=device)
         self._matrix = wp.zeros((environments, faces, self.points), dtype=mat33, device=device)
         self._sums = wp.zeros((environments, self._runs, SUMS), dtype=wp.float64, device=device)
@@ -358,7 +358,6 @@ class Assembly:
             environments,
             device,
             viscous="viscosity" in self.effects,
-            full_integration=planted.full_integration,
             # Short steps make inertia stiff without a bound, and float16 has one.
             half=False if "inertia" in self.effects else None,
         )
@@ -412,7 +411,7 @@ class Assembly:
                 state.normal,
                 state.traction,
                 self._matrix,
-                self._face_energy,
+                self.face_energy,
             ],
             device=self.device,
         )
@@ -497,11 +496,6 @@ class Assembly:
             anew,
         )
         self.columns.factor(active, self.stencil.matrix)
-
-    def energy(self) -> np.ndarray:
-        """Incremental potential of the state last evaluated (B,) [E T^3]; weight left out."""
-        elastic = self.element_energy.numpy().sum(axis=1, dtype=float)
-        return elastic + self._face_energy.numpy().sum(axis=1, dtype=float)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the present state of the chosen environments (B,) the start of their next step."""

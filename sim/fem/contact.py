@@ -27,13 +27,8 @@ REACH = 2e-3
 """Distance over which the turning of the normal is measured, in thicknesses."""
 
 
-def face_rule(points: int, *, nodal: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Shape functions (P, 4) and weights (P,) of `points` x `points` Gauss points on a face.
-
-    `nodal` puts the points on the corners instead: the planted mistake.
-    """
-    if nodal:
-        return np.eye(4), np.ones(4)
+def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shape functions (P, 4) and weights (P,) of `points` x `points` Gauss points on a face."""
     place, weight = np.polynomial.legendre.leggauss(points)
     first = np.stack([1 - place, 1 + place], axis=1) / 2
     shape = np.einsum("pi,qj->pqij", first, first).reshape(-1, 4)

@@ -171,11 +171,10 @@ def strain_functions(real):
 
 
 @functools.cache
-def element_kernels(real, viscous: bool, full_integration: bool = False):
+def element_kernels(real, viscous: bool):
     """Kernel of the forces for one precision and combination of effects.
 
-    `viscous` compiles the Prony history in; without it no trace of it is left. `full_integration`
-    is the planted mistake.
+    `viscous` compiles the Prony history in; without it no trace of it is left.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -251,8 +250,6 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
             w = weight[m, e, q]
             square = wp.ddot(f, f)
             g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), power)
-            if wp.static(full_integration):
-                pressure = half * bulk[env] * less * (two + less) / j
             energy += w * half * (g * square - three * shear[env])
             # F - cof(F) tr(F^T F) / 3J, written in h = F - 1: nothing cancels at small strain
             trace = wp.trace(h)
@@ -295,7 +292,7 @@ def element_kernels(real, viscous: bool, full_integration: bool = False):
 
 
 @functools.cache
-def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
+def element_blocks_kernel(real, viscous: bool):
     """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node.
 
     On the CPU, where threads run one after the other, a launch may hold every element.
@@ -391,13 +388,9 @@ def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
             g = shear[env] * wp.pow(j, power)
             if wp.static(viscous):
                 g = g * factor[env]
-            if wp.static(full_integration):
-                pressure = half * bulk[env] * less * (two + less) / j
             over = g * third / j
             square = wp.ddot(f, f)
             mixed = w * over * five_thirds * square / j
-            if wp.static(full_integration):
-                mixed += w * half * bulk[env] * (one + one / (j * j))
             across = wp.transpose(inv)
             fr = f * across
             cr = cofactor(f) * across
@@ -478,8 +471,7 @@ def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
                                     block += moments[walsh, r + s + 2]
                                 else:
                                     block += wp.transpose(moments[walsh, r + s + 2])
-                if wp.static(not full_integration):
-                    block += wp.outer(mean_a * stiffness, mean_b)
+                block += wp.outer(mean_a * stiffness, mean_b)
                 block = block * (share(a) * share(b))
                 blocks[a, b] = block
                 if a != b:
@@ -532,7 +524,7 @@ def element_blocks_kernel(real, viscous: bool, full_integration: bool = False):
 
 
 @functools.cache
-def element_rows_kernel(real, viscous: bool, full_integration: bool = False):
+def element_rows_kernel(real, viscous: bool):
     """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -662,13 +654,9 @@ def element_rows_kernel(real, viscous: bool, full_integration: bool = False):
             g = shear[env] * wp.pow(j, power)
             if wp.static(viscous):
                 g = g * factor[env]
-            if wp.static(full_integration):
-                pressure = half * bulk[env] * less * (two + less) / j
             over = g * third / j
             square = wp.ddot(f, f)
             mixed = w * over * five_thirds * square / j
-            if wp.static(full_integration):
-                mixed += w * half * bulk[env] * (one + one / (j * j))
             across = wp.transpose(inv)
             cr = cofactor(f) * across
             # Half of the c c^T term to either side makes it a product with its transpose.
@@ -698,29 +686,27 @@ def element_rows_kernel(real, viscous: bool, full_integration: bool = False):
             k5 += by * sz + bz * sy
             k6 += bx * sz + bz * sx
             k7 += bx * (sy * sz) + by * (sx * sz) + bz * (sx * sy)
-            if wp.static(not full_integration):
-                mean += ca * w
-                cx = cx * w
-                cy = cy * w
-                cz = cz * w
-                m1 += cx
-                m2 += cy
-                m3 += cz
-                m4 += cx * sy + cy * sx
-                m5 += cy * sz + cz * sy
-                m6 += cx * sz + cz * sx
-                m7 += cx * (sy * sz) + cy * (sx * sz) + cz * (sx * sy)
+            mean += ca * w
+            cx = cx * w
+            cy = cy * w
+            cz = cz * w
+            m1 += cx
+            m2 += cy
+            m3 += cz
+            m4 += cx * sy + cy * sx
+            m5 += cy * sz + cz * sy
+            m6 += cx * sz + cz * sx
+            m7 += cx * (sy * sz) + cy * (sx * sz) + cz * (sx * sy)
 
-        if wp.static(not full_integration):
-            # The product with the mean of all volume changes is linear in the modes as well.
-            mean = mean * stiffness
-            k1 += wp.outer(mean, m1)
-            k2 += wp.outer(mean, m2)
-            k3 += wp.outer(mean, m3)
-            k4 += wp.outer(mean, m4)
-            k5 += wp.outer(mean, m5)
-            k6 += wp.outer(mean, m6)
-            k7 += wp.outer(mean, m7)
+        # The product with the mean of all volume changes is linear in the modes as well.
+        mean = mean * stiffness
+        k1 += wp.outer(mean, m1)
+        k2 += wp.outer(mean, m2)
+        k3 += wp.outer(mean, m3)
+        k4 += wp.outer(mean, m4)
+        k5 += wp.outer(mean, m5)
+        k6 += wp.outer(mean, m6)
+        k7 += wp.outer(mean, m7)
         b0, b1, b2, b3, b4, b5, b6, b7 = blocks_of(k1, k2, k3, k4, k5, k6, k7)
         add(elements, free, env, e, a, 0, b0, matrix_out)
         add(elements, free, env, e, a, 1, b1, matrix_out)

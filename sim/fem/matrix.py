@@ -304,7 +304,6 @@ class Stencil:
         device: str,
         *,
         viscous: bool = False,
-        full_integration: bool = False,
         parallel: bool | None = None,
         half: bool | None = None,
         keep: bool | None = None,
@@ -317,7 +316,6 @@ class Stencil:
             environments: How many, B.
             device: Where.
             viscous: Whether stresses have a history.
-            full_integration: The planted mistake of `element_kernels`.
             parallel: Whether threads run at once: colour by colour, a row of an element each, and
                 node numbers fastest in memory. On a GPU, when not said.
             half: Whether products read a copy of the matrix in float16, 486 bytes more. In float32,
@@ -330,7 +328,7 @@ class Stencil:
         self._device = device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
         kernel = element_rows_kernel if self._parallel else element_blocks_kernel
-        self._elements_kernel = kernel(real, viscous, full_integration)
+        self._elements_kernel = kernel(real, viscous)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
         half = real == wp.float32 if half is None else half

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.assembly import Assembly
+from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
 from sim.fem.numerics import ELASTIC_EVERY, Numerics
 from sim.fem.scalars import numpy_of
@@ -54,9 +54,7 @@ class Newton:
             assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.columns
         )
         self._start = wp.zeros_like(assembly.state.u)
-        planted = assembly.numerics.planted
         self._friction = "friction" in assembly.effects
-        self._rubbing = self._friction and not planted.lagged_friction
         self.residual = np.full(count, np.inf)
         """Out-of-balance force over force of the present state."""
         self.iterations = np.zeros(count, int)
@@ -103,7 +101,7 @@ class Newton:
         """One iteration of every running environment (B,) that is neither converged nor failed."""
         assembly, state = self._assembly, self._assembly.state
         active, predicting = self.mask(running), running & self._predicting
-        if self._rubbing:
+        if self._friction:
             late = running & (self.iterations >= RELAX_AFTER)
             state.relax_limit(self.mask(running & ~late), 1.0)
             if late.any():
@@ -145,7 +143,7 @@ class Newton:
         if not chosen.any():
             return
         assembly, state = self._assembly, self._assembly.state
-        if self._rubbing:
+        if self._friction:
             active = self.mask(chosen)
             state.settle_limit(active)
             assembly.evaluate_contact(active, state.u, self._cg.solution)
@@ -164,10 +162,8 @@ class Newton:
         A prediction is taken whole, or not at all where it leads to a state that cannot be.
         """
         assembly, state = self._assembly, self._assembly.state
-        by_energy = assembly.numerics.planted.energy_line_search
         direction = self._cg.solution
         copy_active(active, state.u, self._start)
-        energy = assembly.energy() if by_energy else None
         length = np.ones(assembly.environments)
         open_ = running.copy()
         for _trial in range(TRIALS):
@@ -176,9 +172,7 @@ class Newton:
             sums = assembly.evaluate(trying, state.u, direction)
             with np.errstate(invalid="ignore", divide="ignore"):
                 sound = np.isfinite(sums.square) & np.isfinite(sums.slope) & (sums.det > DET_TRIAL)
-                good = sound & (sums.slope <= 0.5 * np.abs(slope))
-                if by_energy:
-                    good = sound & (assembly.energy() <= energy + 1e-4 * length * slope)
+                good = sound & self._eased(sums, slope)
                 shrink = np.where(sound, slope / (slope - sums.slope), 0.5)
             good = np.where(predicting, sound | (length == 0), good)
             open_ &= ~good
@@ -192,6 +186,10 @@ class Newton:
             copy_active(stuck, self._start, state.u)
             assembly.evaluate(stuck, state.u, direction)
         return running & ~open_, length
+
+    def _eased(self, sums: Sums, slope: np.ndarray) -> np.ndarray:
+        """Whether a step leads to no more than half of the slope that it began with (B,)."""
+        return sums.slope <= 0.5 * np.abs(slope)
 
     def _walk(self, trying, length: np.ndarray) -> None:
         assembly = self._assembly

@@ -44,20 +44,6 @@ contact, which is taken anew each time, changes more (docs/decisions/0016)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Planted:
-    """Known mistakes, switched on only to prove that `make hard-cases` catches them."""
-
-    full_integration: bool = False
-    """Volume change taken at every Gauss point: the element locks near nu = 0.5."""
-    nodal_contact: bool = False
-    """Contact looked for at nodes only."""
-    lagged_friction: bool = False
-    """The friction limit taken from the step before, never brought up to date."""
-    energy_line_search: bool = False
-    """Steps accepted by a drop of the energy, which round-off hides close to the solution."""
-
-
-@dataclass(frozen=True, slots=True)
 class Numerics:
     """Mesh, precision, tolerances and step control of the `fem` tier.
 
@@ -105,8 +91,6 @@ class Numerics:
     friction a fortieth of the thickness at most."""
     halvings: int = 12
     """How often a step is cut in half before the solver gives up."""
-    planted: Planted = field(default_factory=Planted)
-    """Known mistakes, all off."""
 
     def __post_init__(self) -> None:
         if self.precision not in ("auto", "float32", "float64"):

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+import contextlib
 import math
-from dataclasses import fields
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
@@ -11,10 +12,10 @@ from benchmarks.sim.stability.catalogue import BY_NAME, CASES, chosen
 from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import Law, at_least, at_most, difference, rises, smooth
 from benchmarks.sim.stability.page import page
-from benchmarks.sim.stability.planted import CATCHERS, planted
+from benchmarks.sim.stability.planted import CATCHERS, WHAT, fully_integrated, planted
 from benchmarks.sim.stability.runner import Report, run_case, run_cases
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import Planted
+from sim.fem import assembly, matrix, solver
 
 QUICK = (
     "flat-punch-between-bounds",
@@ -55,16 +56,79 @@ def test_there_are_more_than_forty_cases_and_each_says_what_it_asserts() -> None
     assert all(case.asserts.endswith(".") and case.seconds > 0 for case in CASES)
 
 
-def test_every_mistake_of_the_solver_has_a_case_that_must_catch_it() -> None:
-    assert set(CATCHERS) == {field.name.replace("_", "-") for field in fields(Planted)}
-    assert all(set(names) <= set(BY_NAME) for names in CATCHERS.values())
+def test_every_mistake_has_a_case_that_must_catch_it() -> None:
+    assert set(CATCHERS) == set(WHAT)
+    assert all(names and set(names) <= set(BY_NAME) for names in CATCHERS.values())
 
 
-def test_planted_switches_on_one_mistake() -> None:
-    assert planted(None) == Planted()
-    assert planted("nodal-contact") == Planted(nodal_contact=True)
-    with pytest.raises(ValueError, match="known: full-integration"):
-        planted("no-such-mistake")
+def _solver_parts() -> dict[str, object]:
+    """What the mistakes stand in for."""
+    return {
+        "face_rule": assembly.face_rule,
+        "element_kernels": assembly.element_kernels,
+        "element_blocks_kernel": matrix.element_blocks_kernel,
+        "element_rows_kernel": matrix.element_rows_kernel,
+        "Newton": solver.Newton,
+    }
+
+
+@pytest.mark.parametrize(
+    ("mistake", "changed"),
+    [
+        (None, set()),
+        (
+            "full-integration",
+            {"element_kernels", "element_blocks_kernel", "element_rows_kernel"},
+        ),
+        ("nodal-contact", {"face_rule"}),
+        ("lagged-friction", {"Newton"}),
+        ("energy-line-search", {"Newton"}),
+    ],
+)
+def test_a_mistake_is_in_the_solver_only_while_it_is_planted(
+    mistake: str | None, changed: set[str]
+) -> None:
+    before = _solver_parts()
+    seen = {}
+    with contextlib.suppress(ZeroDivisionError), planted(mistake):
+        seen = _solver_parts()
+        raise ZeroDivisionError
+    assert {name for name, part in seen.items() if part != before[name]} == changed
+    assert _solver_parts() == before
+
+
+def test_a_mistake_that_is_not_known_is_refused() -> None:
+    with pytest.raises(ValueError, match="known: full-integration"), planted("no-such-mistake"):
+        pass
+
+
+def test_lines_that_the_solver_no_longer_has_are_not_silently_left_right(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("benchmarks.sim.stability.planted._FULL_INTEGRATION", (("gone", "", 1),))
+    with pytest.raises(ValueError, match="'gone' is not there 1 times"):
+        fully_integrated.__wrapped__()
+
+
+def test_nodal_contact_has_its_points_on_the_corners() -> None:
+    with planted("nodal-contact"):
+        shape, weight = assembly.face_rule(2)
+    assert (shape == np.eye(4)).all()
+    assert weight.sum() == 4.0
+
+
+def test_a_mistake_is_planted_in_worker_processes() -> None:
+    (name, *_others) = CATCHERS["nodal-contact"]
+    reports = run_cases(
+        chosen([name, "never-touches"]),
+        mistake="nodal-contact",
+        processes=2,
+        say=lambda _line: None,
+    )
+    assert {report.name: report.passed for report in reports} == {
+        name: False,
+        "never-touches": True,
+    }
 
 
 @pytest.mark.parametrize("measured", [1.0, -math.inf, 0.999])

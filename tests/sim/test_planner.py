@@ -17,7 +17,9 @@ from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.indenters import flat_punch, sphere
+from sim.planner.error_model import HELD_OUT as STORED_HELD_OUT
 from sim.planner.error_model import PROMISED, Table, fit, merged, quantile, read, write
+from sim.planner.error_model import TRAINING as STORED_TRAINING
 from sim.planner.features import (
     COARSER_BY,
     KINDS,
@@ -132,6 +134,22 @@ def test_a_table_comes_back_from_its_file(tmp_path):
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     with pytest.raises(ValueError, match="columns"):
         read(tmp_path / "other.csv")
+
+
+def test_an_older_table_was_measured_with_the_settings_of_today(tmp_path):
+    old = conditions_text()[:-1] + ", planted=Planted(full_integration={}, nodal_contact=False))"
+    for on in (False, True):
+        path = tmp_path / f"{on}.csv"
+        write(path, Table({"meshes": "3 4", "numerics": old.format(on)}, made_up(5, 3).rows))
+        found = read(path).conditions
+        assert (found["numerics"] == conditions_text()) == (not on)
+        assert found["meshes"] == "3 4"
+
+
+def test_the_stored_tables_were_measured_with_the_settings_of_today():
+    for path in (STORED_TRAINING, STORED_HELD_OUT):
+        assert "planted" not in path.read_text(encoding="utf-8")
+        assert read(path).conditions["numerics"] == conditions_text()
 
 
 def test_a_quantile_leaves_out_no_more_than_it_may():

@@ -9,6 +9,7 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array, Material
 
+from benchmarks.sim.stability.planted import planted
 from sim.fem.contact import face_rule
 from sim.fem.matrix import Stencil
 from sim.fem.mesh import SLOTS, Mesh, neighbours
@@ -60,17 +61,17 @@ class Tangents:
         self, real: Any, *, parallel: bool = False, half: bool = False, keep: bool = True
     ) -> Stencil:
         """Assembled by the kernels over a matrix full of `FILLED`."""
-        stencil = Stencil(
-            GRID,
-            real,
-            3,
-            "cpu",
-            viscous=self.variant == "viscous",
-            full_integration=self.variant == "full_integration",
-            parallel=parallel,
-            half=half,
-            keep=keep,
-        )
+        with planted("full-integration" if self.variant == "full_integration" else None):
+            stencil = Stencil(
+                GRID,
+                real,
+                3,
+                "cpu",
+                viscous=self.variant == "viscous",
+                parallel=parallel,
+                half=half,
+                keep=keep,
+            )
         stencil.matrix.fill_(FILLED)
         self.assemble(stencil, real)
         return stencil

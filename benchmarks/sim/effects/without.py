@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import ast
 import importlib
-import inspect
-import linecache
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
-from types import ModuleType
 from typing import Any
 
+from benchmarks.sim.substitute import in_place_of, rebuilt
 from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.effects.declaration import Snippet
 
@@ -50,13 +48,11 @@ def cut(source: str, flag: str) -> str:
 @cache
 def cut_factory(snippet: Snippet) -> Callable[..., Any]:
     """The kernel factory of a snippet, built from source that never had the snippet."""
-    source = cut(inspect.getsource(importlib.import_module(snippet.module)), snippet.flag)
-    module = ModuleType(f"{snippet.module}_without_{snippet.flag}")
-    file = f"{module.__name__}.py"
-    # Warp reads a kernel's source through `inspect`, which looks here before it looks for a file.
-    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    # Annotations must stay values: no inheriting of this file's __future__ imports.
-    exec(compile(source, file, "exec", dont_inherit=True), module.__dict__)
+    module = rebuilt(
+        importlib.import_module(snippet.module),
+        f"without_{snippet.flag}",
+        lambda source: cut(source, snippet.flag),
+    )
     factory: Callable[..., Any] = getattr(module, snippet.factory)
     return factory
 
@@ -64,14 +60,8 @@ def cut_factory(snippet: Snippet) -> Callable[..., Any]:
 @contextmanager
 def built_without(effect: str) -> Iterator[None]:
     """While it is open, every batch is solved by kernels that never had `effect`."""
-    snippets = [
-        (snippet, importlib.import_module(snippet.user)) for snippet in EFFECTS[effect].KERNELS
-    ]
-    kept = [getattr(user, snippet.factory) for snippet, user in snippets]
-    try:
-        for snippet, user in snippets:
-            setattr(user, snippet.factory, cut_factory(snippet))
+    with ExitStack() as open_:
+        for snippet in EFFECTS[effect].KERNELS:
+            user = importlib.import_module(snippet.user)
+            open_.enter_context(in_place_of(user, snippet.factory, cut_factory(snippet)))
         yield
-    finally:
-        for (snippet, user), factory in zip(snippets, kept, strict=True):
-            setattr(user, snippet.factory, factory)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from benchmarks.sim.stability.laws import Law
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import Numerics, Planted
+from sim.fem.numerics import Numerics
 from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate_many
@@ -15,14 +15,13 @@ from sim.simulate import simulate_many
 
 @dataclass(frozen=True, slots=True)
 class Solver:
-    """How cases call the `fem` tier: the device, and the mistakes that are switched on."""
+    """How cases call the `fem` tier."""
 
     device: str = "cpu"
-    planted: Planted = field(default_factory=Planted)
 
     def numerics(self, spacing: float = 1e-3, **others: object) -> Numerics:
         """Numerics with this mesh; 1 mm is coarse, and laws of mechanics hold on it as well."""
-        return Numerics(spacing=spacing, planted=self.planted, **others)  # type: ignore[arg-type]
+        return Numerics(spacing=spacing, **others)  # type: ignore[arg-type]
 
     def one(self, scene: Scene, **numerics: object) -> Result:
         """The result of one scene.

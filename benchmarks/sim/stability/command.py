@@ -39,8 +39,8 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--planted",
         metavar="MISTAKE",
-        help="switch a known mistake on and tell which cases catch it; `all`: each mistake on "
-        "the cheapest cases that must",
+        help="plant a known mistake in the solver and tell which cases catch it; `all`: each "
+        "mistake on the cheapest cases that must",
     )
     parser.add_argument(
         "--processes", type=int, help="side by side (default: 2 on a CPU, 1 on a GPU)"

@@ -22,9 +22,8 @@ solver raises `SimulationDiverged` with what it tried and its last good state.
 Repeat it with `make hard-cases` (`ONLY=name` for some; `python -m benchmarks hard-cases --list`
 names them). It fails when any law fails. Each limit is explained where it stands, in
 `benchmarks/sim/stability/`: what the mesh, the tolerance or float32 lets one expect, and a factor
-of 2 to 5.
-Most cases run on elements of 1 mm (20 x 20 x 4 in the gel): coarse for force, and the laws must
-hold there as well.
+of 2 to 5. Most cases run on elements of 1 mm (20 x 20 x 4 in the gel): coarse for force, and the
+laws must hold there as well.
 """
 
 _TITLES = {
@@ -84,7 +83,7 @@ def _planted(caught: Mapping[str, Sequence[Report]]) -> list[str]:
     lines = [
         "## Planted mistakes",
         "",
-        "Known mistakes can be switched on in the solver (`--planted NAME`, or `all`). The cases "
+        "Known mistakes can be planted in the solver (`--planted NAME`, or `all`). The cases "
         "must catch each; these are the cheapest that do, and what they say then.",
         "",
         "| mistake | what it is | caught by | law that fails |",

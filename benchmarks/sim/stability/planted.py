@@ -1,10 +1,16 @@
-"""The mistakes that can be planted in the solver, and the cases that must catch them."""
+"""Builds of the solver that are wrong on purpose, and the cases that must catch them."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from types import ModuleType
+from typing import Any
 
-from sim.fem.numerics import Planted
+import numpy as np
+
+from benchmarks.sim.substitute import in_place_of, rebuilt
 
 CATCHERS: dict[str, tuple[str, ...]] = {
     "full-integration": ("poisson-0-49",),
@@ -23,16 +29,139 @@ WHAT: dict[str, str] = {
     "energy-line-search": "steps accepted by a drop of the energy",
 }
 
+Part = tuple[ModuleType, str, Any]
+"""A module of the solver, a name in it, and what the name stands for instead."""
 
-def planted(mistake: str | None) -> Planted:
-    """The solver's switches with one mistake on, or none.
+_FULL_INTEGRATION = (
+    # In the forces, the pressure of each Gauss point in place of the element's.
+    (
+        "            energy += w * half * (g * square - three * shear[env])\n",
+        "            energy += w * half * (g * square - three * shear[env])\n"
+        "            pressure = half * bulk[env] * less * (two + less) / j\n",
+        1,
+    ),
+    # In both tangents, the same, and its derivative in place of the mean's.
+    (
+        "            mixed = w * over * five_thirds * square / j\n",
+        "            mixed = w * over * five_thirds * square / j\n"
+        "            pressure = half * bulk[env] * less * (two + less) / j\n"
+        "            mixed += w * half * bulk[env] * (one + one / (j * j))\n",
+        2,
+    ),
+    ("        stiffness = stiffness / volume\n", "        stiffness = real(0.0)\n", 2),
+)
+"""Lines of `sim.fem.element`, what stands there instead, and how often the lines are there."""
+
+
+@cache
+def fully_integrated() -> ModuleType:
+    """`sim.fem.element` with the volume change of each Gauss point in place of the element's.
+
+    Raises:
+        ValueError: Lines that are to be changed are not in its source.
+    """
+    from sim.fem import element
+
+    def change(source: str) -> str:
+        for right, wrong, count in _FULL_INTEGRATION:
+            if source.count(right) != count:
+                raise ValueError(
+                    f"{element.__name__}: {right.strip()!r} is not there {count} times"
+                )
+            source = source.replace(right, wrong)
+        return source
+
+    return rebuilt(element, "fully_integrated", change)
+
+
+def _full_integration() -> list[Part]:
+    from sim.fem import assembly, matrix
+
+    wrong = fully_integrated()
+    return [
+        (user, factory, getattr(wrong, factory))
+        for user, factory in (
+            (assembly, "element_kernels"),
+            (matrix, "element_blocks_kernel"),
+            (matrix, "element_rows_kernel"),
+        )
+    ]
+
+
+def _nodal_contact() -> list[Part]:
+    from sim.fem import assembly
+
+    def corners(_points: int) -> tuple[Any, Any]:
+        return np.eye(4), np.ones(4)
+
+    return [(assembly, "face_rule", corners)]
+
+
+def _lagged_friction() -> list[Part]:
+    from sim.fem import solver
+    from sim.fem.newton import Newton
+
+    class Lagged(Newton):
+        """Takes friction's limit when a step begins, and never brings it up to date."""
+
+        def __init__(self, assembly: Any) -> None:
+            super().__init__(assembly)
+            self._friction = False
+            self._rubs = "friction" in assembly.effects
+
+        def begin(self, chosen: Any, tolerance: Any, *, predict: Any) -> None:
+            if self._rubs and chosen.any():
+                self._assembly.state.settle_limit(self.mask(chosen))
+            super().begin(chosen, tolerance, predict=predict)
+
+    return [(solver, "Newton", Lagged)]
+
+
+def _energy_line_search() -> list[Part]:
+    from sim.fem import solver
+    from sim.fem.newton import Newton
+
+    class ByEnergy(Newton):
+        """Accepts steps by a drop of the energy, which round-off hides close to the solution."""
+
+        def _search(self, active: Any, running: Any, predicting: Any, slope: Any) -> Any:
+            self._before = self._energy()
+            return super()._search(active, running, predicting, slope)
+
+        def _walk(self, trying: Any, length: Any) -> None:
+            self._length = length
+            super()._walk(trying, length)
+
+        def _eased(self, _sums: Any, slope: Any) -> Any:
+            return self._energy() <= self._before + 1e-4 * self._length * slope
+
+        def _energy(self) -> Any:
+            """Of elements and contact springs, by environment; weight left out."""
+            assembly: Any = self._assembly
+            shares = assembly.element_energy, assembly.face_energy
+            return sum(share.numpy().sum(axis=1, dtype=float) for share in shares)
+
+    return [(solver, "Newton", ByEnergy)]
+
+
+_PARTS: dict[str, Callable[[], list[Part]]] = {
+    "full-integration": _full_integration,
+    "nodal-contact": _nodal_contact,
+    "lagged-friction": _lagged_friction,
+    "energy-line-search": _energy_line_search,
+}
+
+
+@contextmanager
+def planted(mistake: str | None) -> Iterator[None]:
+    """While it is open, this process solves with the mistake; with None, as ever.
 
     Raises:
         ValueError: No such mistake.
     """
-    if mistake is None:
-        return Planted()
-    name = mistake.replace("-", "_")
-    if name not in {field.name for field in fields(Planted)}:
+    if mistake is not None and mistake not in _PARTS:
         raise ValueError(f"no mistake is called {mistake!r}; known: {', '.join(MISTAKES)}")
-    return Planted(**{name: True})
+    with ExitStack() as open_:
+        for part in _PARTS[mistake]() if mistake is not None else ():
+            open_.enter_context(in_place_of(*part))
+        yield

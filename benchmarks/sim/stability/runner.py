@@ -44,12 +44,16 @@ class Report:
 
 
 def run_case(name: str, device: str, mistake: str | None) -> Report:
-    """Run one case here; whatever goes wrong in it is its failure, not the end of the others."""
+    """Run one case here; whatever goes wrong in it is its failure, not the end of the others.
+
+    A mistake is planted in this process, which may be a worker, and taken out when the case ends.
+    """
     began = time.perf_counter()
     laws: tuple[Law, ...] = ()
     trouble = ""
     try:
-        laws = tuple(BY_NAME[name].run(Solver(device, planted(mistake))))
+        with planted(mistake):
+            laws = tuple(BY_NAME[name].run(Solver(device)))
     except SimulationDiverged as diverged:
         trouble = f"no state was found: {diverged}"
     except Exception as error:
