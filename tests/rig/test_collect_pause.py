@@ -185,13 +185,13 @@ SENTINELS = """
 import json, select, sys
 from dataclasses import replace
 from pathlib import Path
-from rig.bench import load_bench
-from rig.clock import SystemClock
-from rig.collect.control import Control
-from rig.collect.sentinels import Released, Sentinels
-from rig.errors import DeviceLost
-from rig.hid.config import PedalConfig
-from rig.hid.emulator import HidEmulator
+from rig.acquire.control import Control
+from rig.acquire.interlocks import Released, Sentinels
+from rig.bench.bench import load_bench
+from rig.core.clock import SystemClock
+from rig.core.errors import DeviceLost
+from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.settings import PedalConfig
 
 node, mode, bench_file = sys.argv[1:]
 clock, control = SystemClock(), Control()
