@@ -15,9 +15,6 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
 from rig.core.samples import POSE_LATEST
 
-pytestmark = pytest.mark.serial
-
-
 BENCH: Bench = load_bench(find_bench("tacpalm", Path(__file__).parents[2] / "benches"))[0]
 RATES = {"force": 1000.0, "pose": 500.0, "camera": 30.0}
 

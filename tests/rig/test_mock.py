@@ -13,9 +13,6 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.mock.bench import MockBench, free_loopback
 from rig.mock.emulators import Sources
 
-pytestmark = pytest.mark.serial
-
-
 BENCHES = Path(__file__).parents[2] / "benches"
 
 
