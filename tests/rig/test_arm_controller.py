@@ -11,9 +11,6 @@ from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import PLAYING, STOPPED, Controller, dashboard_answer
 
-pytestmark = pytest.mark.serial
-
-
 TCP = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
 START = compose(flange_pose(np.array(POSTURE)), TCP)
 SCRIPT = "def rtde_control():\n  x\nend\n"

@@ -19,9 +19,6 @@ from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator, RtdeClient
 from rig.devices.arm.reader import COLUMNS, RtdeLink, RtdePoseDriver
 
-pytestmark = pytest.mark.serial
-
-
 HOST = f"127.{10 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
 # Loopback addresses by process: parallel runs do not meet.
 

@@ -11,7 +11,6 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import OUTCOMES, Session
-from rig.core.packaged import BENCHES
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
@@ -21,7 +20,10 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Collec
     """Two targets of the TacPalm, with the World's truth."""
     folder = tmp_path_factory.mktemp("collected")
     truth = folder / "truth"
-    run = Collection.start(folder / "s.zarr", "--targets", "2", "--truth", str(truth))
+    bench = quick_bench(folder, "tacpalm")
+    run = Collection.start(
+        *(folder / "s.zarr", "--targets", "2", "--truth", str(truth), "--bench", str(bench))
+    )
     assert run.wait(100) == 0, run.text
     return Session(run.session), run, truth
 
@@ -148,50 +150,3 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     assert faults_of(run.session) == []
     done = set(zip(session.segments["target"], session.segments["phase"], strict=True))
     assert len(done) == 4
-
-
-def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothing(
-    tmp_path: Path,
-) -> None:
-    bench = tmp_path / "lab.yaml"
-    base = BENCHES / "tacpalm.yaml"
-    host = "127.0.0.239"
-    bench.write_text(
-        f"""
-extends: {base}
-mock: false
-world: null
-arm: {{host: {host}}}
-force: {{host: {host}}}
-camera: {{address: "http://{host}:8081/stream.mjpg"}}
-"""
-    )
-    run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench))
-    assert run.wait(30) == 3, run.text
-    assert run.lines[0].startswith("LAB BENCH")
-    assert "the arm WILL move" in run.lines[0]
-    assert "device lost" in run.lines[-1]
-    assert host in run.lines[-1]
-    assert not run.session.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("--sensor", "nose"), "tacpalm"),
-        ((), "--sensor"),
-        (("--sensor", "tacpalm", "--targets", "161"), "1 to 160"),
-        (("--sensor", "tacpalm", "--targets", "0"), "1 to 160"),
-        (("--sensor", "tacpalm", "--camera", "/no/such"), "no such file"),
-        (("--sensor", "tacpalm", "--resume", "/no/such.zarr"), "/no/such.zarr"),
-    ],
-)
-def test_wrong_input_exits_with_2_and_one_clear_line(
-    arguments: tuple[str, ...], word: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    from rig.__main__ import main
-
-    out = [] if "--resume" in arguments else ["--out", str(tmp_path / "s.zarr")]
-    assert main(["collect", *arguments, *out]) == 2
-    assert word in capfd.readouterr().err
-    assert not (tmp_path / "s.zarr").exists()

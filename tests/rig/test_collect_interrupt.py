@@ -8,8 +8,6 @@ import pytest
 
 from rig.acquire.control import Interrupted, InterruptFlag
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_first_is_remembered_and_told_when_asked(number: signal.Signals) -> None:

@@ -28,9 +28,6 @@ from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.gripper.watch import GripWatch, judge
 from trajectories import PressShear
 
-pytestmark = pytest.mark.serial
-
-
 ROOT = Path(__file__).parents[2]
 COMPLETE, INTERRUPTED, STOPPED = (
     OUTCOMES.index(name) for name in ("complete", "interrupted", "stopped")
@@ -186,13 +183,13 @@ SENTINELS = """
 import json, select, sys
 from dataclasses import replace
 from pathlib import Path
-from rig.bench.bench import load_bench
-from rig.core.clock import SystemClock
 from rig.acquire.control import Control
 from rig.acquire.interlocks import Released, Sentinels
+from rig.bench.bench import load_bench
+from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
-from rig.devices.hid.settings import PedalConfig
 from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.settings import PedalConfig
 
 node, mode, bench_file = sys.argv[1:]
 clock, control = SystemClock(), Control()
@@ -351,6 +348,7 @@ def in_second_phase(run: Collection) -> None:
 WHOLE = [(phase, COMPLETE) for phase in range(4)]
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_a_grip_lost_in_mid_press_halts_retracts_and_exits_with_4(collect: Collect) -> None:
@@ -369,6 +367,7 @@ def test_a_grip_lost_in_mid_press_halts_retracts_and_exits_with_4(collect: Colle
     assert faults_of(run.session, stopped=True) == []
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: Collect) -> None:
@@ -396,6 +395,7 @@ def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: 
     assert "going on after a pause" in run.text
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_ctrl_c_ends_a_pause_with_everything_kept(collect: Collect) -> None:
@@ -409,6 +409,7 @@ def test_ctrl_c_ends_a_pause_with_everything_kept(collect: Collect) -> None:
     assert faults_of(run.session, stopped=True) == []
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(240)
 def test_a_pedal_released_in_mid_shear_halts_and_the_target_is_pressed_again(
@@ -453,6 +454,7 @@ def last_part(run: Collection, word: str) -> str:
     return run.session.with_suffix(".log").read_text().rpartition(word)[2]
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_an_unplugged_dead_man_pedal_halts_and_is_lost_after_its_limit(collect: Collect) -> None:
@@ -472,6 +474,7 @@ def test_an_unplugged_dead_man_pedal_halts_and_is_lost_after_its_limit(collect: 
     assert faults_of(run.session, stopped=True) == []
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_a_pedal_plugged_in_again_in_time_goes_on(collect: Collect) -> None:

@@ -15,9 +15,6 @@ from rig.core.geometry import compose
 from rig.core.packaged import BENCHES
 from rig.core.samples import POSE_LATEST
 
-pytestmark = pytest.mark.serial
-
-
 BENCH: Bench = load_bench(find_bench("tacpalm", BENCHES))[0]
 RATES = {"force": 1000.0, "pose": 500.0, "camera": 30.0}
 

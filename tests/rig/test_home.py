@@ -23,8 +23,6 @@ from rig.core.packaged import BENCHES
 from rig.mock.world.analytic import AnalyticWorld
 from trajectories import Touch, plan_from_json, plan_to_json
 
-pytestmark = pytest.mark.serial
-
 
 def _bench(sensor: str) -> Bench:
     return load_bench(BENCHES / f"{sensor}.yaml")[0]
@@ -236,6 +234,7 @@ def test_a_latency_becomes_the_attributes_of_its_stream(tmp_path: Path) -> None:
         store.load(tmp_path, bench, "prism")
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_home_finds_a_surface_that_the_bench_file_has_wrong_and_collect_goes_there(
@@ -269,6 +268,7 @@ world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
     assert lowest == pytest.approx(0.1597 - 0.3e-3, abs=5e-5)
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_home_refuses_when_there_is_nothing_to_touch(tmp_path: Path) -> None:

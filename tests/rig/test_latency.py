@@ -21,9 +21,6 @@ from rig.core.packaged import BENCHES
 from rig.devices.camera.jpeg import frame_stamp
 from trajectories import Taps, plan_from_json, plan_to_json
 
-pytestmark = pytest.mark.serial
-
-
 TRUE = 0.055
 
 
@@ -161,6 +158,7 @@ def test_taps_are_light_irregular_and_the_same_again() -> None:
         latency.plan_for(bench, depth=None, count=2)
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("delay_ms", [0.0, 55.0])

@@ -27,9 +27,6 @@ from rig.core.packaged import BENCHES
 from rig.monitor.forces import ForceLine, Seen, watch
 from rig.monitor.watched import Watched, mock_bench, replayed
 
-pytestmark = pytest.mark.serial
-
-
 WORK_NS = 5_000_000
 """What the stub takes for a frame."""
 
@@ -252,6 +249,7 @@ def test_wrong_options_end_before_anything_is_started(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 def test_a_model_says_forces_of_a_mock_bench_until_ctrl_c(tmp_path: Path) -> None:
     model, out = tmp_path / "model", tmp_path / "forces.csv"

@@ -14,8 +14,6 @@ from rig.core.packaged import BENCHES
 from rig.core.sources import Sources
 from rig.mock.bench import MockBench, free_loopback
 
-pytestmark = pytest.mark.serial
-
 
 @pytest.mark.parametrize(
     ("sensor", "devices"),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import signal
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -27,9 +29,6 @@ from rig.replay import replay as module
 from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayOrder
 from rig.replay.result import Retiming, compared
 from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
-
-pytestmark = pytest.mark.serial
-
 
 SCALE = np.repeat(Page().scale(), 3)
 ALL = ("camera", "force", "pose", "taxels")
@@ -57,13 +56,33 @@ def replayed(source: Path, out: Path, speed: float = 0.0, **options: Any) -> Ses
     return Session(out)
 
 
-def test_two_replays_at_maximum_speed_have_the_bytes_of_their_source(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+class Replays(NamedTuple):
+    """A session of all four streams, and what came of replaying it."""
+
+    source: Path
+    fast: Path
+    quick: Path
+    printed: str
+
+
+@pytest.fixture(scope="module")
+def replays(tmp_path_factory: pytest.TempPathFactory) -> Replays:
+    """Replayed at maximum speed and at eight times its own."""
+    folder = tmp_path_factory.mktemp("replays")
+    source = small_session(folder / "s.zarr", seconds=1.0)
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        replayed(source, folder / "fast.zarr")
+        replayed(source, folder / "quick.zarr", 8.0)
+    return Replays(source, folder / "fast.zarr", folder / "quick.zarr", printed.getvalue())
+
+
+@pytest.mark.serial
+def test_replays_at_maximum_and_at_another_speed_have_the_bytes_of_their_source(
+    replays: Replays,
 ) -> None:
-    source = small_session(tmp_path / "s.zarr", seconds=1.0)
-    first = replayed(source, tmp_path / "a.zarr")
-    second = replayed(source, tmp_path / "b.zarr")
-    session = Session(source)
+    first, second, session = (
+        Session(path) for path in (replays.fast, replays.quick, replays.source)
+    )
     assert digests(first) == digests(second) == digests(session)
     for name in ("force", "pose", "taxels"):
         for column in set(session.streams[name].names) - TIMES:
@@ -73,17 +92,15 @@ def test_two_replays_at_maximum_speed_have_the_bytes_of_their_source(
     assert [first.streams["camera"].jpeg(row) for row in range(len(jpegs))] == jpegs
     assert np.isnan(first.streams["camera"].array("device_t")).all()
     assert first.streams["force"].t_ns[0] != session.streams["force"].t_ns[0]
-    printed = capsys.readouterr().out
-    assert all(digest in printed for digest in digests(session).values())
-    assert "DIFFERENT" not in printed
+    assert all(replays.printed.count(digest) == 2 for digest in digests(session).values())
+    assert "DIFFERENT" not in replays.printed
 
 
+@pytest.mark.serial
 def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
-    tmp_path: Path,
+    replays: Replays,
 ) -> None:
-    source = small_session(tmp_path / "s.zarr", names=("taxels", "force"))
-    replay = replayed(source, tmp_path / "r.zarr", 8.0)
-    session = Session(source)
+    session, replay = Session(replays.source), Session(replays.quick)
     origin = replay.attrs["replay_of"]
     assert (origin["name"], origin["speed"]) == ("s.zarr", 8.0)
     assert origin["streams"] == digests(session)
@@ -98,7 +115,7 @@ def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
     assert np.array_equal(replay.reference["wrench"], session.reference["wrench"])
     assert len(replay.frames["t_ns"]) == len(session.frames["t_ns"])
     excused = {"gap", "clock-step"}
-    assert [str(f) for f in check(tmp_path / "r.zarr") if f.code not in excused] == []
+    assert [str(f) for f in check(replays.quick) if f.code not in excused] == []
 
 
 def two_runs(path: Path) -> Path:
@@ -126,6 +143,7 @@ def two_runs(path: Path) -> Path:
     return path
 
 
+@pytest.mark.serial
 def test_runs_are_replayed_one_after_the_other_with_clocks_of_their_own(tmp_path: Path) -> None:
     source = two_runs(tmp_path / "s.zarr")
     replay = replayed(source, tmp_path / "r.zarr")
@@ -137,6 +155,7 @@ def test_runs_are_replayed_one_after_the_other_with_clocks_of_their_own(tmp_path
     assert replay.runs[0]["t0_ns"] < replay.streams["force"].t_ns[0] < replay.runs[1]["t0_ns"]
 
 
+@pytest.mark.serial
 def test_a_stream_that_is_left_out_is_named(tmp_path: Path) -> None:
     source = small_session(
         tmp_path / "s.zarr", seconds=0.5, codec="zstd", names=("camera", "force")
@@ -273,6 +292,13 @@ def test_more_rows_than_were_sent_are_no_replay() -> None:
         EndOfTape({"force": 10}, 0.0).reached(0, {"force": 11}, {"force": _position(ENDED, 10)})
 
 
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session that takes 30 s to replay."""
+    path = tmp_path_factory.mktemp("long") / "s.zarr"
+    return small_session(path, seconds=30.0, names=("force", "pose"))
+
+
 def _start(source: Path, out: Path) -> Collection:
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "rig", "replay", "--session", str(source), "--out", str(out)],
@@ -285,6 +311,7 @@ def _start(source: Path, out: Path) -> Collection:
     return Collection(out, process)
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize(
     ("victim", "code", "word"),
     [
@@ -294,10 +321,9 @@ def _start(source: Path, out: Path) -> Collection:
     ],
 )
 def test_whatever_ends_a_replay_what_was_recorded_is_kept(
-    victim: str, code: int, word: str, tmp_path: Path
+    victim: str, code: int, word: str, tmp_path: Path, long: Path
 ) -> None:
-    source = small_session(tmp_path / "s.zarr", seconds=30.0, names=("force", "pose"))
-    replay = _start(source, tmp_path / "r.zarr")
+    replay = _start(long, tmp_path / "r.zarr")
     replay.until(replay.recording)
     replay.until(lambda: _journalled(tmp_path / "r.zarr") > 20_000)
     if victim == "emulator":
@@ -319,7 +345,7 @@ def test_whatever_ends_a_replay_what_was_recorded_is_kept(
     assert session.status == "stopped"
     kept = session.streams["force"].array("value")
     assert len(kept) > 100
-    assert kept.tobytes() == Session(source).streams["force"].array("value")[: len(kept)].tobytes()
+    assert kept.tobytes() == Session(long).streams["force"].array("value")[: len(kept)].tobytes()
     codes = {finding.code for finding in check(tmp_path / "r.zarr")}
     assert codes <= {"gap", "clock-step"}
 
@@ -328,6 +354,7 @@ def _journalled(session: Path) -> int:
     return sum(path.stat().st_size for path in session.glob("streams/force/t_ns/journal-*"))
 
 
+@pytest.mark.serial
 def test_a_driver_that_cannot_open_ends_the_replay_before_a_session_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

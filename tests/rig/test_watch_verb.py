@@ -17,8 +17,6 @@ from rig.monitor.page.messages import page_job
 from rig.monitor.page.page import Page
 from trajectories import ForceDepth
 
-pytestmark = pytest.mark.serial
-
 
 def parse(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()

@@ -1,0 +1,57 @@
+"""Collections that are refused: nothing answers, or what was asked for cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.collecting import Collection
+
+from rig.core.packaged import BENCHES
+
+
+def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothing(
+    tmp_path: Path,
+) -> None:
+    bench = tmp_path / "lab.yaml"
+    base = BENCHES / "tacpalm.yaml"
+    host = "127.0.0.239"
+    bench.write_text(
+        f"""
+extends: {base}
+mock: false
+world: null
+arm: {{host: {host}}}
+force: {{host: {host}}}
+camera: {{address: "http://{host}:8081/stream.mjpg"}}
+"""
+    )
+    run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench))
+    assert run.wait(30) == 3, run.text
+    assert run.lines[0].startswith("LAB BENCH")
+    assert "the arm WILL move" in run.lines[0]
+    assert "device lost" in run.lines[-1]
+    assert host in run.lines[-1]
+    assert not run.session.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--sensor", "nose"), "tacpalm"),
+        ((), "--sensor"),
+        (("--sensor", "tacpalm", "--targets", "161"), "1 to 160"),
+        (("--sensor", "tacpalm", "--targets", "0"), "1 to 160"),
+        (("--sensor", "tacpalm", "--camera", "/no/such"), "no such file"),
+        (("--sensor", "tacpalm", "--resume", "/no/such.zarr"), "/no/such.zarr"),
+    ],
+)
+def test_wrong_input_exits_with_2_and_one_clear_line(
+    arguments: tuple[str, ...], word: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from rig.__main__ import main
+
+    out = [] if "--resume" in arguments else ["--out", str(tmp_path / "s.zarr")]
+    assert main(["collect", *arguments, *out]) == 2
+    assert word in capfd.readouterr().err
+    assert not (tmp_path / "s.zarr").exists()

@@ -1,0 +1,130 @@
+"""Real arms: the real ur_rtde in its supervised child, against the emulator in a process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.geometry import compose
+from rig.core.guard import GuardLimits
+from rig.devices.arm import emulator_faults
+from rig.devices.arm.arm import Arm
+from rig.devices.arm.emulated_arm import POSTURE, flange_pose
+from rig.devices.arm.settings import ArmConfig
+
+ROOT = Path(__file__).resolve().parents[2]
+HOST = f"127.{110 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
+# Loopback addresses by process: parallel runs do not meet.
+TCP = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+START = compose(flange_pose(np.array(POSTURE)), TCP)
+FRAME = (*(START[:3] - [0.0, 0.0, 0.03]), 0.0, 0.0, 0.0)
+LIMITS = GuardLimits(
+    force_rating=(10.0, 10.0, 10.0, 1.0, 1.0, 1.0),
+    box=((-0.05, -0.05, -0.005), (0.05, 0.05, 0.06)),
+    # Roomy: the machine's own delays must not look like a lost sensor.
+    stale_force=2.0,
+    stale_pose=2.0,
+)
+# A child that is held up for a quarter of a second is no dead one here.
+CONFIG = ArmConfig(host=HOST, tcp=TCP, payload=0.7, retract=0.01, watchdog_hz=2.0)
+CLOCK = SystemClock()
+
+
+def inject(fault: str = "state", **values: Any) -> dict[str, Any]:
+    return emulator_faults.inject(HOST, fault, **values)
+
+
+def at(x: float, y: float, z: float, vector: Any = START[3:]) -> np.ndarray:
+    """TCP pose at a place in the contact frame, which stands parallel to the base."""
+    return np.array([FRAME[0] + x, FRAME[1] + y, FRAME[2] + z, *vector])
+
+
+def height() -> float:
+    return inject()["pose"][2] - FRAME[2]
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    deadline_ns = CLOCK.now_ns() + round(seconds * SECOND_NS)
+    while not condition():
+        assert CLOCK.now_ns() < deadline_ns, "did not come about"
+        CLOCK.sleep_until(CLOCK.now_ns() + 10_000_000)
+
+
+def moving() -> bool:
+    return any(abs(speed) > 1e-3 for speed in inject()["speed"])
+
+
+def stands_still() -> bool:
+    """The same pose over at least 50 controller cycles."""
+    before = inject()
+    wait_until(lambda: inject()["tick"] >= before["tick"] + 50)
+    return inject()["pose"] == before["pose"]
+
+
+@contextmanager
+def emulated() -> Iterator[subprocess.Popen[str]]:
+    """An emulator at HOST that stands at START."""
+    command = [
+        sys.executable,
+        "-m",
+        "rig.devices.arm.emulator",
+        "--host",
+        HOST,
+        "--until-stdin-closes",
+    ]
+    command += ["--pose", *map(repr, START.tolist()), "--tcp", *map(repr, TCP)]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == f"ready arm {HOST}\n"
+        yield process
+        process.kill()
+
+
+def make(**options: Any) -> Arm:
+    return Arm(
+        options.pop("config", CONFIG),
+        FRAME,
+        options.pop("limits", LIMITS),
+        force_path=options.pop("force_path", None),
+        pose_path=options.pop("pose_path", None),
+    )
+
+
+@contextmanager
+def started(**options: Any) -> Iterator[Arm]:
+    """An arm that obeys."""
+    arm = make(**options)
+    arm.start(20.0)
+    yield arm
+    arm.close()
+    arm.close()
+
+
+def back_at_start(arm: Arm) -> Arm:
+    """An arm that several tests move, as the first of them had it."""
+    inject("slider", fraction=1.0)
+    assert arm.move(START, mode="travel").outcome == "done"
+    return arm
+
+
+class Once:
+    """An `on_wait` that acts once, as soon as the arm moves."""
+
+    def __init__(self, action: Callable[[], object]) -> None:
+        self._action = action
+        self.done = False
+
+    def __call__(self) -> None:
+        if not self.done and moving():
+            self.done = True
+            self._action()
