@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     from learning.force.model import PRESETS, ForceSettings
     from learning.force.predict import KIND, ForcePredictor
     from learning.force.train import train_force
-    from learning.training.command import Training, open_data, run_training
+    from learning.train_command import Training, open_data, run_training
 
     settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
     archive, split = open_data(options)

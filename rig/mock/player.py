@@ -26,7 +26,7 @@ from rig.core.emulation import loopback, serve
 from rig.core.realtime import CAMERA_PRIORITY, DEVICE_PRIORITY
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.core.shared_memory import LatestRecord
-from rig.devices.playback import Tape, load_tape
+from rig.devices.playback.wire import Tape, load_tape
 from rig.mock.cue import (
     CUE,
     ENDED,
@@ -74,18 +74,18 @@ class Outlet(Protocol):
 def make_outlet(name: str, tape: Tape, host: str) -> Outlet:
     """The emulated device of one stream; its vendor library is imported here and nowhere else."""
     if name == "force":
-        from rig.devices.force.netft_player import NetFtOutlet
+        from rig.devices.playback.netft_player import NetFtOutlet
 
         return NetFtOutlet(tape, host)
     if name == "pose":
-        from rig.devices.arm.rtde_player import RtdeOutlet
+        from rig.devices.playback.rtde_player import RtdeOutlet
 
         return RtdeOutlet(tape, host)
     if name == "taxels":
-        from rig.devices.taxels.xela_player import XelaOutlet
+        from rig.devices.playback.xela_player import XelaOutlet
 
         return XelaOutlet(tape, host)
-    from rig.devices.camera.mjpeg_player import MjpegOutlet
+    from rig.devices.playback.mjpeg_player import MjpegOutlet
 
     return MjpegOutlet(tape, host)
 

@@ -15,7 +15,7 @@ from rig.core.shared_memory import LatestRecord
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import NetFtConfig
-from rig.devices.playback import force_page, stated_rate
+from rig.devices.playback.wire import force_page, stated_rate
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.cue import CUE, FAILED, POSITION, cue_path, position_path
 from rig.mock.processes import Launched

@@ -13,7 +13,7 @@ from rig.bench.stream_kinds import KINDS, make_driver
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver
 from rig.core.shared_memory import LatestRecord
-from rig.devices.playback import load_tape
+from rig.devices.playback.wire import load_tape
 from rig.mock.bench import free_loopback
 from rig.mock.cue import ENDED
 from rig.mock.players import Players, replay_bench

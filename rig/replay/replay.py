@@ -25,7 +25,7 @@ from rig.acquire.control import Interrupted, InterruptFlag
 from rig.acquire.progress_line import minutes
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
-from rig.devices.playback import replayable
+from rig.devices.playback.wire import replayable
 from rig.mock.bench import free_loopback
 from rig.mock.players import replay_bench
 from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line

@@ -18,7 +18,7 @@ from rig.bench.stream_kinds import KINDS, stream_spec
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 from rig.core.shared_memory import LatestRecord
-from rig.devices.playback import force_bias, load_tape
+from rig.devices.playback.wire import force_bias, load_tape
 from rig.mock.cue import ENDED
 from rig.mock.players import Players
 

@@ -184,9 +184,9 @@ def _fill(options: argparse.Namespace, begun: Begun) -> int:
 
 def _filled(options: argparse.Namespace, begun: Begun) -> int:
     """Make what is missing; 0 when the archive is whole, else the exit code."""
+    from recorder.processes import WorkerLost
     from sim.dataset import Stop, fill
     from sim.device import ready_device
-    from sim.pool import WorkerLost
     from sim.progress import Progress
 
     kernels = ready_device("cpu" if options.scheduler else options.device)
@@ -286,7 +286,7 @@ def _on_cores(options: argparse.Namespace, begun: Begun) -> bool:
 
 
 def _processes(options: argparse.Namespace, begun: Begun) -> int:
-    from sim.pool import check_processes
+    from sim.tiers import check_processes
 
     processes: int | None = options.processes
     if options.scheduler and processes is not None:

@@ -21,7 +21,6 @@ from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.matrix import Stencil
 from sim.fem.mesh import Mesh
 from sim.fem.numerics import Numerics
-from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.fem.vectors import (
     RUN,
     SUMS,
@@ -34,6 +33,7 @@ from sim.fem.vectors import (
     residual_kernel,
 )
 from sim.indenters.device import PartTable
+from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
 # What the sums over a state say of each environment of a batch.

@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 
 from sim.fem.mesh import CENTRE, Mesh
-from sim.fem.scalars import matrix_of, vector_of
+from sim.scalars import matrix_of, vector_of
 
 LOOK = {"cpu": 1, "cuda": 8}
 """Iterations between looks at who is still running: free on the CPU, a stop on a GPU."""

@@ -20,8 +20,8 @@ import functools
 import numpy as np
 import warp as wp
 
-from sim.fem.scalars import matrix_of, vector_of
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
+from sim.scalars import matrix_of, vector_of
 
 REACH = 2e-3
 """Distance over which the turning of the normal is measured, in thicknesses."""

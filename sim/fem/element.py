@@ -17,7 +17,7 @@ import functools
 import numpy as np
 import warp as wp
 
-from sim.fem.scalars import matrix_of, numpy_of, vector_of
+from sim.scalars import matrix_of, numpy_of, vector_of
 
 GAUSS_POINTS = 8
 

@@ -25,8 +25,8 @@ import warp as wp
 
 from sim.fem.element import element_blocks_kernel, element_rows_kernel
 from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots, slot_offsets
-from sim.fem.scalars import matrix_of, vector_of
 from sim.fem.vectors import RUN
+from sim.scalars import matrix_of, vector_of
 
 # A row of the stencil in a CPU's wide registers: times a vector, and rounded.
 #

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
 from sim.fem.numerics import ELASTIC_EVERY, Numerics
-from sim.fem.scalars import numpy_of
 from sim.fem.vectors import copy_active, walk
 from sim.indenters import Indenter
+from sim.scalars import numpy_of
 from sim.scene import Scene
 
 FORCE_FLOOR = {"float32": 1e-3, "float64": 1e-5}

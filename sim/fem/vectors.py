@@ -6,7 +6,7 @@ import functools
 
 import warp as wp
 
-from sim.fem.scalars import vector_of
+from sim.scalars import vector_of
 
 
 @functools.cache

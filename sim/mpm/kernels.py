@@ -13,9 +13,9 @@ import functools
 
 import warp as wp
 
-from sim.fem.scalars import matrix_of, vector_of
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.mpm.lattice import BASE_NODE
+from sim.scalars import matrix_of, vector_of
 
 # The quadratic B-spline that ties a particle to 27 grid nodes, and the integers nodes sum up in.
 #

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from sim.fem.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.indenters.device import PartTable
 from sim.mpm.kernels import (
     FIXED_POINT,
@@ -23,6 +22,7 @@ from sim.mpm.kernels import (
 )
 from sim.mpm.lattice import Lattice, Pace
 from sim.mpm.numerics import MpmNumerics
+from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
 ROUND = 64

@@ -23,7 +23,7 @@ from recorder.store.layout import merge_attrs
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost
 from rig.devices.force.netft_wire import Page
-from rig.devices.playback import force_counts, replayable
+from rig.devices.playback.wire import force_counts, replayable
 from rig.mock.cue import ENDED, PLAYING, POSITION
 from rig.replay import replay as module
 from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayOrder

@@ -22,11 +22,11 @@ from PIL import Image
 from support.simulated_archives import SKINS, UNITS, digests, make, solved_once
 
 from recorder import MarkerArchive, check
+from recorder.processes import WorkerLost
 from sim.__main__ import main
 from sim.dataset import Plan, Stop, Unit, begin, fill, found
 from sim.dataset.plan import UNIT_PRESSES
 from sim.dataset.run import make_here, make_in_processes
-from sim.pool import WorkerLost
 
 __all__ = ["solved_once"]
 

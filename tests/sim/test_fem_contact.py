@@ -10,9 +10,9 @@ from support import fem_oracles as oracle
 from support.fem_oracles import Array, Rubbing
 
 from sim.fem.contact import contact_kernels, face_rule
-from sim.fem.scalars import matrix_of, vector_of
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.indenters.device import PartTable
+from sim.scalars import matrix_of, vector_of
 
 MESHES = oracle.domed_meshes()
 MESH = MESHES[0]

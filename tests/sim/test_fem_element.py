@@ -10,7 +10,7 @@ from support.fem_oracles import Array, Material
 
 from benchmarks.sim.stability.planted import fully_integrated
 from sim.fem.element import GAUSS_POINTS, element_kernels
-from sim.fem.scalars import vector_of
+from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
 VARIANT = [1, 0]

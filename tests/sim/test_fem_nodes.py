@@ -9,7 +9,6 @@ from support import fem_oracles as oracle
 from support.fem_oracles import Array
 
 from sim.fem.assembly import Sums
-from sim.fem.scalars import vector_of
 from sim.fem.vectors import (
     RUN,
     SUMS,
@@ -22,6 +21,7 @@ from sim.fem.vectors import (
     residual_kernel,
     walk,
 )
+from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
 MESH = MESHES[0]

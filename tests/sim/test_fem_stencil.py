@@ -14,9 +14,9 @@ from benchmarks.sim.speed.left_out import without_rounding
 from sim import Body, Effects, Friction, Scene, press, simulate
 from sim.fem.mesh import SLOTS, colour_order, face_slots, neighbours
 from sim.fem.numerics import Numerics
-from sim.fem.scalars import vector_of
 from sim.fem.vectors import RUN
 from sim.indenters import named
+from sim.scalars import vector_of
 
 RUNS = -(-COUNT // RUN)
 REALS = [

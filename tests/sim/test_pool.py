@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recorder.processes import WorkerLost
 from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.fem.numerics import Numerics
 from sim.indenters import sphere
-from sim.pool import WorkerLost
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 NUMERICS = Numerics(spacing=4e-3 / 3, precision="float64", newton_max=8, halvings=0)

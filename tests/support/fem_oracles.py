@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim import Body, Indenter
 from sim.fem.mesh import Mesh, build_mesh
-from sim.fem.scalars import matrix_of, numpy_of, vector_of
+from sim.scalars import matrix_of, numpy_of, vector_of
 
 Array = NDArray[Any]
 

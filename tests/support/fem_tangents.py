@@ -13,7 +13,7 @@ from benchmarks.sim.stability.planted import planted
 from sim.fem.contact import face_rule
 from sim.fem.matrix import Stencil
 from sim.fem.mesh import SLOTS, Mesh, neighbours
-from sim.fem.scalars import matrix_of
+from sim.scalars import matrix_of
 
 GRID = oracle.domed_mesh()
 MESHES = (GRID, oracle.moved(GRID, 0.06))

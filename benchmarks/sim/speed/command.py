@@ -107,7 +107,7 @@ def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
     from benchmarks.sim.speed.campaign import Plan, measure
     from benchmarks.sim.speed.work import paper_work, smoke_work
     from sim.device import ready_device
-    from sim.pool import check_processes
+    from sim.tiers import check_processes
 
     processes = options.processes
     if processes is None:

@@ -71,8 +71,8 @@ def _run(options: argparse.Namespace) -> int:
         raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
 
     from learning.archive_writer import archive_fingerprint
+    from learning.train_command import Training, open_data, run_training, trained_on
     from learning.training.checkpoint import read_model_folder
-    from learning.training.command import Training, open_data, run_training, trained_on
     from learning.translation.diffusion.data import read_image_pairs
     from learning.translation.diffusion.train import read_pretrained
     from learning.translation.diffusion.train import train as train_translator

@@ -35,7 +35,7 @@ def _run(options: argparse.Namespace) -> int:
 
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
-    from learning.training.command import Training, open_data, run_training, trained_on
+    from learning.train_command import Training, open_data, run_training, trained_on
     from learning.translation.diffusion.data import read_role_images
     from learning.translation.diffusion.settings import MARKER_VAE_PRESETS, MarkerVaeSettings
     from learning.translation.diffusion.train_vae import train_vae

@@ -42,7 +42,7 @@ def _run(options: argparse.Namespace) -> int:
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
     from learning.data.splits import read_split
-    from learning.training.command import Training, run_training
+    from learning.train_command import Training, run_training
     from learning.translation.direct.autoencoder import (
         KIND,
         PRESETS,

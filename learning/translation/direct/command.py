@@ -43,7 +43,7 @@ def add_to(verbs: Verbs) -> None:
 def _run(options: argparse.Namespace) -> int:
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
-    from learning.training.command import Training, open_data, run_training
+    from learning.train_command import Training, open_data, run_training
     from learning.translation.direct.data import align, group
     from learning.translation.direct.settings import PRESETS, DirectSettings
     from learning.translation.direct.train import train as train_network

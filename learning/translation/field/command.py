@@ -31,7 +31,7 @@ def add_to(verbs: Verbs) -> None:
 def _run(options: argparse.Namespace) -> int:
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
-    from learning.training.command import Training, open_data, run_training, trained_on
+    from learning.train_command import Training, open_data, run_training, trained_on
     from learning.translation.field.data import gather_role
     from learning.translation.field.settings import PRESETS, FieldSettings
     from learning.translation.field.train import train_field

@@ -11,9 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.bench.worlds import (
-    AnalyticSpec,
-)
+from rig.bench.worlds import AnalyticSpec
 from rig.core.geometry import matrix_from_vector
 from rig.core.samples import WORLD_STATE
 from rig.mock.world.picture import Surface

@@ -9,7 +9,7 @@ from __future__ import annotations
 import socket
 
 from recorder import SessionError
-from rig.devices.playback import Listener, Tape
+from rig.devices.playback.wire import Listener, Tape
 
 PORT = 8081
 _BOUNDARY = "tactile-rig-frame"

@@ -21,7 +21,7 @@ from rig.devices.force.netft_wire import (
     emit_page,
     parse_request,
 )
-from rig.devices.playback import Tape, force_bias, force_counts, force_page
+from rig.devices.playback.wire import Tape, force_bias, force_counts, force_page
 
 HTTP_PORT, UDP_PORT = 8080, 49152
 _POLL = 0.1

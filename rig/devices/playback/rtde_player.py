@@ -11,7 +11,7 @@ import socket
 
 from rig.devices.arm import rtde
 from rig.devices.arm.emulated_controller import VERSION
-from rig.devices.playback import Listener, Tape
+from rig.devices.playback.wire import Listener, Tape
 
 _RECIPE = 1
 _TEXT = b"replay: no pose is due"

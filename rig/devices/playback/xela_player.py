@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
-from rig.devices.playback import Tape, stated_rate
+from rig.devices.playback.wire import Tape, stated_rate
 from rig.devices.taxels.xela_emulator import emit
 
 PORT = 5000
