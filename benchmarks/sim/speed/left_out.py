@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any
 
 import numpy as np
+
+from benchmarks.sim.substitute import in_place_of
 
 
 @contextlib.contextmanager
@@ -15,64 +18,61 @@ def without_prediction() -> Iterator[None]:
 
     Both are arguments of methods that the solver calls, but of none that a caller can reach.
     """
+    from sim.fem import assembly, solver
     from sim.fem.assembly import State
     from sim.fem.newton import Newton
 
-    begin, begin_step = Newton.begin, State.begin_step
+    class FromLast(State):
+        """Begins each step with the displacement that the last one ended with."""
 
-    def here(self: Any, chosen: Any, tolerance: Any, *, predict: Any) -> None:
-        begin(self, chosen, tolerance, predict=np.zeros_like(predict))
+        def begin_step(self, chosen: Any, tip: Any, duration: Any, guess: Any) -> None:
+            super().begin_step(chosen, tip, duration, np.zeros_like(guess))
 
-    def from_last(self: Any, chosen: Any, tip: Any, duration: Any, guess: Any) -> None:
-        begin_step(self, chosen, tip, duration, np.zeros_like(guess))
+    class WithTheTip(Newton):
+        """Begins each step where its tip ends, and follows no tip along the tangent."""
 
-    with _in_place_of(Newton, "begin", here), _in_place_of(State, "begin_step", from_last):
+        def begin(self, chosen: Any, tolerance: Any, *, predict: Any) -> None:
+            super().begin(chosen, tolerance, predict=np.zeros_like(predict))
+
+    with in_place_of(assembly, "State", FromLast), in_place_of(solver, "Newton", WithTheTip):
         yield
 
 
 def without_keeping() -> contextlib.AbstractContextManager[None]:
     """Every iteration of Newton's assembles the elastic part of its tangent."""
-    from sim.fem.matrix import Stencil
+    from sim.fem import assembly
 
-    return _made_with(Stencil, keep=False)
+    return _made_with(assembly, "Stencil", keep=False)
 
 
 def without_graphs() -> contextlib.AbstractContextManager[None]:
     """Every kernel of conjugate gradients is launched by itself."""
-    from sim.fem.cg import ConjugateGradient
+    from sim.fem import newton
 
-    return _made_with(ConjugateGradient, record=False)
+    return _made_with(newton, "ConjugateGradient", record=False)
 
 
 def without_gathering() -> contextlib.AbstractContextManager[None]:
     """Every iteration of conjugate gradients launches threads for all environments."""
-    from sim.fem.cg import ConjugateGradient
+    from sim.fem import newton
 
-    return _made_with(ConjugateGradient, gather=False)
+    return _made_with(newton, "ConjugateGradient", gather=False)
 
 
 def without_rounding() -> contextlib.AbstractContextManager[None]:
     """Products read the tangent as it was assembled."""
-    from sim.fem.matrix import Stencil
+    from sim.fem import assembly
 
-    return _made_with(Stencil, half=False)
-
-
-def _made_with(kind: type, **always: Any) -> contextlib.AbstractContextManager[None]:
-    """Every object of this kind is made with these arguments, whatever else is asked for."""
-    init = kind.__init__  # type: ignore[misc]
-
-    def made(self: Any, *args: Any, **options: Any) -> None:
-        init(self, *args, **{**options, **always})
-
-    return _in_place_of(kind, "__init__", made)
+    return _made_with(assembly, "Stencil", half=False)
 
 
-@contextlib.contextmanager
-def _in_place_of(owner: Any, name: str, value: Any) -> Iterator[None]:
-    own = getattr(owner, name)
-    setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        setattr(owner, name, own)
+def _made_with(
+    user: ModuleType, name: str, **always: Any
+) -> contextlib.AbstractContextManager[None]:
+    """What a module makes of this class has these arguments, whatever else is asked for."""
+    kind = getattr(user, name)
+
+    def made(*args: Any, **options: Any) -> Any:
+        return kind(*args, **{**options, **always})
+
+    return in_place_of(user, name, made)
