@@ -27,7 +27,7 @@ import numpy as np
 from rig.core.errors import ConfigError
 from rig.core.realtime import DEVICE_PRIORITY, be_punctual
 from rig.core.samples import WORLD_STATE
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import AwaitedRecord
 
 # The port through which faults are put into a running emulator: `make faults`, and the tests.
 #
@@ -168,19 +168,13 @@ class SharedWorld:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._path = path
-        self._record: LatestRecord | None = None
-        self._untouched: np.void = np.zeros(1, WORLD_STATE)[0]
-        self._untouched["depth"] = UNTOUCHED_DEPTH
+        self._record = AwaitedRecord(path, WORLD_STATE)
+        self._state: np.void = np.zeros(1, WORLD_STATE)[0]
+        self._state["depth"] = UNTOUCHED_DEPTH
         self._count = 0
-        self._state: np.void = self._untouched
 
     def state(self) -> tuple[int, np.void]:
         """Number of the newest record (0: untouched so far) and the record."""
-        if self._record is None:
-            if self._path is None or not self._path.exists():
-                return 0, self._untouched
-            self._record = LatestRecord.attach(self._path, WORLD_STATE)
         count = self._record.count
         if count != self._count:
             state = self._record.read()
@@ -190,9 +184,7 @@ class SharedWorld:
 
     def close(self) -> None:
         """Let go of the file; safe twice."""
-        if self._record is not None:
-            self._record.close()
-            self._record = None
+        self._record.close()
 
 
 class NamelessServer(HTTPServer):

@@ -7,6 +7,7 @@ whoever was killed.
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import os
 from pathlib import Path
@@ -62,15 +63,20 @@ class LatestRecord:
 
     @classmethod
     def create(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
-        """Make the file, empty (count 0), and open it for writing.
+        """Make the file, empty (count 0), and open it for writing; it appears whole.
 
         Raises:
             FileExistsError: It is there: a reader that has it mapped would be killed (SIGBUS) by
                 the moment in which it is empty.
         """
         _, size = _layout(dtype)
-        with path.open("xb") as file:
-            file.write(bytes(size))
+        unfinished = path.with_name(f"{path.name}.{os.getpid()}-unfinished")
+        try:
+            with unfinished.open("xb") as file:
+                file.write(bytes(size))
+            os.link(unfinished, path)
+        finally:
+            unfinished.unlink(missing_ok=True)
         return cls(path, dtype, writable=True)
 
     @classmethod
@@ -121,3 +127,40 @@ class LatestRecord:
         self._numbers.clear()
         self._count = np.zeros(1, _COUNTER)
         self._map.close()
+
+
+class AwaitedRecord:
+    """Reads a `LatestRecord` that another process makes, perhaps later.
+
+    Args:
+        path: The file; None: it never appears.
+        dtype: Structured dtype of one record.
+    """
+
+    def __init__(self, path: Path | None, dtype: np.dtype[Any]) -> None:
+        self._path = path
+        self._dtype = dtype
+        self._record: LatestRecord | None = None
+
+    def _attached(self) -> LatestRecord | None:
+        if self._record is None and self._path is not None:
+            with contextlib.suppress(FileNotFoundError):
+                self._record = LatestRecord.attach(self._path, self._dtype)
+        return self._record
+
+    @property
+    def count(self) -> int:
+        """Records written so far, 0 without a file."""
+        record = self._attached()
+        return 0 if record is None else record.count
+
+    def read(self) -> np.void | None:
+        """The latest whole record (a copy), or None before the first."""
+        record = self._attached()
+        return None if record is None else record.read()
+
+    def close(self) -> None:
+        """Let go of the file; safe twice."""
+        if self._record is not None:
+            self._record.close()
+            self._record = None

@@ -26,7 +26,7 @@ from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import LatestRecord
 from rig.core.sources import Sources
 from rig.mock.emulators import Stage, emulator_commands, world_commands
-from rig.mock.processes import Launched
+from rig.mock.processes import Launched, StartedOrClosed
 from rig.mock.world.simulated import PRESS_FILE
 
 logger = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
 
 
-class MockBench:
+class MockBench(StartedOrClosed):
     """The emulators of one bench, as a context manager.
 
     Args:
@@ -64,17 +64,6 @@ class MockBench:
         self._truth = truth
         self._launched = Launched(folder, SystemClock())
         self._closed = False
-
-    def __enter__(self) -> MockBench:
-        try:
-            self._start()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _start(self) -> None:
         spec = self._folder / "world.json"

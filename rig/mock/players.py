@@ -18,11 +18,11 @@ from rig.devices.force.settings import NetFtConfig
 from rig.devices.playback.wire import force_page, stated_rate
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.cue import CUE, FAILED, POSITION, cue_path, position_path
-from rig.mock.processes import Launched
+from rig.mock.processes import Launched, StartedOrClosed
 from trajectories import ForceDepth
 
 
-class Players:
+class Players(StartedOrClosed):
     """Starts, cues and ends the emulators of a run, as a context manager.
 
     Args:
@@ -56,18 +56,10 @@ class Players:
             *("--host", host, "--speed", repr(speed), "--with", ",".join(names)),
         ]
 
-    def __enter__(self) -> Players:
-        try:
-            for name in self._positions:
-                self._launched.start(name, ["rig.mock.player", "--stream", name, *self._options])
-            self._launched.wait_ready()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def _start(self) -> None:
+        for name in self._positions:
+            self._launched.start(name, ["rig.mock.player", "--stream", name, *self._options])
+        self._launched.wait_ready()
 
     def cue(self, start_ns: int) -> None:
         """Start the tape at `start_ns`: every driver is open, every writer records."""

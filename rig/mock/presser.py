@@ -24,7 +24,7 @@ from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import LatestRecord
 from rig.mock.bench import free_loopback
 from rig.mock.emulators import Stage, emulator_commands, world_commands
-from rig.mock.processes import Launched
+from rig.mock.processes import Launched, StartedOrClosed
 from rig.mock.world.simulated import PRESS_FILE
 from rig.mock.world.truth import Truth
 from trajectories import Point
@@ -40,7 +40,7 @@ _FIRST_TIMEOUT = 10.0
 # For its first state [s].
 
 
-class TouchedMock:
+class TouchedMock(StartedOrClosed):
     """The emulated sensor of a mock bench and its World, as a context manager.
 
     Args:
@@ -64,17 +64,6 @@ class TouchedMock:
         self._arm: LatestRecord | None = None
         self._published: LatestRecord | None = None
         self._finger: _Finger | None = None
-
-    def __enter__(self) -> TouchedMock:
-        try:
-            self._start()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def press(self) -> None:
         """Let the finger go; it waits clear of the surface until then."""

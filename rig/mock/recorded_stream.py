@@ -17,6 +17,7 @@ from rig.devices.playback.wire import load_tape
 from rig.mock.bench import free_loopback
 from rig.mock.cue import ENDED
 from rig.mock.players import Players, replay_bench
+from rig.mock.processes import StartedOrClosed
 
 _RUN = 0
 # The first: later ones are what was recorded after a stop.
@@ -25,7 +26,7 @@ _UNTOUCHED = 10
 # Frames up to the session's first reference that are taken for untouched.
 
 
-class ReplayedSensor:
+class ReplayedSensor(StartedOrClosed):
     """Camera or taxels of a session at the recorded times, as a context manager.
 
     Args:
@@ -56,17 +57,9 @@ class ReplayedSensor:
         self._players = Players(path, names, _RUN, host, folder, clock, speed=1.0)
         self.driver: Driver = _Counted(make_driver(bench, self.stream, clock), self._latest, kind)
 
-    def __enter__(self) -> ReplayedSensor:
-        try:
-            self._players.__enter__()
-            self.driver.open(self._timeout)
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def _start(self) -> None:
+        self._players.__enter__()
+        self.driver.open(self._timeout)
 
     def play(self) -> None:
         """Start the tape."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from rig.core.errors import DeviceLost
 from rig.core.geometry import Array, invert, rotation_between, transform
 from rig.core.guard import Guard, Kind, Mode, Verdict, judge_safety, outside_box
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import AwaitedRecord
 from rig.devices.arm.messages import Move, Outcome, Reply, Setup
 from rig.devices.arm.reader import RtdeLink
 from rig.devices.arm.vendor import UrControl
@@ -22,28 +21,6 @@ _FRESH = 0.1
 """A pose of our own link older than this: do not talk to ur_rtde, it may hang [s]."""
 _STILL, _STILL_TURN = 1e-3, 1e-2
 """At rest [m/s, rad/s]: above the noise of the controller's own speed estimate."""
-
-
-class SharedValue:
-    """The newest record another process publishes, in a file that may appear later.
-
-    Args:
-        path: The file; None: never anything.
-        dtype: Of its records.
-    """
-
-    def __init__(self, path: Path | None, dtype: np.dtype[Any]) -> None:
-        self._path = path
-        self._dtype = dtype
-        self._record: LatestRecord | None = None
-
-    def read(self) -> np.void | None:
-        """The newest record, None before the first."""
-        if self._record is None:
-            if self._path is None or not self._path.exists():
-                return None
-            self._record = LatestRecord.attach(self._path, self._dtype)
-        return self._record.read()
 
 
 class Watch:
@@ -60,9 +37,9 @@ class Watch:
         self._settle_ns = round(setup.config.settle * SECOND_NS)
         self._link = link
         self._clock = clock
-        self._force = SharedValue(setup.force_path, FORCE_LATEST)
+        self._force = AwaitedRecord(setup.force_path, FORCE_LATEST)
         self._shared_pose = setup.pose_path is not None
-        self._pose = SharedValue(setup.pose_path, POSE_LATEST)
+        self._pose = AwaitedRecord(setup.pose_path, POSE_LATEST)
         self._guard = Guard(
             setup.limits, setup.contact_frame, watch_force=setup.force_path is not None
         )

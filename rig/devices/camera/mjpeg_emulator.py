@@ -239,7 +239,8 @@ class MjpegEmulator:
         self._changed = threading.Condition()
         self._parts: tuple[bytes, ...] = ()
         self._number = 0
-        self._missed = 0
+        self.missed = 0
+        """Frames not filmed because their time had passed."""
         self.disturbance = Disturbance[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
@@ -251,11 +252,6 @@ class MjpegEmulator:
     def address(self) -> str:
         """The stream's URL."""
         return f"http://{self._config.host}:{self._config.port}/"
-
-    @property
-    def missed(self) -> int:
-        """Frames not filmed because their time had passed."""
-        return self._missed
 
     def start(self) -> None:
         """Listen and serve.
@@ -313,7 +309,7 @@ class MjpegEmulator:
         filmed = 0
         while not self._ending.is_set():
             t_ns = pacer.wait()
-            self._missed = pacer.missed
+            self.missed = pacer.missed
             state = self._untouched
             if self._world is not None:
                 _, state = self._world.state()

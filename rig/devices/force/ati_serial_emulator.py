@@ -72,7 +72,8 @@ class AtiSerialEmulator:
         noise[:, 3:] *= _TORQUE_NOISE
         self._scale, self._noise = scale, noise * scale
         self._row = 0
-        self._missed = 0
+        self.missed = 0
+        """Records not sent because their time had passed."""
         self._form = "ascii"
         self._typed = b""
         self._streaming = False
@@ -84,11 +85,6 @@ class AtiSerialEmulator:
     def address(self) -> str:
         """The link a driver opens."""
         return str(self._config.link)
-
-    @property
-    def missed(self) -> int:
-        """Records not sent because their time had passed."""
-        return self._missed
 
     @property
     def rate_hz(self) -> float:
@@ -153,9 +149,9 @@ class AtiSerialEmulator:
                 self._take_commands(0.05)
                 continue
             if pacer is None:
-                pacer, missed = Pacer(self._clock, self.rate_hz), self._missed
+                pacer, missed = Pacer(self._clock, self.rate_hz), self.missed
             pacer.wait()
-            self._missed = missed + pacer.missed
+            self.missed = missed + pacer.missed
             self._take_commands(0.0)
             if self._streaming:
                 for content in self.records(emit(self._record(), self._form)):

@@ -87,7 +87,8 @@ class NetFtEmulator:
         self._left = 0
         self._rdt_sequence = 0
         self._ft_sequence = 0
-        self._missed = 0
+        self.missed = 0
+        """Records not sent because their time had passed."""
         self._bias = np.zeros(6)
 
     @property
@@ -95,11 +96,6 @@ class NetFtEmulator:
         """Host and UDP port, and the HTTP port."""
         c = self._config
         return f"{c.host}:{c.udp_port} http://{c.host}:{c.http_port}"
-
-    @property
-    def missed(self) -> int:
-        """Records not sent because their time had passed."""
-        return self._missed
 
     def start(self) -> None:
         """Listen and serve.
@@ -168,9 +164,9 @@ class NetFtEmulator:
                 rate_hz = self.page.rate_hz
                 pacer = Pacer(self._clock, rate_hz)
                 stride = round(_INTERNAL_HZ / rate_hz)
-                missed = self._missed
+                missed = self.missed
             pacer.wait()
-            self._missed = missed + pacer.missed
+            self.missed = missed + pacer.missed
             newest, state = self._world.state()
             if newest != number or self._scale is not scale:
                 number, scale, counts = newest, self._scale, self._counts(state)

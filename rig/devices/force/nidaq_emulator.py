@@ -379,7 +379,8 @@ class NidaqEmulator:
         self.disturbance = Disturbance[Array](clock, spoil=_spoilt, seed=config.seed)
         self._world = world
         self._clock = clock
-        self._missed = 0
+        self.missed = 0
+        """Ticks of the sample clock at which this thread was late; the sample was repeated."""
         self._server: grpc.Server | None = None
         self._pool: ThreadPoolExecutor | None = None
         rng = np.random.default_rng(config.seed)
@@ -399,11 +400,6 @@ class NidaqEmulator:
     def unplugged(self) -> bool:
         """Whether the card is out of the computer that serves it."""
         return self.disturbance.unplugged
-
-    @property
-    def missed(self) -> int:
-        """Ticks of the sample clock at which this thread was late; the sample was repeated."""
-        return self._missed
 
     def start(self) -> None:
         """Listen and serve.
@@ -464,7 +460,7 @@ class NidaqEmulator:
         while not buffer.stopped.is_set():
             pacer.wait()
             late, missed = pacer.missed - missed, pacer.missed
-            self._missed += late
+            self.missed += late
             # The card's clock never stands still: what came too late is there all the same.
             rows = self.samples(np.repeat(self.converted(channels), 1 + late, axis=0))
             if len(rows):

@@ -201,6 +201,9 @@ class RobotiqEmulator:
         seed: Of the disturbance's garbage.
     """
 
+    missed = 0
+    """Nothing is sent unasked, so nothing is missed."""
+
     def __init__(
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
     ) -> None:
@@ -219,11 +222,6 @@ class RobotiqEmulator:
     def address(self) -> str:
         """The serial port a driver opens."""
         return str(self._link)
-
-    @property
-    def missed(self) -> int:
-        """Nothing is sent unasked, so nothing is missed."""
-        return 0
 
     def start(self) -> None:
         """Make the pty and its link, and serve.

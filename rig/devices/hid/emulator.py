@@ -104,7 +104,8 @@ class HidEmulator:
         self._lock = threading.RLock()
         self._push: tuple[Axes, Axes] | None = None
         self._push_until_ns = 0
-        self._missed = 0
+        self.missed = 0
+        """Ticks that came too late and were skipped."""
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -112,11 +113,6 @@ class HidEmulator:
     def address(self) -> str:
         """The node a driver opens."""
         return str(self._path)
-
-    @property
-    def missed(self) -> int:
-        """Ticks that came too late and were skipped."""
-        return self._missed
 
     def start(self) -> None:
         """Make the node and serve.
@@ -211,7 +207,7 @@ class HidEmulator:
         pacer = Pacer(self._clock, _RATE_HZ)
         while not self._ending.is_set():
             pacer.wait()
-            self._missed = pacer.missed
+            self.missed = pacer.missed
             if self.disturbance.unplugged:
                 self._unplug()
                 continue

@@ -100,7 +100,8 @@ class XelaEmulator:
         # order, as from the vendor's server, up to this many.
         self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
         self._number = 0
-        self._missed = 0
+        self.missed = 0
+        """Scans not made because their time had passed."""
         self.disturbance = Disturbance[str](
             clock,
             spoil=spoilt_text,
@@ -116,11 +117,6 @@ class XelaEmulator:
     def address(self) -> str:
         """The WebSocket address."""
         return f"ws://{self._config.host}:{self._config.port}"
-
-    @property
-    def missed(self) -> int:
-        """Scans not made because their time had passed."""
-        return self._missed
 
     def start(self) -> None:
         """Listen and serve.
@@ -174,7 +170,7 @@ class XelaEmulator:
             if self._config.jitter > 0:
                 late = abs(self._rng.normal(0.0, self._config.jitter))
                 self._clock.sleep_until(deadline_ns + round(late * SECOND_NS))
-            self._missed = pacer.missed
+            self.missed = pacer.missed
             counts = self._counts()
             now_ns = self._clock.now_ns() - self._anchor.t0_ns + self._anchor.utc_ns
             message = emit(

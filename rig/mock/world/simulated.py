@@ -18,7 +18,7 @@ from rig.core.clock import SECOND_NS
 from rig.core.errors import ConfigError
 from rig.core.geometry import matrix_from_vector
 from rig.core.samples import PRESS_STATE, WORLD_STATE, surface_state
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import AwaitedRecord, LatestRecord
 from rig.mock.world.picture import MarkerPicture
 
 if TYPE_CHECKING:
@@ -160,9 +160,8 @@ class SimulatedView:
     """
 
     def __init__(self, spec: SimulatedSpec, folder: Path) -> None:
-        self._path = folder / SURFACE_FILE
-        self._record: LatestRecord | None = None
         self._markers, self._shape = markers_of(spec)
+        self._solved = AwaitedRecord(folder / SURFACE_FILE, surface_state(self._shape))
         self._picture = MarkerPicture(
             background=spec.background,
             ink=spec.ink,
@@ -176,9 +175,7 @@ class SimulatedView:
 
     def surface(self, tip: np.ndarray) -> np.ndarray:
         """The deformation (X, Y, 3) float32 for a tip (3,) [m]: the last two, gone on to it."""
-        if self._record is None and self._path.exists():
-            self._record = LatestRecord.attach(self._path, surface_state(self._shape))
-        newest = None if self._record is None else self._record.read()
+        newest = self._solved.read()
         if newest is None:
             return np.zeros((*self._shape, 3), np.float32)
         way = newest["tip"] - newest["tip_before"]

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-_UNFINISHED = ".unfinished"
-
 
 class Shared:
     """What the solver tells the others, in the run folder.
@@ -48,10 +46,7 @@ class Shared:
         self._live = live
         self._presses = LatestRecord.attach(folder / PRESS_FILE, PRESS_STATE, writable=True)
         shape = live.press.grid.shape
-        # It appears whole: the camera may look for it at any time.
-        unfinished = folder / (SURFACE_FILE + _UNFINISHED)
-        self._surfaces = LatestRecord.create(unfinished, surface_state(shape))
-        unfinished.rename(folder / SURFACE_FILE)
+        self._surfaces = LatestRecord.create(folder / SURFACE_FILE, surface_state(shape))
         self._press: np.void = np.zeros(1, PRESS_STATE)[0]
         effects = live.press.scene.effects
         self._press["friction"] = effects.friction.coefficient if effects.friction else 0.0

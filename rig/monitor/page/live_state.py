@@ -21,7 +21,7 @@ from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
 from rig.core.clock import SECOND_NS
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import AwaitedRecord
 from rig.core.units import from_si
 
 TRACE_RATE_HZ = 40.0
@@ -29,31 +29,6 @@ TRACE_SECONDS = 20.0
 
 Point = tuple[float, float | None, float | None, float | None]
 """Time since the page's start [s] and Fx, Fy, Fz [N]."""
-
-
-class Record:
-    """A shared record that may not be there yet."""
-
-    def __init__(self, path: Path, dtype: np.dtype[Any]) -> None:
-        self._path = path
-        self._dtype = dtype
-        self._record: LatestRecord | None = None
-
-    def read(self) -> np.void | None:
-        """The newest record, or None before the first."""
-        if self._record is None:
-            try:
-                self._record = LatestRecord.attach(self._path, self._dtype)
-            except (OSError, ValueError):
-                # Not made yet, or made this moment and not at its size.
-                return None
-        return self._record.read()
-
-    def close(self) -> None:
-        """Let go of it; safe twice."""
-        if self._record is not None:
-            self._record.close()
-            self._record = None
 
 
 class Look:
@@ -72,9 +47,11 @@ class Look:
         self._start_ns = start_ns
         names = stream_names(bench)
         self._latest = {
-            name: Record(folder / f"{name}.latest", KINDS[name].latest) for name in names
+            name: AwaitedRecord(folder / f"{name}.latest", KINDS[name].latest) for name in names
         }
-        self._counters = {name: Record(folder / f"{name}.counters", COUNTERS) for name in names}
+        self._counters = {
+            name: AwaitedRecord(folder / f"{name}.counters", COUNTERS) for name in names
+        }
         self._to_contact = invert(bench.contact_frame)
         self._tail: ImageTail | None = None
         self._image: tuple[int, bytes | None] = (-1, None)
