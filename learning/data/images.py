@@ -2,7 +2,7 @@
 
 Shrinking is the exact mean over 2.5 columns and 1.875 rows, so that a marker's edge keeps its
 place between pixels. Enlarging is what the authors' inference does: Lanczos to 640 x 480, then
-everything above 128. Both exist for arrays and for tensors, which may lie on a GPU.
+everything above 128. Tensors may lie on a GPU; what is packed is shrunk as arrays.
 """
 
 from __future__ import annotations

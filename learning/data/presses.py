@@ -1,4 +1,4 @@
-"""The frames of presses in memory, on any device, with what is known of them."""
+"""The frames of presses, in memory or still in the archive, and the range of their forces."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Inception v3 as FID and KID take it: 2048 features, with weights that the user has.
+"""How far apart two sets of images are: features, distances between them, who tells them apart.
 
-The weights are those that TensorFlow published in 2015 for Inception, as ported to PyTorch in the
-file `pt_inception-2015-12-05-6726825d.pth`; FID is defined by them. Against Inception v3 elsewhere,
+At first Inception v3 as FID and KID take it: 2048 features, with weights that the user has. They
+are those that TensorFlow published in 2015 for Inception, as ported to PyTorch in the file
+`pt_inception-2015-12-05-6726825d.pth`; FID is defined by them. Against Inception v3 elsewhere,
 averages leave out the border and the last block takes a maximum (Heusel et al., 2017; the port's
 documentation). Layers are named as in that file.
 """

@@ -1,10 +1,10 @@
-"""Which marker of the untouched sensor is which of a frame, alone or along a press.
+"""How a skin moved, by its markers: edges, a spline, who is who, and fields of whole presses.
 
-Each marker is looked for where the spline says: at first where it was in the frame before, moved
-on at half its last speed, or where it lies untouched. Those that are each other's nearest, within
-half a pitch, are taken to be the same; one that the others would not have expected within half a
-pitch is let go; the spline through the rest says anew where each should be, and it is done again.
-Discs that grew together are cut where they meet.
+A marker of a frame, alone or along a press, is looked for where the spline says: at first where it
+was in the frame before, moved on at half its last speed, or where it lies untouched. Those that are
+each other's nearest, within half a pitch, are taken to be the same; one that the others would not
+have expected within half a pitch is let go; the spline through the rest says anew where each should
+be, and it is done again. Discs that grew together are cut where they meet.
 """
 
 from __future__ import annotations
