@@ -1,4 +1,4 @@
-"""The compensation file: priors of sensors, and what was chosen for each pair, as JSON."""
+"""Compensation of all pairs: its file, JSON, and how priors and choices come into it."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Shrinking is the exact mean over 2.5 columns and 1.875 rows, so that a marker's edge keeps its
 place between pixels. Enlarging is what the authors' inference does: Lanczos to 640 x 480, then
-everything above 128. Both exist for arrays and for tensors, which may lie on a GPU.
+everything above 128. Tensors may lie on a GPU; what is packed is shrunk as arrays.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import numpy as np
 import torch
 import torch.nn.functional as functional
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 
 from learning.errors import LearningError
 from recorder.archive import ArchivedSensor
 from recorder.archive.array import Rows
-from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, pack, unpack
+from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, unpack
 
 SIDE = 256
 """Rows and columns of an image [px]."""
@@ -54,20 +53,6 @@ def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return images
 
 
-def enlarge(images: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return images (n, 256, 256) as packed masks (n, 38400): Pillow's Lanczos, then > 128.
-
-    Raises:
-        LearningError: Not images.
-    """
-    _require(images, np.dtype(np.uint8), (SIDE, SIDE), "images")
-    packed = np.empty((len(images), PACKED), np.uint8)
-    for row, image in enumerate(images):
-        large = Image.fromarray(image).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
-        packed[row] = pack(np.asarray(large) > ABOVE)
-    return packed
-
-
 def shrink_masks(masks: Tensor) -> Tensor:
     """Return masks (n, 480, 640) bool as images (n, 256, 256) uint8, those of `shrink`.
 
@@ -86,7 +71,8 @@ def shrink_masks(masks: Tensor) -> Tensor:
 def enlarge_images(images: Tensor) -> Tensor:
     """Return images (n, 256, 256) uint8 as masks (n, 480, 640) bool.
 
-    They are those of `enlarge` but for pixels that come within rounding of the threshold.
+    They are those of Pillow's Lanczos, cut above 128, as the authors do, but for pixels that come
+    within rounding of the threshold.
 
     Raises:
         LearningError: Not images.
@@ -116,17 +102,6 @@ def unpack_masks(packed: Tensor) -> Tensor:
     _require(packed, torch.uint8, (PACKED,), "packed masks")
     bits = packed.unsqueeze(-1) & _bits(packed.device)
     return (bits != 0).view(len(packed), HEIGHT, WIDTH)
-
-
-def pack_masks(masks: Tensor) -> Tensor:
-    """Return masks (n, 480, 640) bool as packed masks (n, 38400) uint8, on their device.
-
-    Raises:
-        LearningError: Not masks.
-    """
-    _require(masks, torch.bool, (HEIGHT, WIDTH), "masks")
-    bits = masks.reshape(len(masks), PACKED, 8).view(torch.uint8) * _bits(masks.device)
-    return bits.sum(dim=-1, dtype=torch.uint8)
 
 
 def _bits(device: torch.device) -> Tensor:

@@ -1,11 +1,11 @@
-"""The frames of presses in memory, on any device, with what is known of them."""
+"""The frames of presses, in memory or still in the archive, and the range of their forces."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol, Self, TypeVar, get_args
+from typing import Any, Literal, Protocol, Self, get_args
 
 import numpy as np
 import torch
@@ -105,26 +105,6 @@ class Presses:
         """Return the same presses on another device."""
         moved: dict[str, Any] = {name: getattr(self, name).to(device) for name in _ON_DEVICE}
         return replace(self, **moved)
-
-    def select(self, presses: Any) -> Self:
-        """Return some of the presses, in the order asked for.
-
-        Args:
-            presses: Their numbers, or a bool for each of them.
-        """
-        asked = torch.as_tensor(presses)
-        chosen = torch.arange(len(self))[asked if len(asked) else asked.long()]
-        starts, lengths = self.starts[chosen], self.starts.diff()[chosen]
-        ends = torch.cat([torch.zeros(1, dtype=torch.int64), lengths.cumsum(0)])
-        within = torch.arange(int(ends[-1])) - torch.repeat_interleave(ends[:-1], lengths)
-        taken = torch.repeat_interleave(starts, lengths) + within
-        values: dict[str, Any] = {"starts": ends}
-        for each in ("location", "indenter", "target"):
-            values[each] = getattr(self, each)[chosen]
-        for each in ("images", "reference", "wrench", "phase", "depth", "frame", "rows"):
-            kept: Tensor = getattr(self, each)
-            values[each] = kept[taken.to(kept.device)]
-        return replace(self, **values)
 
     def require_wrench(self) -> None:
         """Refuse presses without a label in all frames: a force model cannot learn from them.
@@ -338,7 +318,6 @@ def _require_one_press(
 # fixed ones. Ours come from the training split and are stored with the model.
 
 Force = tuple[float, float, float]
-Values = TypeVar("Values", bound=Any)
 
 LEAST = 1e-3
 """An axis along which forces differ by less [N] is widened to this: it carries no signal."""
@@ -387,45 +366,9 @@ class ForceRange:
         wider = np.maximum(LEAST - (high - low), 0) / 2 + margin * (high - low)
         return cls(_force(low - wider), _force(high + wider))
 
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> ForceRange:
-        """Return the range that `to_dict` wrote.
-
-        Raises:
-            LearningError: Not such a mapping.
-        """
-        try:
-            low, high = (tuple(map(float, stored[end])) for end in ("low", "high"))
-        except (KeyError, TypeError, ValueError) as error:
-            raise LearningError(f"force range: found {stored!r}; allowed: low, high") from error
-        return cls(low, high)  # type: ignore[arg-type]
-
-    def to_dict(self) -> dict[str, list[float]]:
-        """Return plain values for a file."""
-        return {"low": list(self.low), "high": list(self.high)}
-
-    def normalise(self, force: Values) -> Values:
-        """Return forces (..., 3) [N], an array or a tensor, as numbers that are 0 to 1 inside."""
-        low = _like(force, self.low)
-        shares: Values = (force - low) / (_like(force, self.high) - low)
-        return shares
-
-    def denormalise(self, numbers: Values) -> Values:
-        """Return numbers (..., 3) as forces [N]."""
-        low = _like(numbers, self.low)
-        forces: Values = numbers * (_like(numbers, self.high) - low) + low
-        return forces
-
 
 AUTHORS = ForceRange((-5.0, -5.0, -20.0), (5.0, 5.0, 5.0))
 """The range in the authors' code."""
-
-
-def _like(values: Any, ends: Force) -> Any:
-    """Return the ends of a range as what is calculated with."""
-    if isinstance(values, np.ndarray):
-        return np.asarray(ends, values.dtype)
-    return values.new_tensor(ends)
 
 
 def _force(values: NDArray[np.float64]) -> Force:

@@ -137,13 +137,6 @@ def sample_patterns(count: int, generator: np.random.Generator, device: torch.de
     return Patterns(*(torch.from_numpy(np.asarray(v, np.float32)).to(device) for v in values))
 
 
-def random_patterns(
-    count: int, generator: np.random.Generator, device: torch.device, side: int = SIDE
-) -> Tensor:
-    """Return images of random patterns that nothing touches (count, 1, side, side) in 0..1."""
-    return sample_patterns(count, generator, device).draw(untouched(side, device))
-
-
 def random_fields(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
     """Return made-up displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
 

@@ -1,7 +1,8 @@
-"""Inception v3 as FID and KID take it: 2048 features, with weights that the user has.
+"""How far apart two sets of images are: features, distances between them, who tells them apart.
 
-The weights are those that TensorFlow published in 2015 for Inception, as ported to PyTorch in the
-file `pt_inception-2015-12-05-6726825d.pth`; FID is defined by them. Against Inception v3 elsewhere,
+At first Inception v3 as FID and KID take it: 2048 features, with weights that the user has. They
+are those that TensorFlow published in 2015 for Inception, as ported to PyTorch in the file
+`pt_inception-2015-12-05-6726825d.pth`; FID is defined by them. Against Inception v3 elsewhere,
 averages leave out the border and the last block takes a maximum (Heusel et al., 2017; the port's
 documentation). Layers are named as in that file.
 """
@@ -308,11 +309,6 @@ class Extractor(Protocol):
         """What made the features: a model and the hash of its weights."""
         ...
 
-    @property
-    def is_inception(self) -> bool:
-        """Whether distances of these features are FID and KID."""
-        ...
-
     def features(self, images: Images) -> Floats:
         """Return features (n, d) of images (n, 256, 256)."""
         ...
@@ -330,11 +326,6 @@ class MarkerGrid:
     def name(self) -> str:
         """What made the features."""
         return GRID
-
-    @property
-    def is_inception(self) -> bool:
-        """Whether distances of these features are FID and KID."""
-        return False
 
     def features(self, images: Images) -> Floats:
         """Return features (n, 256) of images (n, 256, 256).
@@ -372,8 +363,6 @@ class Network:
 
     name: str
     """What made the features."""
-    is_inception: bool
-    """Whether distances of these features are FID and KID."""
     compute: Callable[[Images], Floats]
     """Returns features (n, d) of at most 64 images (n, 256, 256)."""
 
@@ -406,7 +395,7 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
         return _autoencoder(path, device)
     if path.is_file():
         network = load_inception(path, device)
-        return Network(f"inception@{_sha256(path)}, {RESIZED}", True, network)
+        return Network(f"inception@{_sha256(path)}, {RESIZED}", network)
     raise LearningError(
         f"--features: found {name_or_path!r}; allowed: marker-grid, the folder of a trained marker "
         "autoencoder, or a file with the weights of Inception"
@@ -437,7 +426,7 @@ def _autoencoder(folder: Path, device: str) -> Network:
             found = model.features(torch.from_numpy(images).to(device))
         return np.asarray(found.double().cpu().numpy(), np.float64)
 
-    return Network(f"{AUTOENCODER}@{_sha256(folder / 'model.safetensors')}", False, compute)
+    return Network(f"{AUTOENCODER}@{_sha256(folder / 'model.safetensors')}", compute)
 
 
 def _sha256(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Predicted forces beside the true ones, frame by frame: what a force model said of a sensor."""
+"""Predicted forces beside the true ones, frame by frame, and the table of their errors."""
 
 from __future__ import annotations
 

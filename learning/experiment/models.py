@@ -1,4 +1,4 @@
-"""The translators of an experiment: trained by the commands that anyone would type, and opened."""
+"""The models of an experiment: translators, trained by commands, and force models tuned at once."""
 
 from __future__ import annotations
 

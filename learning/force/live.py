@@ -5,10 +5,9 @@
         found = predictor.step(picture)  # None while the untouched sensor is looked at
 
 Each frame goes the way of the training data: markers by a preset of `learning.markers`, the image
-or the marker field that the network takes (`learning.force.live`), the network step by step with
-its memory carried along. The first frames must show the untouched sensor. Training sequences begin
-untouched and are short, so the memory is cleared for as long as nothing touches the sensor
-(`learning.force.live`).
+or the marker field that the network takes (`shown_to`), the network step by step with its memory
+carried along. The first frames must show the untouched sensor. Training sequences begin untouched
+and are short, so the memory is cleared for as long as nothing touches the sensor (`ContactRule`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How fast masks are made of a session's pictures or taxels, in CPU time of this machine."""
+"""Sessions become a marker archive: how fast that is, the call that does it, a contact sheet."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Which marker of the untouched sensor is which of a frame, alone or along a press.
+"""How a skin moved, by its markers: edges, a spline, who is who, and fields of whole presses.
 
-Each marker is looked for where the spline says: at first where it was in the frame before, moved
-on at half its last speed, or where it lies untouched. Those that are each other's nearest, within
-half a pitch, are taken to be the same; one that the others would not have expected within half a
-pitch is let go; the spline through the rest says anew where each should be, and it is done again.
-Discs that grew together are cut where they meet.
+A marker of a frame, alone or along a press, is looked for where the spline says: at first where it
+was in the frame before, moved on at half its last speed, or where it lies untouched. Those that are
+each other's nearest, within half a pitch, are taken to be the same; one that the others would not
+have expected within half a pitch is let go; the spline through the rest says anew where each should
+be, and it is done again. Discs that grew together are cut where they meet.
 """
 
 from __future__ import annotations
@@ -399,7 +399,6 @@ class FieldReader:
             LearningError: Not bool (480, 640), or without markers.
         """
         self._matcher = Matcher(_required(reference, "reference", 2), smoothing=smoothing)
-        self._smoothing = smoothing
         self._operators: dict[tuple[float, float], Floats] = {}
 
     @property
@@ -489,23 +488,6 @@ class FieldReader:
         across = (np.arange(MAP_SIDE) + 0.5) / MAP_SIDE
         columns, rows = np.meshgrid(across * WIDTH - 0.5, across * HEIGHT - 0.5)
         return self._matcher.spline.at(np.stack([columns, rows], axis=-1).reshape(-1, 2))
-
-
-def marker_fields(
-    frames: NDArray[Any], reference: NDArray[Any], *, ordered: bool = True
-) -> NDArray[np.float32]:
-    """Return displacement and growth of a press (n, 3, 32, 32): columns [px], rows [px], log area.
-
-    Args:
-        frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-        reference: The untouched mask, bool (480, 640) or packed (38400,).
-        ordered: The frames are one press in order of time: markers are followed.
-
-    Raises:
-        LearningError: Another shape or type, or a reference without markers.
-    """
-    mask = unpack(reference) if reference.dtype == np.uint8 else reference
-    return FieldReader(mask).maps(frames, ordered=ordered)
 
 
 def _scale(source: SensorView | None, target: SensorView | None) -> Floats:

@@ -1,4 +1,4 @@
-"""One session as rows of an archive: which of its frames count, and what is known of each."""
+"""Sessions as rows of an archive: which frames count, what is known of them, who goes together."""
 
 from __future__ import annotations
 

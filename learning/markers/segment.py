@@ -1,4 +1,4 @@
-"""How markers are found in the pictures of a kind of sensor: plain data, a row a sensor.
+"""How markers are found in pictures: presets, plain data for a kind of sensor, and what they do.
 
 A picture is cut to its region and brought to 640 x 480; what the detectors find in it is put
 together, cleaned by morphology, and patches of the wrong size are dropped.

@@ -227,23 +227,6 @@ def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
     return ModelFolder(path, config)
 
 
-def load_finished(
-    folder: Path, kind: str, settings: type[Settings]
-) -> tuple[Settings, dict[str, Tensor]]:
-    """Return the settings and the weights of a finished run.
-
-    Args:
-        folder: Of the run.
-        kind: What the model must be.
-        settings: Dataclass of its settings.
-
-    Raises:
-        LearningError: Not such a folder, a model of another kind, or a damaged file.
-    """
-    found = read_model_folder(folder, kind)
-    return found.settings(settings), found.weights()
-
-
 def read_config(folder: Path) -> Config:
     """Return what a folder says of its model.
 

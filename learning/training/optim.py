@@ -1,4 +1,4 @@
-"""Weights averaged over the steps of a training: they vary less than those of its last one."""
+"""Weights averaged over the steps of a training, and learning rates by step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The folder of a training: how far it is, what it measured, and in the end its model.
+"""What a training stands on: its folder, the devices, chance without state, Ctrl-C.
+
+The folder says how far it is, what it measured, and holds its model in the end:
 
     config.yaml                     kind, settings, data, code version
     metrics.jsonl, tensorboard/     what `log` was told
@@ -84,7 +86,7 @@ class RunFolder:
 
         Args:
             path: Its folder.
-            kind: One of `model_folder.KINDS`.
+            kind: One of `KINDS`.
             settings: Frozen dataclass that says all about the training.
             data_fingerprint: Of what is trained on, split included.
             resume: Whether a run that is there goes on; where there is none it begins.

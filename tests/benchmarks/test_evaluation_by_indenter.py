@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.predicted_forces import TRUE, predictions
 
-from benchmarks.learning.tables.by_indenter import by_indenter
+from benchmarks.learning.tables.group_results import by_indenter
 from learning.evaluation.predictions import Predictions
 from learning.metrics import r_squared
 

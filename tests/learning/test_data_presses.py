@@ -15,7 +15,6 @@ from learning.data import presses as presses_module
 from learning.data import presses as residence
 from learning.data.images import shrink
 from learning.data.presses import (
-    AUTHORS,
     ForceRange,
     Resident,
     Streaming,
@@ -23,10 +22,8 @@ from learning.data.presses import (
     open_frames,
     press_table,
 )
-from learning.data.splits import load_pairs, make_split
 from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
-from recorder.archive import location_pairs
 
 
 @pytest.fixture(scope="module")
@@ -103,18 +100,6 @@ def test_marker_fields_follow_the_truth(
     assert said == sorted(said)
 
 
-def test_selected_presses_keep_what_belongs_to_them(archive: MarkerArchive) -> None:
-    presses = load_presses(archive["dots"], _rows(archive))
-    chosen = presses.select([3, 0])
-    assert chosen.location.tolist() == presses.location[[3, 0]].tolist()
-    again = load_presses(archive["dots"], chosen.rows[chosen.starts[1] :].numpy())
-    first = slice(int(chosen.starts[1]), int(chosen.starts[2]))
-    for name in ("images", "wrench", "depth", "rows", "reference"):
-        assert torch.equal(getattr(chosen, name)[first], getattr(again, name))
-    assert len(presses.select(presses.indenter == 1)) == 2
-    assert len(presses.select(torch.zeros(len(presses), dtype=torch.bool))) == 0
-
-
 def test_presses_without_labels_are_refused_for_forces_alone(archive: MarkerArchive) -> None:
     load_presses(archive["dots"], _rows(archive)).require_wrench()
     presses = load_presses(archive["grid"], _rows(archive, "grid"))
@@ -173,41 +158,12 @@ def test_images_that_do_not_fit_stay_in_the_archive(
     assert press_table(archive["dots"], rows).images.is_meta
 
 
-def test_pairs_are_the_rows_that_belong_together(archive: MarkerArchive) -> None:
-    split = make_split(archive)
-    pairs = load_pairs(archive, "dots", "grid", split, "train")
-    due = location_pairs(archive["dots"].table, archive["grid"].table)
-    kept = np.isin(due.source, split.rows(archive["dots"].table, "train"))
-    assert np.array_equal(pairs.source.rows.numpy(), due.source[kept])
-    assert np.array_equal(pairs.target.rows.numpy(), due.target[kept])
-    assert np.array_equal(
-        pairs.target.images.numpy(), shrink(archive["grid"].packed(due.target[kept]))
-    )
-    assert set(split.role(pairs.location.numpy()).tolist()) == {"train"}
-    assert len(load_pairs(archive, "dots", "grid", None, "train")) == len(due)
-
-
-def test_pairs_that_there_are_none_of_are_an_error(archive: MarkerArchive) -> None:
-    with pytest.raises(LearningError, match="no sensor 'gel'; known: dots, grid"):
-        load_pairs(archive, "dots", "gel", None, "train")
-    nobody = make_split(archive, validation=0.0)
-    with pytest.raises(LearningError, match="no location pairs with role validation"):
-        load_pairs(archive, "dots", "grid", nobody, "validation")
-
-
 def test_progress_counts_frames(archive: MarkerArchive) -> None:
     said: list[tuple[int, int]] = []
     rows = _rows(archive)
     load_presses(archive["dots"], rows, progress=lambda done, total: said.append((done, total)))
     assert said[0] == (0, len(rows))
     assert said[-1] == (len(rows), len(rows))
-    said.clear()
-    load_pairs(archive, "dots", "grid", None, "train", progress=lambda *counts: said.append(counts))
-    assert (
-        said[-1][0]
-        == said[-1][1]
-        == 2 * len(location_pairs(archive["dots"].table, archive["grid"].table))
-    )
 
 
 def test_the_fingerprint_changes_with_what_the_archive_says(
@@ -232,19 +188,15 @@ def test_the_fingerprint_changes_with_what_the_archive_says(
     assert first not in prints
 
 
-def test_forces_become_shares_of_their_range_and_back() -> None:
+def test_a_range_holds_the_forces_that_it_is_made_from() -> None:
     wrench = torch.tensor([[-1.0, 0.0, -8.0], [1.0, 0.0, 0.0], [0.5, 0.0, -2.0]])
     span = ForceRange.from_training(wrench)
-    shares = span.normalise(wrench)
-    assert shares.min() >= 0
-    assert shares.max() <= 1
-    assert shares[:, 2].tolist() == pytest.approx([0.0, 1.0, 0.75])
-    assert torch.allclose(span.denormalise(shares), wrench, atol=1e-6)
-    assert np.allclose(span.normalise(wrench.numpy()), shares.numpy())
-    assert ForceRange.from_dict(span.to_dict()) == span
+    assert (span.low[0], span.low[2]) == (-1.0, -8.0)
+    assert (span.high[0], span.high[2]) == (1.0, 0.0)
+    assert span.low[1] == pytest.approx(-span.high[1])
+    assert span.high[1] > 0
     wider = ForceRange.from_training(wrench, margin=0.1)
     assert wider.low[2] == pytest.approx(-8.8)
-    assert AUTHORS.denormalise(np.array([[0.5, 0.5, 0.8]])).tolist() == [[0.0, 0.0, 0.0]]
 
 
 def test_ranges_of_nothing_or_of_nan_are_refused() -> None:

@@ -8,7 +8,6 @@ from learning.data.images import shrink_masks, warp
 from learning.data.synthetic import (
     before,
     random_fields,
-    random_patterns,
     sample_patterns,
     untouched,
 )
@@ -21,6 +20,10 @@ def _chance(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+def _drawn(count: int, chance: np.random.Generator) -> torch.Tensor:
+    return sample_patterns(count, chance, CPU).draw(untouched(64, CPU))
+
+
 def _pixels() -> torch.Tensor:
     """Places of the pixels of the full image (1, 2, 480, 640)."""
     rows, columns = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
@@ -28,14 +31,14 @@ def _pixels() -> torch.Tensor:
 
 
 def test_the_same_chance_draws_the_same_patterns_and_another_draws_others() -> None:
-    one = random_patterns(4, _chance(3), CPU, side=64)
-    assert torch.equal(one, random_patterns(4, _chance(3), CPU, side=64))
-    assert not torch.equal(one, random_patterns(4, _chance(4), CPU, side=64))
+    one = _drawn(4, _chance(3))
+    assert torch.equal(one, _drawn(4, _chance(3)))
+    assert not torch.equal(one, _drawn(4, _chance(4)))
     assert not torch.equal(one[0], one[1])
 
 
 def test_patterns_are_grey_images_of_markers_on_nothing() -> None:
-    images = random_patterns(24, _chance(), CPU, side=64)
+    images = _drawn(24, _chance())
     assert images.shape == (24, 1, 64, 64)
     assert 0 <= float(images.min()) <= float(images.max()) <= 1
     covered = images.mean(dim=(1, 2, 3))

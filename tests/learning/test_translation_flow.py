@@ -11,11 +11,10 @@ from learning.markers.displacement import (
     PackedPresses,
     Spline,
     fields_of_presses,
-    marker_fields,
 )
 from learning.translation.archive import dice
 from learning.translation.translator import SensorView, shows_discs
-from recorder.markers import HEIGHT, WIDTH, draw_discs, marker_centres, pack, place_discs
+from recorder.markers import HEIGHT, WIDTH, draw_discs, marker_centres, pack, place_discs, unpack
 
 CENTRE, WIDTH_PX = (300.0, 230.0), 90.0
 STATES = [
@@ -120,7 +119,7 @@ def test_fields_stay_finite_when_markers_leave_the_image(untouched):
 
 
 def test_growth_is_the_logarithm_of_how_areas_change(presses, untouched):
-    maps = marker_fields(presses["dots"], untouched["dots"])
+    maps = FieldReader(untouched["dots"]).maps(presses["dots"], ordered=True)
     assert maps.shape == (len(STATES), 3, 32, 32)
     assert maps.dtype == np.float32
     columns, rows = (np.arange(32) + 0.5) * WIDTH / 32 - 0.5, (np.arange(32) + 0.5) * HEIGHT / 32
@@ -136,8 +135,9 @@ def test_growth_is_the_logarithm_of_how_areas_change(presses, untouched):
 
 def test_packed_frames_give_the_same_maps(presses, untouched):
     some = presses["grid"][:3]
-    plain = marker_fields(some, untouched["grid"])
-    np.testing.assert_array_equal(marker_fields(pack(some), pack(untouched["grid"])), plain)
+    reader = FieldReader(untouched["grid"])
+    plain = reader.maps(some, ordered=True)
+    np.testing.assert_array_equal(reader.maps(pack(some), ordered=True), plain)
 
 
 def discs(pressed: float, shear: float) -> np.ndarray:
@@ -246,7 +246,8 @@ def test_many_presses_at_once_are_the_presses_one_by_one(presses, untouched):
     maps = fields_of_presses(many, "maps", progress=lambda *now: said.append(now))
     assert said[0] == (0, 7)
     assert said[-1] == (7, 7)
-    np.testing.assert_array_equal(maps[:3], marker_fields(packed[:3], references[0]))
+    alone = FieldReader(unpack(references[0])).maps(packed[:3], ordered=True)
+    np.testing.assert_array_equal(maps[:3], alone)
 
 
 @pytest.mark.slow

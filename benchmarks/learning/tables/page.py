@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.learning.tables.group_results import NO_TRANSLATOR, Group, mean
-from benchmarks.learning.tables.markdown import head, line, or_dash
-from benchmarks.learning.tables.overview import overview
 from learning.compensation import Choice
 from learning.evaluation.charts import heatmaps
 from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
@@ -34,6 +32,13 @@ GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
 """The same of Dice, and from the taxels of a uSkin."""
 GOAL_SHARE = 0.5
 """Errors that are hoped for, over the paper's: both as shares of the range of the labels."""
+TOLD = """\
+Means over pairs, on unseen indenters. `before`: the source's model on the target's own frames;
+`after`: the model named, which learned from no label of the target; `but for one`: the same without
+the indenter that costs most; `own labels`: the target's model. `labels alone`: R2 of the labels
+that the model named learned from, were they predictions of the target's own, on the presses that it
+learned from."""
+"""Stands above the table of all groups."""
 TITLE = "# Forces on sensors that never saw a force gauge"
 
 
@@ -52,7 +57,7 @@ def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Pa
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     titled = [] if intro.startswith("# ") else [TITLE, ""]
-    lines = [*titled, *intro.splitlines(), *overview(groups)]
+    lines = [*titled, *intro.splitlines(), *_overview(groups)]
     written = [out]
     tables: dict[str, list[dict[str, Any]]] = {"force": [], "translation": [], "paper": []}
     for group in groups:
@@ -79,6 +84,63 @@ def _picture(group: Group) -> bytes:
     return heatmaps(by_variant, "r2_mean", f"{group.name}: R2 on unseen indenters", "high")
 
 
+def _overview(groups: Sequence[Group]) -> list[str]:
+    """Return a line for each group; nothing of one group, which says it all itself."""
+    if len(groups) < 2:
+        return []
+    lines = ["", "## At a glance", "", *TOLD.splitlines(), ""]
+    lines += _head(
+        "",
+        "pairs",
+        "model",
+        "R2 before",
+        "after",
+        "worst pair",
+        "but for one",
+        "own labels",
+        "labels alone",
+        "MAE of shear, Fz [N]",
+        "over the labels' range [%]",
+        "Dice",
+    )
+    for group in groups:
+        best = group.best
+        rows = group.rows(group.after, best)
+        fits = _fits(rows)
+        newtons = mean(row.errors.shear for row in rows), mean(row.errors.mae[2] for row in rows)
+        shares = (100 * mean(label_share(row, axes) for row in rows) for axes in (SHEAR, NORMAL))
+        lines.append(
+            _line(
+                group.name,
+                str(group.pairs),
+                variant_name((group.after, best)),
+                _or_dash(mean(_fits(group.rows(BEFORE))), ".3f"),
+                _or_dash(mean(fits), ".3f"),
+                f"{min(fits):.3f}",
+                _but_for_one(group, best),
+                _or_dash(mean(_fits(group.rows(TARGET))), ".3f"),
+                _or_dash(mean(group.label_fits()), ".3f"),
+                ", ".join(f"{value:.3f}" for value in newtons),
+                ", ".join(f"{value:.1f}" for value in shares),
+                _or_dash(mean(group.dice(best).values()), ".3f"),
+            )
+        )
+    return lines
+
+
+def _but_for_one(group: Group, best: str) -> str:
+    found = group.indenters[group.after, best]
+    known = [one for one in found if math.isfinite(one.r2_of_others)]
+    if not known:
+        return "-"
+    most = max(known, key=lambda one: one.r2_of_others)
+    return f"{most.r2_of_others:.3f} ({most.indenter})"
+
+
+def _fits(rows: Sequence[ForceRow]) -> list[float]:
+    return [_r2(row) for row in rows]
+
+
 def _section(group: Group, picture: str) -> list[str]:
     best = group.best
     return [
@@ -102,18 +164,18 @@ def _section(group: Group, picture: str) -> list[str]:
 
 def _goals(group: Group, best: str) -> list[str]:
     rows = group.rows(group.after, best)
-    lines = head(f"hoped for ({variant_name((group.after, best))})", "asked", "mean", "worst pair")
+    lines = _head(f"hoped for ({variant_name((group.after, best))})", "asked", "mean", "worst pair")
     kind = group.name.removesuffix("-full")
     if kind in GOAL_R2:
         values = {_pair(row): _r2(row) for row in rows}
-        lines.append(line("R2", f"above {GOAL_R2[kind]:g}", *_mean_and_worst(values, min, ".3f")))
+        lines.append(_line("R2", f"above {GOAL_R2[kind]:g}", *_mean_and_worst(values, min, ".3f")))
     for axes, name in ((NORMAL, "Fz"), (SHEAR, "shear")):
         paper = _paper_worst(kind, axes)
         if math.isfinite(paper):
             values = {_pair(row): 100 * label_share(row, axes) for row in rows}
             asked = f"below {100 * GOAL_SHARE * paper:.1f} % (the paper's worst: {100 * paper:.1f})"
             found = _mean_and_worst(values, max, ".1f")
-            lines.append(line(f"MAE of {name} over the labels' range [%]", asked, *found))
+            lines.append(_line(f"MAE of {name} over the labels' range [%]", asked, *found))
     dice = group.dice(best)
     for taxels, asked_dice in ((False, GOAL_DICE), (True, GOAL_DICE_TAXELS)):
         values = {
@@ -124,13 +186,13 @@ def _goals(group: Group, best: str) -> list[str]:
         if values:
             name = "Dice from a uSkin" if taxels else "Dice"
             found = _mean_and_worst(values, min, ".3f")
-            lines.append(line(name, f"above {asked_dice:g}", *found))
+            lines.append(_line(name, f"above {asked_dice:g}", *found))
     return lines
 
 
 def _models(group: Group) -> list[str]:
     lines = ["", "Means over pairs:", ""]
-    lines += head(
+    lines += _head(
         "model", "pairs", "Fx, Fy, Fz [N]", "over the labels' std", "R2 of Fx, Fy, Fz", "R2"
     )
     for variant in variants(group.force):
@@ -141,18 +203,18 @@ def _models(group: Group) -> list[str]:
         fit = (f"{mean(each.r2[axis] for each in errors):.2f}" for axis in range(3))
         cells = (", ".join(newtons), ", ".join(relative), ", ".join(fit))
         whole = f"{mean(each.r2_mean for each in errors):.3f}"
-        lines.append(line(variant_name(variant), str(len(rows)), *cells, whole))
+        lines.append(_line(variant_name(variant), str(len(rows)), *cells, whole))
     return lines
 
 
 def _indenters(group: Group, best: str) -> list[str]:
     found = group.indenters[group.after, best]
     lines = ["", f"By indenter, {variant_name((group.after, best))}:", ""]
-    lines += head("indenter", "reaches [N]", "MAE of shear, Fz [N]", "R2 of all others")
+    lines += _head("indenter", "reaches [N]", "MAE of shear, Fz [N]", "R2 of all others")
     for one in found:
         errors = f"{one.shear:.3f}, {one.normal:.3f}"
-        others = or_dash(one.r2_of_others, ".3f")
-        lines.append(line(one.indenter, f"{one.reach:.1f}", errors, others))
+        others = _or_dash(one.r2_of_others, ".3f")
+        lines.append(_line(one.indenter, f"{one.reach:.1f}", errors, others))
     return lines
 
 
@@ -168,7 +230,7 @@ def _labels(group: Group) -> list[str]:
         "",
         "The source's labels beside the target's own (training presses, paired locations):",
     ]
-    lines += ["", *head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
+    lines += ["", *_head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
     methods = {choice: method for method, choice in CHOICES.items()}
     for name, choices in found.items():
         fits = {pair: one.r2 for pair, one in choices.items() if one.r2 is not None}
@@ -176,7 +238,7 @@ def _labels(group: Group) -> list[str]:
         if apart:
             fit = _mean_and_worst(fits, min, ".3f") if fits else ("-", "-")
             cells = (*fit, *_mean_and_worst(apart, max, ".3f"))
-            lines.append(line(methods.get(name, name), *cells))
+            lines.append(_line(methods.get(name, name), *cells))
     return lines
 
 
@@ -184,7 +246,7 @@ def _translations(group: Group) -> list[str]:
     if not group.scores:
         return []
     lines = ["", "Translated images beside the true ones, means over pairs:", ""]
-    lines += head("images", "Dice", "centroids [px]", "[mm]", "field error [px]", "count off [%]")
+    lines += _head("images", "Dice", "centroids [px]", "[mm]", "field error [px]", "count off [%]")
     kinds = sorted({(row.method != TRANSLATED, row.method) for _one, row in group.scores})
     for other, method in kinds:
         of_method = [(one.translator, row) for one, row in group.scores if row.method == method]
@@ -195,9 +257,9 @@ def _translations(group: Group) -> list[str]:
             cells += [f"{mean(row.centroid_px for row in rows):.2f}"]
             cells += [f"{mean(row.centroid_mm for row in rows):.3f}"]
             known = (row.epe_px for row in rows if math.isfinite(row.epe_px))
-            cells += [or_dash(mean(known), ".2f")]
+            cells += [_or_dash(mean(known), ".2f")]
             cells += [f"{100 * mean(row.count_mismatch for row in rows):.0f}"]
-            lines.append(line(method if other else f"by {translator}", *cells))
+            lines.append(_line(method if other else f"by {translator}", *cells))
             if other:
                 break
     return lines
@@ -208,7 +270,7 @@ def _pairs(group: Group, best: str) -> list[str]:
     before = {_pair(row): row for row in group.rows(BEFORE)}
     dice = group.dice(best)
     lines = ["", f"All pairs, {variant_name((group.after, best))}:", ""]
-    lines += head(
+    lines += _head(
         "pair",
         "R2 before",
         "after",
@@ -221,7 +283,7 @@ def _pairs(group: Group, best: str) -> list[str]:
         first, target = before.get(_pair(row)), own.get(row.target)
         relative = row.errors.relative
         lines.append(
-            line(
+            _line(
                 _pair(row),
                 f"{_r2(first):.2f}" if first else "-",
                 f"{_r2(row):.2f}",
@@ -239,7 +301,7 @@ def _paper(group: Group) -> list[str]:
     if not shown:
         return []
     lines = ["", "The paper's figures beside ours (unseen indenters; shares of held-out frames):"]
-    lines += ["", *head("figure", "the paper", "ours", "paper / range", "ours / range")]
+    lines += ["", *_head("figure", "the paper", "ours", "paper / range", "ours / range")]
     for one in shown:
         figure = one.figure
         what = f"{variant_name((figure.method, one.translator))}: {figure.measure}"
@@ -253,7 +315,7 @@ def _paper(group: Group) -> list[str]:
             for value in (one.paper_share, one.our_share)
         )
         paper = f"{figure.relation} {figure.value:g}{unit}".strip()
-        lines.append(line(what, paper, f"{one.unseen:.2f}{unit}", *shares))
+        lines.append(_line(what, paper, f"{one.unseen:.2f}{unit}", *shares))
     return lines
 
 
@@ -285,3 +347,18 @@ def _in_order(row: ForceRow) -> tuple[object, ...]:
 
 def _pair(row: ForceRow) -> str:
     return f"{row.source} to {row.target}"
+
+
+def _head(*cells: str) -> list[str]:
+    """Return the two lines that a table begins with."""
+    return [_line(*cells), "|" + "---|" * len(cells)]
+
+
+def _or_dash(value: float, form: str) -> str:
+    """Return a number in a format; a dash in place of what is none."""
+    return f"{value:{form}}" if math.isfinite(value) else "-"
+
+
+def _line(*cells: str) -> str:
+    """Return a line of a table."""
+    return f"| {' | '.join(cells)} |"

@@ -6,9 +6,13 @@ published scripts really do, `ours` what we would do.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+
+import torch
+from torch import nn
 
 from learning.errors import LearningError
 from learning.training.optim import Constant, Cosine
@@ -55,6 +59,16 @@ class Optimiser:
         _require("epsilon", self.epsilon, 1e-12, 1.0)
         _require("weight_decay", self.weight_decay, 0, 1.0)
         _require("clip_norm", self.clip_norm, 0, 1e6)
+
+    def of(self, parameters: Iterable[nn.Parameter]) -> torch.optim.AdamW:
+        """Return the optimiser of some parameters."""
+        return torch.optim.AdamW(
+            list(parameters),
+            lr=self.rate.at(0),
+            betas=self.betas,
+            eps=self.epsilon,
+            weight_decay=self.weight_decay,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ from learning.translation.diffusion.losses import (
 )
 from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
 from learning.translation.diffusion.perceptual import PerceptualDistance
-from learning.translation.diffusion.settings import Optimiser, TranslatorSettings
+from learning.translation.diffusion.settings import TranslatorSettings
 from learning.translation.diffusion.weights import read_clip, read_perceptual, read_unet, read_vae
 
 if TYPE_CHECKING:
@@ -125,12 +125,12 @@ def train(
 
     # Optimisers, wrapped for the devices; the discriminator is apart from the generator.
     own = settings.optimiser
-    wrapped, optimiser = runs_on.prepare(network, _adamw(network.learning().values(), own))
+    wrapped, optimiser = runs_on.prepare(network, own.of(network.learning().values()))
     generator, critic = Side(wrapped, optimiser, own.clip_norm), None
     models: dict[str, nn.Module] = {"model": network}
     states: dict[str, Any] = {"generator": optimiser}
     if heads is not None:
-        wrapped, optimiser = runs_on.prepare(heads, _adamw(heads.parameters(), own))
+        wrapped, optimiser = runs_on.prepare(heads, own.of(heads.parameters()))
         critic = Side(wrapped, optimiser, own.clip_norm)
         models["discriminator"], states["discriminator"] = heads, optimiser
     if runs_on.scaler is not None:
@@ -232,16 +232,6 @@ def _judges(
             torch.manual_seed(settings.seed)
             heads = DiscriminatorHeads(clip.hidden_size, clip.projection_dim).to(device)
     return perceptual, features, heads
-
-
-def _adamw(parameters: Any, settings: Optimiser) -> torch.optim.AdamW:
-    return torch.optim.AdamW(
-        list(parameters),
-        lr=settings.rate.at(0),
-        betas=settings.betas,
-        eps=settings.epsilon,
-        weight_decay=settings.weight_decay,
-    )
 
 
 def _batch(

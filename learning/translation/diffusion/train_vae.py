@@ -124,14 +124,7 @@ def train_vae(
     network = MarkerVae(vae, settings).to(device).train()
     learning = [each for each in network.parameters() if each.requires_grad]
     own = settings.optimiser
-    adamw = torch.optim.AdamW(
-        learning,
-        lr=own.rate.at(0),
-        betas=own.betas,
-        eps=own.epsilon,
-        weight_decay=own.weight_decay,
-    )
-    wrapped, optimiser = runs_on.prepare(network, adamw)
+    wrapped, optimiser = runs_on.prepare(network, own.of(learning))
     states: dict[str, Any] = {"optimiser": optimiser}
     if runs_on.scaler is not None:
         states["scaler"] = runs_on.scaler

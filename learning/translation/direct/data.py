@@ -1,4 +1,4 @@
-"""What is done to training images on the device: errors of segmentation and mounting.
+"""What the direct translator learns from: aligned images, with errors of segmentation and mounting.
 
 Images are (n, 1, h, w) in 0..1; everything random comes from a numpy generator, so that it is the
 same when a training is resumed.

@@ -1,4 +1,4 @@
-"""A U-Net over fields, which may be told what sensors it works for."""
+"""The field translator's networks: a U-Net, and what it makes of frames and of deformations."""
 
 from __future__ import annotations
 

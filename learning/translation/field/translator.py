@@ -161,7 +161,7 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
     return signed_distance(mask.unsqueeze(0).to(device))
 
 
-# Reads a trained field model back, ready to translate.
+# A trained field model from its folder, ready to translate.
 
 KIND = "field"
 """Of model, in `config.yaml`."""
