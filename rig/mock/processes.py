@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.errors import DeviceLost
+from rig.core.errors import ConfigError, DeviceLost
 
 _READY_TIMEOUT = 30.0
 # Interpreters start one after the other on a small machine [s].
@@ -53,6 +53,7 @@ class Launched:
         """Wait until each has said that it listens.
 
         Raises:
+            ConfigError: One lacks a library, of an extra that is not installed.
             DeviceLost: One did not, with its last word.
         """
         for name, process in self.processes.items():
@@ -65,7 +66,14 @@ class Launched:
                 selector.select((deadline_ns - self._clock.now_ns()) / SECOND_NS)
                 line = stdout.readline() if selector.select(0) else ""
             if not line.startswith("ready"):
-                raise DeviceLost(f"{name} emulator did not start: {self.last_word(name)}")
+                word = self.last_word(name)
+                if word.startswith("ModuleNotFoundError"):
+                    extra = "nidaq" if "nidaqmx" in word or "grpc" in word else "rig"
+                    raise ConfigError(
+                        f"{name} emulator: {word}; install the extra: "
+                        f"pip install 'tactile-rig[{extra}]'"
+                    )
+                raise DeviceLost(f"{name} emulator did not start: {word}")
 
     def check(self) -> None:
         """Notice one that ended on its own.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 from pathlib import Path
@@ -60,3 +61,17 @@ def test_an_emulator_that_does_not_start_is_named_with_its_last_word(tmp_path: P
     with pytest.raises(DeviceLost, match="taxels emulator did not start"), bench:
         pass
     assert all(process.returncode is not None for process in bench.processes.values())
+
+
+def test_an_emulator_that_lacks_a_library_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = tmp_path / "websockets"
+    missing.mkdir()
+    (missing / "__init__.py").write_text('raise ModuleNotFoundError("No module named x")\n')
+    before = os.environ.get("PYTHONPATH", "")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), before]))
+    path = find_bench("uskin", BENCHES)
+    bench = MockBench(load_bench(path)[1], str(path), tmp_path)
+    with pytest.raises(ConfigError, match=r"taxels emulator: .*tactile-rig\[rig\]"), bench:
+        pass

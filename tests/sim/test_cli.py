@@ -278,7 +278,7 @@ def test_the_commands_of_the_documentation_run(
 def test_the_commands_of_the_readme_are_understood() -> None:
     # At the default mesh they take too long to be run here.
     text = (ROOT / "README.md").read_text()
-    commands = re.findall(r"^python -m (sim [^#\n]*)", text, re.MULTILINE)
+    commands = re.findall(r"^tactile (sim [^#\n]*)", text, re.MULTILINE)
     assert len(commands) >= 2
     for command in commands:
         options = arguments().parse_args(shlex.split(command)[1:])

@@ -103,7 +103,7 @@ def test_a_family_lists_its_commands_and_no_other(first: str) -> None:
 @pytest.mark.parametrize(
     ("words", "near"),
     [
-        (["colect"], "did you mean collect?"),
+        (["colect"], "did you mean collect"),
         (["check"], "did you mean session check?"),
         (["train-force"], "did you mean train force?"),
         (["press"], "did you mean sim press?"),
