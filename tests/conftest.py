@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,11 @@ from hypothesis import settings
 # Two workers run the tests; libraries that each take both cores for themselves make them ten times
 # slower. Before anything of them is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Hundreds of processes are started here: each would compile our modules anew, and pytest its asserts,
+# where the environment keeps Python from writing bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # A shell starts background jobs with SIGINT ignored, and Python then leaves it so; the tests of
 # Ctrl-C must not depend on how they were started.
