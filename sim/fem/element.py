@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Elastic (and viscous) forces of 8-node hexahedra with mean dilatation.
+"""Elastic and viscous forces of 8-node hexahedra with mean dilatation, and their tangents.
 
 Isochoric neo-Hookean with one volume change theta per element (Simo, Taylor & Pister 1985):
 W = G/2 (J^(-2/3) tr(F^T F) - 3) + K/2 ((theta^2 - 1)/2 - ln theta), theta = deformed/rest volume.
