@@ -1,4 +1,4 @@
-"""Maps of the surface from above: heights as a shaded relief, and the pressure on it."""
+"""A result as a picture: maps of the surface from above, a section, and the force, on one page."""
 
 from __future__ import annotations
 

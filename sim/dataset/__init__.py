@@ -16,7 +16,18 @@ from sim.dataset.plan import (
     gel,
     units,
 )
-from sim.dataset.run import Begun, Filled, Stop, begin, fill, found
+from sim.dataset.run import (
+    Begun,
+    Filled,
+    Stop,
+    begin,
+    cost,
+    fill,
+    found,
+    make_here,
+    make_in_processes,
+    make_on_cluster,
+)
 
 __all__ = [
     "UNSEEN",
@@ -30,10 +41,14 @@ __all__ = [
     "Unit",
     "begin",
     "chosen_targets",
+    "cost",
     "families",
     "fill",
     "found",
     "gel",
+    "make_here",
+    "make_in_processes",
+    "make_on_cluster",
     "make_unit",
     "units",
 ]

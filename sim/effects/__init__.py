@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sim.effects.declaration import Memory, Snippet
 from sim.effects.friction import Friction
 from sim.effects.gravity import Gravity
 from sim.effects.inertia import Inertia
 from sim.effects.viscosity import Viscosity
 
-__all__ = ["Effects", "Friction", "Gravity", "Inertia", "Viscosity"]
+__all__ = ["Effects", "Friction", "Gravity", "Inertia", "Memory", "Snippet", "Viscosity"]
 
 
 @dataclass(frozen=True, slots=True)

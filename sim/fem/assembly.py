@@ -36,17 +36,17 @@ from sim.indenters.device import PartTable
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
-# What the sums over a state say of each environment of a batch.
-
 Array = NDArray[np.float64]
+
+# What the sums over a state say of each environment of a batch.
 
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """The columns that `nodes.residual_kernel` writes, by name; forces in E T^2."""
+    """The columns that `residual_kernel` writes, by name; forces in E T^2."""
 
     totals: Array
-    """(B, `nodes.SUMS`)."""
+    """(B, `SUMS`)."""
 
     @property
     def square(self) -> Array:

@@ -384,6 +384,42 @@ def _column_kernels(real):
             pivot_out[env, column, k] = inverse
             upper_out[env, column, k] = upper
 
+    @wp.func
+    def eliminated(
+        upper: wp.array3d(dtype=mat33),
+        env: int,
+        column: int,
+        k: int,
+        y: vec3,
+        z_out: wp.array2d(dtype=vec3),
+    ):
+        """Keep node k's solution by L, `y`; what is to be taken from the node above."""
+        z_out[env, column * upper.shape[2] + k] = y
+        return wp.transpose(upper[env, column, k]) * y
+
+    @wp.func
+    def substituted(
+        pivot: wp.array3d(dtype=mat33),
+        upper: wp.array3d(dtype=mat33),
+        r: wp.array2d(dtype=vec3),
+        env: int,
+        column: int,
+        z_out: wp.array2d(dtype=vec3),
+    ):
+        """Solve by D L^T, downwards from what L left in `z_out`; the column's r.z and r.r."""
+        levels = pivot.shape[2]
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        z = vec3()
+        for j in range(levels):
+            k = levels - 1 - j
+            n = column * levels + k
+            z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
+            z_out[env, n] = z
+            rz += wp.float64(wp.dot(r[env, n], z))
+            rr += wp.float64(wp.dot(r[env, n], r[env, n]))
+        return rz, rr
+
     @wp.kernel(enable_backward=False, module="unique")
     def step(
         # In: step length (B, 2); search direction and the tangent times it
@@ -423,20 +459,11 @@ def _column_kernels(real):
         rr = wp.float64(0.0)
         if column < pivot.shape[1]:
             levels = pivot.shape[2]
-            first = column * levels
             carried = vec3()
             for k in range(levels):
-                y = r[env, first + k] - carried
-                z_out[env, first + k] = y
-                carried = wp.transpose(upper[env, column, k]) * y
-            z = vec3()
-            for j in range(levels):
-                k = levels - 1 - j
-                n = first + k
-                z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
-                z_out[env, n] = z
-                rz += wp.float64(wp.dot(r[env, n], z))
-                rr += wp.float64(wp.dot(r[env, n], r[env, n]))
+                y = r[env, column * levels + k] - carried
+                carried = eliminated(upper, env, column, k, y, z_out)
+            rz, rr = substituted(pivot, upper, r, env, column, z_out)
         block_rz = wp.tile_sum(wp.tile(rz))
         block_rr = wp.tile_sum(wp.tile(rr))
         if column % BLOCK == 0:
@@ -463,29 +490,16 @@ def _column_kernels(real):
         env = which[row]
         if env < 0:
             return
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
         levels = pivot.shape[2]
-        first = column * levels
         length = real(scalars[env, 2])
         carried = vec3()
         for k in range(levels):
-            n = first + k
+            n = column * levels + k
             solution_out[env, n] = solution_out[env, n] + p[env, n] * length
             r = r_out[env, n] - product[env, n] * length
             r_out[env, n] = r
-            y = r - carried
-            z_out[env, n] = y
-            carried = wp.transpose(upper[env, column, k]) * y
-        z = vec3()
-        for j in range(levels):
-            k = levels - 1 - j
-            n = first + k
-            z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
-            z_out[env, n] = z
-            r = r_out[env, n]
-            rz += wp.float64(wp.dot(r, z))
-            rr += wp.float64(wp.dot(r, r))
+            carried = eliminated(upper, env, column, k, r - carried, z_out)
+        rz, rr = substituted(pivot, upper, r_out, env, column, z_out)
         sums_out[env, column, 0] = rz
         sums_out[env, column, 1] = rr
 

@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Elastic (and viscous) forces of 8-node hexahedra with mean dilatation.
+"""Elastic and viscous forces of 8-node hexahedra with mean dilatation, and their tangents.
 
 Isochoric neo-Hookean with one volume change theta per element (Simo, Taylor & Pister 1985):
 W = G/2 (J^(-2/3) tr(F^T F) - 3) + K/2 ((theta^2 - 1)/2 - ln theta), theta = deformed/rest volume.
@@ -129,10 +129,11 @@ def mode_functions(real):
 
 
 @functools.cache
-def strain_functions(real):
-    """`strain`, `cofactor`, `det_less_one`: what every kernel needs of F."""
+def kinematics(real):
+    """`strain`, `cofactor`, `deformed`, `mean_change`, `pressure_of`, which every kernel needs."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
+    half, one, two = real(0.5), real(1.0), real(2.0)
 
     @wp.func
     def strain(
@@ -167,7 +168,47 @@ def strain_functions(real):
         )
         return wp.trace(h) + minors + wp.determinant(h)
 
-    return strain, cofactor, det_less_one
+    @wp.func
+    def deformed(h: mat33):
+        """F = 1 + h, its cofactor, J - 1, J and |F|^2."""
+        f = h + wp.identity(n=3, dtype=real)
+        less = det_less_one(h)
+        return f, cofactor(f), less, one + less, wp.ddot(f, f)
+
+    @wp.func
+    def mean_change(
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        m: int,
+        e: int,
+        points: int,
+        u1: vec3,
+        u2: vec3,
+        u3: vec3,
+        u4: vec3,
+        u5: vec3,
+        u6: vec3,
+        u7: vec3,
+    ):
+        """Rest volume of an element, the change over it, and the least J at its Gauss points."""
+        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        volume = real(0.0)
+        change = real(0.0)
+        lowest = real(1.0e30)
+        for q in range(points):
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
+            less = det_less_one(h)
+            volume += weight[m, e, q]
+            change += weight[m, e, q] * less
+            lowest = wp.min(lowest, one + less)
+        return volume, change / volume, lowest
+
+    @wp.func
+    def pressure_of(bulk: real, theta: real):
+        """Derivative of the energy by the volume, at the mean change of volume."""
+        return half * bulk * theta * (two + theta) / (one + theta)
+
+    return strain, cofactor, deformed, mean_change, pressure_of
 
 
 @functools.cache
@@ -179,7 +220,7 @@ def element_kernels(real, viscous: bool):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, scatter = mode_functions(real)
-    strain, cofactor, det_less_one = strain_functions(real)
+    strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
     half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
     # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
@@ -214,18 +255,11 @@ def element_kernels(real, viscous: bool):
             return
         m = variant[env]
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        volume = real(0.0)
-        change = real(0.0)
-        lowest = real(1.0e30)
-        for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
-            j = det_less_one(h)
-            volume += weight[m, e, q]
-            change += weight[m, e, q] * j
-            lowest = wp.min(lowest, one + j)
+        volume, theta, lowest = mean_change(
+            inverse, weight, m, e, points, u1, u2, u3, u4, u5, u6, u7
+        )
         det_out[env, e] = lowest
-        theta = change / volume
-        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
+        pressure = pressure_of(bulk[env], theta)
         energy = (
             volume
             * half
@@ -243,12 +277,8 @@ def element_kernels(real, viscous: bool):
         f7 = vec3()
         for q in range(points):
             h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
-            f = h + wp.identity(n=3, dtype=real)
-            c = cofactor(f)
-            less = det_less_one(h)
-            j = one + less
+            f, c, less, j, square = deformed(h)
             w = weight[m, e, q]
-            square = wp.ddot(f, f)
             g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), power)
             energy += w * half * (g * square - three * shear[env])
             # F - cof(F) tr(F^T F) / 3J, written in h = F - 1: nothing cancels at small strain
@@ -278,7 +308,7 @@ def element_kernels(real, viscous: bool):
 
 # The tangent of an element as 3x3 blocks between its nodes, added to the stencil of each node.
 #
-# The derivative of the forces of `fem.element`, written out. With G_r = row r of the inverse
+# The derivative of the forces of `element_kernels`, written out. With G_r = row r of the inverse
 # Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference directions
 # r and s at one Gauss point is
 #
@@ -292,6 +322,87 @@ def element_kernels(real, viscous: bool):
 
 
 @functools.cache
+def tangent_functions(real, viscous: bool):
+    """`of_mean` and `at_point`, the parts that both ways to put a tangent together have in common.
+
+    `viscous` as for `element_kernels`.
+    """
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    _strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
+    half, one, two = real(0.5), real(1.0), real(2.0)
+    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
+    third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
+
+    @wp.func
+    def of_mean(
+        inverse: wp.array3d(dtype=mat33),
+        weight: wp.array3d(dtype=real),
+        kind: int,
+        bulk: wp.array(dtype=real),
+        bulk_factor: wp.array(dtype=real),
+        bulk_history: wp.array2d(dtype=real),
+        env: int,
+        e: int,
+        corners: int,
+        u1: vec3,
+        u2: vec3,
+        u3: vec3,
+        u4: vec3,
+        u5: vec3,
+        u6: vec3,
+        u7: vec3,
+    ):
+        """Pressure of an element, and its derivative by the mean change of volume, over volume."""
+        volume, theta, _lowest = mean_change(
+            inverse, weight, kind, e, corners, u1, u2, u3, u4, u5, u6, u7
+        )
+        pressure = pressure_of(bulk[env], theta)
+        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
+        if wp.static(viscous):
+            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
+            stiffness = bulk_factor[env] * stiffness
+        return pressure, stiffness / volume
+
+    @wp.func
+    def at_point(
+        h: mat33,
+        inv: mat33,
+        w: real,
+        pressure: real,
+        shear: wp.array(dtype=real),
+        factor: wp.array(dtype=real),
+        history: wp.array3d(dtype=mat33),
+        env: int,
+        e: int,
+        q: int,
+    ):
+        """At Gauss point q the vectors c_r, e_r, the metric, and the columns that turn.
+
+        With them the block between reference directions r and s is e_r c_s^T + c_r e_s^T +
+        metric_rs, less the product with the column that belongs to both.
+        """
+        f, c, _less, j, square = deformed(h)
+        g = shear[env] * wp.pow(j, power)
+        if wp.static(viscous):
+            g = g * factor[env]
+        over = g * third / j
+        mixed = w * over * five_thirds * square / j
+        across = wp.transpose(inv)
+        cr = c * across
+        # Half of the c c^T term to either side makes it a product with its transpose.
+        er = cr * (mixed * half) - (f * across) * (w * two * over)
+        metric = (inv * across) * (w * g)
+        if wp.static(viscous):
+            metric += (inv * history[env, e, q] * across) * w
+        # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
+        turn = f * wp.transpose(cofactor(inv)) * (w * (pressure - over * square))
+        return cr, er, metric, turn
+
+    return of_mean, at_point
+
+
+@functools.cache
 def element_blocks_kernel(real, viscous: bool):
     """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node.
 
@@ -301,10 +412,8 @@ def element_blocks_kernel(real, viscous: bool):
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
     column = column_function(real)
-    strain, cofactor, det_less_one = strain_functions(real)
-    half, one, two = real(0.5), real(1.0), real(2.0)
-    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
-    third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
+    strain = kinematics(real)[0]
+    of_mean, at_point = tangent_functions(real, viscous)
     eighth, abscissa = real(0.125), real(0.5773502691896258)
 
     @wp.func
@@ -362,52 +471,36 @@ def element_blocks_kernel(real, viscous: bool):
         blocks = wp.zeros(shape=(8, 8), dtype=mat33)
         identity = wp.identity(n=3, dtype=real)
 
-        volume = real(0.0)
-        change = real(0.0)
-        for q in range(corners):
-            h, _sx, _sy, _sz = strain(
-                u1, u2, u3, u4, u5, u6, u7, q, inverse[kind, e, wp.min(q, last)]
-            )
-            volume += weight[kind, e, q]
-            change += weight[kind, e, q] * det_less_one(h)
-        theta = change / volume
-        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
-        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
-        if wp.static(viscous):
-            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
-            stiffness = bulk_factor[env] * stiffness
-        stiffness = stiffness / volume
+        pressure, stiffness = of_mean(
+            inverse,
+            weight,
+            kind,
+            bulk,
+            bulk_factor,
+            bulk_history,
+            env,
+            e,
+            corners,
+            u1,
+            u2,
+            u3,
+            u4,
+            u5,
+            u6,
+            u7,
+        )
 
         for q in range(corners):
             inv = inverse[kind, e, wp.min(q, last)]
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
-            f = h + identity
-            less = det_less_one(h)
-            j = one + less
             w = weight[kind, e, q]
-            g = shear[env] * wp.pow(j, power)
-            if wp.static(viscous):
-                g = g * factor[env]
-            over = g * third / j
-            square = wp.ddot(f, f)
-            mixed = w * over * five_thirds * square / j
-            across = wp.transpose(inv)
-            fr = f * across
-            cr = cofactor(f) * across
-            # Half of the c c^T term to either side makes it a product with its transpose.
-            er = cr * (mixed * half) - fr * (w * two * over)
-            metric = (inv * across) * (w * g)
-            if wp.static(viscous):
-                metric += (inv * history[env, e, q] * across) * w
-            turning = w * (pressure - over * square)
+            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
+            cr, er, metric, turn = at_point(h, inv, w, pressure, shear, factor, history, env, e, q)
             c0 = column(cr, 0)
             c1 = column(cr, 1)
             c2 = column(cr, 2)
             e0 = column(er, 0)
             e1 = column(er, 1)
             e2 = column(er, 2)
-            # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
-            turn = f * wp.transpose(cofactor(inv)) * turning
             moments[q, 0] = wp.outer(e0, c0) + wp.outer(c0, e0) + identity * metric[0, 0]
             moments[q, 1] = wp.outer(e1, c1) + wp.outer(c1, e1) + identity * metric[1, 1]
             moments[q, 2] = wp.outer(e2, c2) + wp.outer(c2, e2) + identity * metric[2, 2]
@@ -510,16 +603,16 @@ def element_blocks_kernel(real, viscous: bool):
 
 # The tangent of an element, a row of 3x3 blocks a thread: what a GPU assembles.
 #
-# The same blocks as `fem.element_blocks`, a row a thread: 8 blocks stay in registers. All 64 of an
-# element do not: a GPU's threads then wait for memory.
+# The same blocks as those of `element_blocks_kernel`, a row a thread: 8 blocks stay in registers.
+# All 64 of an element do not: a GPU's threads then wait for memory.
 #
 # With A the reference derivatives of the shape function of the row's node, B those of a mode of the
-# other, and the rest as in `fem.element_blocks`, one Gauss point adds
+# other, and the rest as above, one Gauss point adds
 #
 #     (A . metric B) 1 + e_A c_B^T + c_A e_B^T - skew(turn (A x B))
 #
 # It is linear in B, so it is worked out for three directions; modes sum those over the Gauss points
-# as they do forces, and blocks are to modes as forces to theirs (`fem.element`). That takes some
+# as they do forces, and blocks are to modes as forces to theirs (`nodal_function`). It takes some
 # 65,000 operations an element; node by node it would be 90,000.
 
 
@@ -531,10 +624,9 @@ def element_rows_kernel(real, viscous: bool):
     modes_of, _scatter = mode_functions(real)
     column = column_function(real)
     blocks_of = nodal_function(real, mat33)
-    strain, cofactor, det_less_one = strain_functions(real)
-    half, one, two = real(0.5), real(1.0), real(2.0)
-    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
-    third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
+    strain = kinematics(real)[0]
+    of_mean, at_point = tangent_functions(real, viscous)
+    half = real(0.5)
     near, far = real(0.5 + 0.5 / 3.0**0.5), real(0.5 - 0.5 / 3.0**0.5)
 
     @wp.func
@@ -609,26 +701,27 @@ def element_rows_kernel(real, viscous: bool):
             return
         kind = variant[env]
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        identity = wp.identity(n=3, dtype=real)
-
-        volume = real(0.0)
-        change = real(0.0)
-        for q in range(corners):
-            h, _sx, _sy, _sz = strain(
-                u1, u2, u3, u4, u5, u6, u7, q, inverse[kind, e, wp.min(q, last)]
-            )
-            volume += weight[kind, e, q]
-            change += weight[kind, e, q] * det_less_one(h)
-        theta = change / volume
-        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
-        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
-        if wp.static(viscous):
-            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
-            stiffness = bulk_factor[env] * stiffness
-        stiffness = stiffness / volume
+        pressure, stiffness = of_mean(
+            inverse,
+            weight,
+            kind,
+            bulk,
+            bulk_factor,
+            bulk_history,
+            env,
+            e,
+            corners,
+            u1,
+            u2,
+            u3,
+            u4,
+            u5,
+            u6,
+            u7,
+        )
 
         # Blocks of the row and gradients of the volume, by modes of the other node, summed over
-        # Gauss points as `fem.element` sums forces: names, because registers have no numbers.
+        # Gauss points as the forces are: names, because registers have no numbers.
         k1 = mat33()
         k2 = mat33()
         k3 = mat33()
@@ -646,26 +739,9 @@ def element_rows_kernel(real, viscous: bool):
         mean = vec3()
         for q in range(corners):
             inv = inverse[kind, e, wp.min(q, last)]
-            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
-            f = h + identity
-            less = det_less_one(h)
-            j = one + less
             w = weight[kind, e, q]
-            g = shear[env] * wp.pow(j, power)
-            if wp.static(viscous):
-                g = g * factor[env]
-            over = g * third / j
-            square = wp.ddot(f, f)
-            mixed = w * over * five_thirds * square / j
-            across = wp.transpose(inv)
-            cr = cofactor(f) * across
-            # Half of the c c^T term to either side makes it a product with its transpose.
-            er = cr * (mixed * half) - (f * across) * (w * two * over)
-            metric = (inv * across) * (w * g)
-            if wp.static(viscous):
-                metric += (inv * history[env, e, q] * across) * w
-            # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
-            turn = f * wp.transpose(cofactor(inv)) * (w * (pressure - over * square))
+            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
+            cr, er, metric, turn = at_point(h, inv, w, pressure, shear, factor, history, env, e, q)
             sa = slope(q, a)
             ma = wp.transpose(metric) * sa
             ca = cr * sa
@@ -734,8 +810,7 @@ def _kernels(real):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
-    strain, cofactor, det_less_one = strain_functions(real)
-    half, one, two = real(0.5), real(1.0), real(2.0)
+    strain, _cofactor, deformed, mean_change, pressure_of = kinematics(real)
     third = real(1.0 / 3.0)
     power = real(-2.0 / 3.0)
 
@@ -799,17 +874,9 @@ def _kernels(real):
             return
         m = variant[env]
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        volume = real(0.0)
-        change = real(0.0)
         for q in range(points):
             h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
-            less = det_less_one(h)
-            volume += weight[m, e, q]
-            change += weight[m, e, q] * less
-            f = h + wp.identity(n=3, dtype=real)
-            c = cofactor(f)
-            j = one + less
-            square = wp.ddot(f, f)
+            _f, c, _less, j, square = deformed(h)
             g = shear[env] * wp.pow(j, power)
             # S = F^-1 P with F^-1 = cof(F)^T / J
             stress = (
@@ -821,8 +888,10 @@ def _kernels(real):
                     + (stress - rest_out[env, e, q]) * gain[env, i]
                 )
             rest_out[env, e, q] = stress
-        theta = change / volume
-        pressure = half * bulk[env] * theta * (two + theta) / (one + theta)
+        _volume, theta, _lowest = mean_change(
+            inverse, weight, m, e, points, u1, u2, u3, u4, u5, u6, u7
+        )
+        pressure = pressure_of(bulk[env], theta)
         for i in range(decay.shape[1]):
             bulk_branch_out[i, env, e] = (
                 bulk_branch_out[i, env, e] * decay[env, i]

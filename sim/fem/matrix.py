@@ -2,7 +2,7 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """The tangent assembled on the 27-point stencil of the grid of nodes, and its product with vectors.
 
-`matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s (`fem.grid`).
+`matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s (`fem.mesh`).
 Where the grid ends, and in rows and columns of held nodes, blocks are zero. Assembling, once per
 Newton iteration, costs about as much as 3 products without a matrix; each product is then some ten
 times cheaper on a CPU.

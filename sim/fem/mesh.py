@@ -404,15 +404,6 @@ def meshes_of(scenes: Sequence[Scene], numerics: Numerics) -> list[Mesh]:
     return [build_mesh(*plan, at_least=least) for plan in plans]
 
 
-def mesh_of(scene: Scene, numerics: Numerics) -> Mesh:
-    """The mesh that a scene is solved on alone.
-
-    Raises:
-        SceneError: See `mesh.cell_counts`.
-    """
-    return meshes_of([scene], numerics)[0]
-
-
 def _spacing_and_window(scene: Scene, numerics: Numerics) -> tuple[float, Window | None]:
     spacing = numerics.spacing
     if spacing is None:

@@ -1,7 +1,5 @@
 # mypy: ignore-errors
-# Drives Warp arrays, typed at run time; mypy cannot follow them.
-# mypy: ignore-errors
-# Reads Warp arrays, typed at run time; mypy cannot follow them.
+# Drives and reads Warp arrays, typed at run time; mypy cannot follow them.
 """The `fem` tier: every press walks its own path, all of them solved side by side."""
 
 from __future__ import annotations
@@ -248,6 +246,8 @@ class Collector:
             record=record,
         )
 
+
+# The batches of a call, in the precision that each takes, and the steps of one batch.
 
 Progress = Callable[[float], None]
 

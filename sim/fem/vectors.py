@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Small vector operations on a batch."""
+"""Small vector operations on a batch, and what is out of balance at its nodes."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""Closed paths of lines and arcs in a plane, and the rounding of their corners.
+"""Parts of indenters: closed paths of lines and arcs in a plane, rounded, and their distance.
 
 A path is given by its corners (u, v, bulge) in turn, the material on its left. The bulge is
 tan(angle / 4) of the arc from one corner to the next (the convention of DXF polylines): 0 is a

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from sim.layer.solver import Press, simulate_layer
+from sim.layer.contact import Clearance
+from sim.layer.solver import GRID, TOLERANCE, History, Press, check_known, simulate_layer
 from sim.layer.spectral import Grid
 
-__all__ = ["Grid", "Press", "simulate_layer"]
+__all__ = [
+    "GRID",
+    "TOLERANCE",
+    "Clearance",
+    "Grid",
+    "History",
+    "Press",
+    "check_known",
+    "simulate_layer",
+]

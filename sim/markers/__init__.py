@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.markers.camera import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
+from sim.markers.camera import DISTANCE, FILM, FOCAL, HEIGHT, LENS, WIDTH, Camera
 from sim.markers.image import ImagePattern
 from sim.markers.pattern import (
     HOMOGENEOUS,
@@ -16,7 +16,7 @@ from sim.markers.pattern import (
     staggered,
     turned,
 )
-from sim.markers.renderer import Renderer, View
+from sim.markers.renderer import SPACING, Renderer, View
 from sim.markers.textures import (
     BAND,
     STEP,
@@ -26,15 +26,19 @@ from sim.markers.textures import (
     distance_texture,
     textures_of,
 )
+from sim.markers.top import cubic_taps, heights, top_of
 
 __all__ = [
     "BAND",
     "DISTANCE",
+    "FILM",
     "FOCAL",
     "HEIGHT",
     "HOMOGENEOUS",
+    "LENS",
     "NAMES",
     "SIMULATED",
+    "SPACING",
     "STEP",
     "WIDTH",
     "Camera",
@@ -45,12 +49,15 @@ __all__ = [
     "Renderer",
     "Textures",
     "View",
+    "cubic_taps",
     "distance_texture",
+    "heights",
     "hexagon",
     "named",
     "rings",
     "rows",
     "staggered",
     "textures_of",
+    "top_of",
     "turned",
 ]

@@ -1,8 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-# mypy: ignore-errors
-# Warp gives structs and functions their types itself; mypy cannot follow them.
-"""The camera as Warp kernels see it."""
+"""What the camera sees, pixel by pixel, as Warp kernels: the gel, its markers, their motion."""
 
 import functools
 import math

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.mpm.numerics import MpmNumerics
+from sim.mpm.numerics import AUTHORS_CELL, MpmNumerics
 from sim.mpm.solver import simulate_mpm
 
-__all__ = ["MpmNumerics", "simulate_mpm"]
+__all__ = ["AUTHORS_CELL", "MpmNumerics", "simulate_mpm"]

@@ -1,13 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-# mypy: ignore-errors
-# Warp reads the annotations of its functions as values, which no type checker follows.
-"""A grid node's time step: velocity from momentum, weight, the bonded base, the rigid indenter.
-
-The base: inside the body the velocity field is extended below the base plane as an odd function, so
-that a spline over nodes on both sides of it vanishes there. The first node below is bound to the
-first above: they share one unknown, and its mass and momentum are gathered from both.
-"""
+"""Kernels of the material-point method: grid nodes, the material's law, tips, particles."""
 
 import functools
 
@@ -74,6 +67,13 @@ READINGS = 9
 """Impulses of a step: force of the indenter, its torque about the tip, force of the base."""
 IMPULSE_UNIT = 2.0**40
 """Units of the integers in which these are summed up: one is 1e-12, the range is +-8 million."""
+
+
+# A grid node's time step: velocity from momentum, weight, the bonded base, the rigid indenter.
+#
+# The base: inside the body the velocity field is extended below the base plane as an odd function,
+# so that a spline over nodes on both sides of it vanishes there. The first node below is bound to
+# the first above: they share one unknown, and its mass and momentum are gathered from both.
 
 
 @functools.cache

@@ -159,7 +159,7 @@ STANDING = 4.0
 """How long the tip of a scene without inertia stands where its motion has it stand still [slowest
 periods of the layer]."""
 SETTLING = 6.0
-"""How long a body is given to come to rest under its weight, with `CRITICAL` damping [periods]."""
+"""How long a body is given to come to rest under its weight, with critical damping [periods]."""
 ENTRY_SPEED = 10e-3
 """Speed of a tip whose motion has none [m/s]."""
 STEPS_MOST = 5_000_000

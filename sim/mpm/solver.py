@@ -1,7 +1,5 @@
 # mypy: ignore-errors
-# Drives Warp arrays, typed at run time; mypy cannot follow them.
-# mypy: ignore-errors
-# Reads Warp arrays, typed at run time; mypy cannot follow them.
+# Drives and reads Warp arrays, typed at run time; mypy cannot follow them.
 """The `mpm` tier: presses walked through in time, all of them side by side."""
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ class Frames:
     """
 
     def __init__(self, scene: Scene, pace: Pace, state: State, env: int) -> None:
-        self._scene, self._pace, self._lattice, self._env = scene, pace, state.lattice, env
+        self._scene, self._pace, self._lattice = scene, pace, state.lattice
         self._units: Units = state.units[env]
         frames = len(scene.motion)
         nx, ny, _nz = state.lattice.counts

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
@@ -33,9 +33,6 @@ from sim.planner.seconds import SecondsModel, fit_seconds
 from sim.result import Result
 from sim.scene import Scene
 from sim.tiers import simulate_one
-
-if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
 
 
 def conditions_text() -> str:
@@ -307,8 +304,6 @@ def with_error_bar(
         SceneError: A scene beyond the table, or a mesh that has no coarser one.
         SimulationDiverged: The second mesh found no solution.
     """
-    from sim.fem.numerics import Numerics
-
     planner = planner or stored()
     scene = result.scene
     looked = known.looked if known is not None else probe(scene)

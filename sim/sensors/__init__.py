@@ -8,7 +8,7 @@ One deformation serves them all: a signal is made from the displacement of the t
 assume, and where from: docs/sensors.md.
 """
 
-from sim.sensors.field import SurfaceField
+from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights
 from sim.sensors.optics import Lamp, Pins, Shading
 from sim.sensors.readout import CameraReadout, Readout, TaxelReadout, readout
 from sim.sensors.sensor import (
@@ -34,6 +34,7 @@ from sim.sensors.variation import (
 )
 
 __all__ = [
+    "EVEN_STEP",
     "HETEROGENEOUS",
     "HOMOGENEOUS",
     "MATERIAL",
@@ -57,6 +58,7 @@ __all__ = [
     "TaxelPad",
     "TaxelReadout",
     "TaxelSignal",
+    "cubic_weights",
     "read_sensor",
     "readout",
     "sensor",

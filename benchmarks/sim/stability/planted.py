@@ -40,15 +40,29 @@ _FULL_INTEGRATION = (
         "            pressure = half * bulk[env] * less * (two + less) / j\n",
         1,
     ),
-    # In both tangents, the same, and its derivative in place of the mean's.
+    # In the tangent the same, and its derivative in place of the mean's. `of_mean` gives the bulk
+    # modulus where `at_point` takes the pressure.
     (
-        "            mixed = w * over * five_thirds * square / j\n",
-        "            mixed = w * over * five_thirds * square / j\n"
-        "            pressure = half * bulk[env] * less * (two + less) / j\n"
-        "            mixed += w * half * bulk[env] * (one + one / (j * j))\n",
-        2,
+        "        return pressure, stiffness / volume\n",
+        "        return bulk[env], real(0.0)\n",
+        1,
     ),
-    ("        stiffness = stiffness / volume\n", "        stiffness = real(0.0)\n", 2),
+    (
+        "        f, c, _less, j, square = deformed(h)\n",
+        "        f, c, less, j, square = deformed(h)\n",
+        1,
+    ),
+    (
+        "        mixed = w * over * five_thirds * square / j\n",
+        "        mixed = w * over * five_thirds * square / j\n"
+        "        mixed += w * half * pressure * (one + one / (j * j))\n",
+        1,
+    ),
+    (
+        "(w * (pressure - over * square))\n",
+        "(w * (half * pressure * less * (two + less) / j - over * square))\n",
+        1,
+    ),
 )
 """Lines of `sim.fem.element`, what stands there instead, and how often the lines are there."""
 
