@@ -106,11 +106,6 @@ class StreamSpec:
             raise SessionError(f"{self.name}: found rate_hz {self.rate_hz}, expected more than 0")
 
     @property
-    def time_column(self) -> str:
-        """Name of the column that holds the time of a row."""
-        return self.columns[-1].name
-
-    @property
     def block(self) -> int:
         """Rows of one chunk of a small column: the power of two nearest to 1.3 s, 64 to 4096."""
         return int(2 ** min(max(round(math.log2(1.28 * self.rate_hz)), 6), 12))

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
+logger = logging.getLogger(__name__)
+
 # Ctrl-C as a wish, not an exception: the row in progress is finished, then the arm retracts.
 
 
@@ -51,9 +53,6 @@ class InterruptFlag:
         """Raise `Interrupted` when a stop was asked for."""
         if self.requested:
             raise Interrupted("interrupted by the operator")
-
-
-logger = logging.getLogger(__name__)
 
 
 class Control:

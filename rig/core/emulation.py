@@ -29,13 +29,13 @@ from rig.core.realtime import DEVICE_PRIORITY, be_punctual
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import AwaitedRecord
 
+logger = logging.getLogger(__name__)
+
 # The port through which faults are put into a running emulator: `make faults`, and the tests.
 #
 # One JSON object a line, {"fault": NAME, ...}, each answered by one: {"ok": true, ...} with how the
 # device is, or {"ok": false, "error": TEXT}. It lies beside the device's own protocol, so that it
 # answers while the device is unplugged or frozen, and only on the emulator's own loopback address.
-
-logger = logging.getLogger(__name__)
 
 PORTS = {
     "arm": 31000,

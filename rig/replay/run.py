@@ -22,9 +22,9 @@ from rig.devices.playback.wire import force_bias, load_tape
 from rig.mock.cue import ENDED
 from rig.mock.players import Players
 
-# How far a replay has come: when a run has ended, and when it never will.
-
 logger = logging.getLogger(__name__)
+
+# How far a replay has come: when a run has ended, and when it never will.
 
 MISSING_TIMEOUT = 5.0
 """After its emulator has sent all, a stream may take so long to have all rows [s]."""

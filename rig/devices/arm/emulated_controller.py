@@ -18,13 +18,13 @@ from rig.core.geometry import Array
 from rig.devices.arm import rtde
 from rig.devices.arm.emulated_arm import CYCLE, Movement, Robot
 
+logger = logging.getLogger(__name__)
+
 # The program that ur_rtde 1.6.5 uploads, re-implemented: one `next()` is one sync() of its script.
 #
 # The uploaded text is not interpreted. What is here follows it in what a client can see: a command
 # runs once, register 0 says 2 (done) until the client writes command 0, then 1 (ready); real-time
 # commands run every cycle; register 2 is the asynchronous operation word.
-
-logger = logging.getLogger(__name__)
 
 READY, DONE = 1, 2
 STOP_SCRIPT = 255

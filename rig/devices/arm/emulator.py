@@ -33,11 +33,11 @@ from rig.devices.arm import dashboard, emulator_faults, rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_answer
 
+logger = logging.getLogger(__name__)
+
 # The connections of an emulated controller: RTDE, script upload, and lines of text.
 #
 # Nothing blocks: each client keeps what has arrived and what could not be sent yet.
-
-logger = logging.getLogger(__name__)
 
 _UNSENT_LIMIT = 1 << 20
 """A client that lets this much pile up is dropped, as the controller does [bytes]."""

@@ -158,11 +158,6 @@ def unpack_output_request(payload: bytes) -> tuple[float, list[str]]:
     return struct.unpack_from(">d", payload)[0], unpack_names(payload[8:])
 
 
-def pack_names(names: Sequence[str]) -> bytes:
-    """Payload of I from the client."""
-    return ",".join(names).encode()
-
-
 def unpack_names(payload: bytes) -> list[str]:
     """Names of an I request or types of a reply, empty ones dropped.
 

@@ -35,6 +35,8 @@ from rig.devices.force.netft_wire import (
 )
 from rig.devices.force.settings import NetFtConfig
 
+logger = logging.getLogger(__name__)
+
 # When a UDP packet arrived, told by the kernel.
 #
 # A thread that waits for the interpreter's lock takes a packet some milliseconds after it came (in
@@ -91,8 +93,6 @@ class StampedSocket:
 # Nothing in an RDT record says its units. Whoever changes them on the box's web page while it
 # streams changes the meaning of every count from then on, so the page is read again about once a
 # second.
-
-logger = logging.getLogger(__name__)
 
 _PERIOD = 1.0
 # The box's web server is slow, and shares the processor that makes the records [s].

@@ -5,6 +5,9 @@ A request is 8 bytes, a record 36, both big-endian:
     request  uint16 0x1234 | uint16 command | uint32 samples (0: until stopped)
     record   uint32 rdt_sequence | uint32 ft_sequence | uint32 status | int32 Fx Fy Fz Tx Ty Tz
 
+`rdt_sequence` numbers the records of a stream and wraps at 2**32: its gaps are lost packets.
+`ft_sequence` is the number of the box's internal sample; `status` see `status_text`.
+
 Counts become units through `cfgcpf` and `cfgcpt` (counts per unit) and `scfgfu` and `scfgtu`
 (names of the units) of `http://host/netftapi2.xml`.
 """
@@ -14,7 +17,6 @@ from __future__ import annotations
 import struct
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from rig.core.errors import ConfigError
 
@@ -91,19 +93,6 @@ ERROR_MASK = sum(1 << bit for bit in _STATUS_BITS if bit not in _NO_ERROR_BITS)
 """Bits with which a record's wrench must not be trusted."""
 
 
-class Record(NamedTuple):
-    """One RDT record; wrench in counts."""
-
-    rdt_sequence: int
-    """Position in this stream; its gaps are lost packets. Wraps at 2**32."""
-    ft_sequence: int
-    """Number of the box's internal sample."""
-    status: int
-    """System status, see `status_text`."""
-    counts: tuple[int, int, int, int, int, int]
-    """Fx Fy Fz Tx Ty Tz."""
-
-
 @dataclass(frozen=True, slots=True)
 class Page:
     """What of netftapi2.xml a client needs."""
@@ -157,19 +146,6 @@ def parse_request(packet: bytes) -> tuple[int, int] | None:
         return None
     header, command, samples = REQUEST.unpack(packet)
     return (command, samples) if header == HEADER else None
-
-
-def emit_record(record: Record) -> bytes:
-    """The packet that carries `record`."""
-    return RECORD.pack(*record[:3], *record.counts)
-
-
-def parse_record(packet: bytes) -> Record | None:
-    """The record of a packet, or None when the packet is none."""
-    if len(packet) != RECORD.size:
-        return None
-    rdt_sequence, ft_sequence, status, *counts = RECORD.unpack(packet)
-    return Record(rdt_sequence, ft_sequence, status, tuple(counts))
 
 
 _TAGS = {

@@ -23,6 +23,8 @@ from rig.core.errors import ConfigError
 from rig.devices.camera.jpeg import is_whole, with_huffman_tables
 from rig.devices.force.netft_wire import Page
 
+logger = logging.getLogger(__name__)
+
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -260,8 +262,6 @@ def load_tape(session: Session, names: tuple[str, ...], name: str, run: int) -> 
 
 
 # A TCP port whose clients are greeted one after the other, the latest one kept.
-
-logger = logging.getLogger(__name__)
 
 _POLL = 0.1
 _GREETING = 5.0

@@ -234,6 +234,3 @@ class MarkerCamera:
         for channel, (east, south) in enumerate(((1.0, 0.2), (-0.3, -1.0), (-0.7, 0.8))):
             patch[..., channel] += slope * (east * across + south * down)
         image[top:bottom, left:right] = np.clip(patch, 0, 255)
-
-
-# Counts of a magnetic taxel pad on a deformed surface.
