@@ -6,23 +6,39 @@
 
 from __future__ import annotations
 
-import os
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import torch
+    from learning.force.export import export_onnx
+    from learning.force.live import open_live
+    from learning.force.model import ForceModel
+    from learning.force.predict import ForcePredictor, load_force_model
+    from learning.force.stream import ForceStream, open_exported
 
-    from learning.force.predict import ForcePredictor
+__all__ = [
+    "ForceModel",
+    "ForcePredictor",
+    "ForceStream",
+    "export_onnx",
+    "load_force_model",
+    "open_exported",
+    "open_live",
+]
+
+_MODULES = {
+    "ForceModel": "model",
+    "ForcePredictor": "predict",
+    "ForceStream": "stream",
+    "export_onnx": "export",
+    "load_force_model": "predict",
+    "open_exported": "stream",
+    "open_live": "live",
+}
 
 
-def load_force_model(
-    folder: str | os.PathLike[str], device: str | torch.device = "cpu"
-) -> ForcePredictor:
-    """Return the force model in the folder of a finished run, or of one of its checkpoints.
-
-    Raises:
-        LearningError: Not such a folder, a model of another kind, or weights that do not fit it.
-    """
-    from learning.force import predict
-
-    return predict.load_force_model(folder, device)
+def __getattr__(name: str) -> Any:
+    """Return what is named, from its module: whoever steps an exported model needs no torch."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

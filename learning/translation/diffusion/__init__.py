@@ -4,6 +4,8 @@
 user's; diffusers, peft and transformers are needed only when one of them is called.
 """
 
-from learning.translation.diffusion.translator import load
+from learning.translation.diffusion.network import MarkerToMarker
+from learning.translation.diffusion.settings import TranslatorSettings
+from learning.translation.diffusion.translator import KIND, DiffusionTranslator, load
 
-__all__ = ["load"]
+__all__ = ["KIND", "DiffusionTranslator", "MarkerToMarker", "TranslatorSettings", "load"]

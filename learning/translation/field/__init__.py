@@ -5,6 +5,7 @@ the target's reference is to be deformed, so edges are as sharp as the reference
 need not have been seen in training.
 """
 
-from learning.translation.field.translator import KIND, FieldTranslator, load
+from learning.translation.field.settings import FieldSettings
+from learning.translation.field.translator import KIND, FieldModel, FieldTranslator, load
 
-__all__ = ["KIND", "FieldTranslator", "load"]
+__all__ = ["KIND", "FieldModel", "FieldSettings", "FieldTranslator", "load"]
