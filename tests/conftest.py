@@ -16,8 +16,8 @@ from hypothesis import settings
 # slower. Before anything of them is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Hundreds of processes are started here: each would compile our modules anew, and pytest its
-# asserts, where the environment keeps Python from writing bytecode.
+# Hundreds of processes are started here: where the environment keeps Python from writing bytecode,
+# each would compile our modules anew, and pytest the asserts of every file.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
