@@ -42,7 +42,7 @@ from learning.data.genforce.format import Compensation, read_compensation
 from learning.errors import LearningError
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
-from recorder.store.durable import replace_file
+from recorder.store import replace_file
 
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
 CHOICES = ("default", "priors", "oracle")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
 from recorder import PHASES, Session
-from recorder.session.press_curve import press_curves
+from recorder.session import press_curves
 
 # Force over depth as it was measured: rows of an archive, or a session of `rig force-depth`.
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from learning.errors import LearningError
-from recorder.archive import ArchivedSensor
-from recorder.archive.array import Rows
+from recorder.archive import ArchivedSensor, Rows
 from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, unpack
 
 SIDE = 256

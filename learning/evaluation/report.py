@@ -46,7 +46,7 @@ from learning.evaluation.translation import (
     require_alone,
     score_line,
 )
-from recorder.store.durable import replace_file
+from recorder.store import replace_file
 from recorder.strict_yaml import natural_key
 
 # All results of a folder, told apart by what they are.

@@ -22,8 +22,7 @@ from learning.evaluation.distribution import (
 from learning.evaluation.results_file import Results, read_results, write_results
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor, location_pairs
-from recorder.markers import SMALLEST_PX, Blobs, Lattice, find_blobs, unpack
-from recorder.markers.displacement import moved
+from recorder.markers import SMALLEST_PX, Blobs, Lattice, find_blobs, moved, unpack
 
 if TYPE_CHECKING:
     import torch

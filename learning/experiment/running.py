@@ -24,7 +24,7 @@ from learning.experiment.parts import Pair, pairs_of
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.worker import Work, do_all
 from recorder import MarkerArchive
-from recorder.store.durable import replace_file
+from recorder.store import replace_file
 
 Say = Callable[[str], None]
 

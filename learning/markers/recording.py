@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from learning.errors import LearningError
 from learning.indenters import coded
 from recorder import Session
-from recorder.session.align import quaternion
+from recorder.session import quaternion
 from recorder.spec import PHASES
 
 Integers = NDArray[np.int64]

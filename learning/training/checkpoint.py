@@ -26,7 +26,7 @@ from torch import Tensor, nn
 
 from learning.config import build, read_mapping
 from learning.errors import LearningError
-from recorder.store.durable import replace_file
+from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
 
 # Weights of networks in files: safetensors, and errors that say what does not fit.

@@ -47,7 +47,7 @@ from learning.training.checkpoint import (
     read_config,
     save_weights,
 )
-from recorder.store.durable import replace_file, sync_directory
+from recorder.store import replace_file, sync_directory
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 import numpy as np
 
 from learning.errors import LearningError
-from recorder.markers import HEIGHT, WIDTH, draw_discs, marker_centres, unpack
-from recorder.markers.discs import TAXELS
+from recorder.markers import HEIGHT, TAXELS, WIDTH, draw_discs, marker_centres, unpack
 
 if TYPE_CHECKING:
     import torch

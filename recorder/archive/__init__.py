@@ -3,6 +3,7 @@
 `docs/data-format.md` is the contract; this package is its one implementation.
 """
 
+from recorder.archive.array import Rows
 from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.info import describe_archive
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
@@ -24,6 +25,7 @@ __all__ = [
     "LocationPairs",
     "MarkerArchive",
     "MarkerCount",
+    "Rows",
     "SensorPlan",
     "SensorWriter",
     "check_archive",

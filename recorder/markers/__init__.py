@@ -5,8 +5,8 @@ the y axis of a sensor points up, against the rows. A mask is bool (480, 640), T
 """
 
 from recorder.markers.blobs import SMALLEST_PX, Blobs, count_markers, find_blobs, marker_centres
-from recorder.markers.discs import DiscMap, draw_discs, place_discs
-from recorder.markers.displacement import Lattice
+from recorder.markers.discs import TAXELS, DiscMap, draw_discs, place_discs
+from recorder.markers.displacement import Lattice, moved
 from recorder.markers.marker_check import MarkerCheck, MarkerFlag
 from recorder.markers.packing import HEIGHT, PACKED, WIDTH, pack, unpack
 
@@ -14,6 +14,7 @@ __all__ = [
     "HEIGHT",
     "PACKED",
     "SMALLEST_PX",
+    "TAXELS",
     "WIDTH",
     "Blobs",
     "DiscMap",
@@ -24,6 +25,7 @@ __all__ = [
     "draw_discs",
     "find_blobs",
     "marker_centres",
+    "moved",
     "pack",
     "place_discs",
     "unpack",

@@ -1,1 +1,23 @@
 """Sessions: what a stream holds, writing, reading, alignment, windows."""
+
+from recorder.session.align import EXPOSURE, captured, linear, quaternion
+from recorder.session.clocks import clock_lines, fit_clocks
+from recorder.session.press_curve import press_curves, save_curves
+from recorder.session.reader import Stream
+from recorder.session.sheet import contact_sheet
+from recorder.session.tail import ImageTail, open_tail
+
+__all__ = [
+    "EXPOSURE",
+    "ImageTail",
+    "Stream",
+    "captured",
+    "clock_lines",
+    "contact_sheet",
+    "fit_clocks",
+    "linear",
+    "open_tail",
+    "press_curves",
+    "quaternion",
+    "save_curves",
+]

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from recorder import Session, SessionError, SessionWriter
-from recorder.session.clocks import clock_lines, fit_clocks
-from recorder.session.sheet import contact_sheet
+from recorder.session import clock_lines, contact_sheet, fit_clocks
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Sentinels

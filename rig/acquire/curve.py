@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from recorder import Session, SessionError
-from recorder.session.press_curve import press_curves, save_curves
+from recorder.session import press_curves, save_curves
 
 
 def show_curve(path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from recorder import Session, SessionError
-from recorder.session import align
+from recorder.session import linear
 from rig.bench.stream_kinds import KINDS, make_driver
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver

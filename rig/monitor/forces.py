@@ -16,7 +16,7 @@ from typing import Any, Protocol, TextIO
 import numpy as np
 
 from recorder import SessionError
-from recorder.store.images import decode_jpeg
+from recorder.store import decode_jpeg
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
 from rig.monitor.predictor import Predictor, Reading

@@ -19,7 +19,7 @@ import numpy as np
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.info import session_digest, stream_digest
-from recorder.session.clocks import fit_clocks
+from recorder.session import fit_clocks
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.acquire.progress_line import minutes

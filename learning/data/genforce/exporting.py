@@ -21,7 +21,7 @@ from learning.data.genforce.training import DEPTH_UNKNOWN
 from learning.errors import LearningError
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
-from recorder.convert.export import building, file_name
+from recorder.convert import building, file_name
 from recorder.spec import PHASES
 
 Rows = NDArray[np.int64]

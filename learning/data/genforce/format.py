@@ -18,7 +18,7 @@ from PIL import Image, UnidentifiedImageError
 from learning.archive_writer import CHUNK_ROWS, FLAG, UNIT_ROWS, Flagger, Frames
 from learning.errors import LearningError
 from recorder.archive import NO_PHASE, MarkerCount, SensorPlan
-from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
+from recorder.convert import FORCE_COLUMNS, POSE_COLUMNS
 from recorder.markers import HEIGHT, PACKED, WIDTH, pack, unpack
 
 Array = NDArray[np.float64]

@@ -31,7 +31,7 @@ from learning.errors import LearningError
 from recorder import SessionError
 from recorder.markers import HEIGHT, WIDTH
 from recorder.spec import PHASES
-from recorder.store.images import decode_jpeg
+from recorder.store import decode_jpeg
 
 _RUN = re.compile(r"(.+)-\d{8}_\d{6}")
 FORCE_DEPTH: Mapping[str, int] = {

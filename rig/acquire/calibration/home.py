@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from recorder import Session
-from recorder.session.align import linear
+from recorder.session import linear
 from rig.acquire.calibration.calibration import HomeCalibration
 from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, tilt
 from rig.acquire.calibration.store import bench_hash, now_utc

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import Session, Stream
-from recorder.session.align import EXPOSURE, captured
+from recorder.session import EXPOSURE, captured
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import invert, transform

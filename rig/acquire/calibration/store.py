@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder.store.durable import replace_file
+from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
 from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench

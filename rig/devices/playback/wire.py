@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from recorder import Session, SessionError
-from recorder.session.reader import Stream
+from recorder.session import Stream
 from rig.core.errors import ConfigError
 from rig.devices.camera.jpeg import is_whole, with_huffman_tables
 from rig.devices.force.netft_wire import Page

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from recorder import SessionError
-from recorder.session.tail import ImageTail, open_tail
+from recorder.session import ImageTail, open_tail
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
