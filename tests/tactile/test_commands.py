@@ -20,8 +20,10 @@ OURS = ("trajectories", "recorder", "rig", "sim", "learning")
 def _verbs(package: str) -> dict[str, argparse.ArgumentParser]:
     """The verbs that `python -m PACKAGE` has, and their parsers."""
     front = importlib.import_module(f"{package}.__main__")
-    make = {"rig": "_arguments", "recorder": "parser"}.get(package, "arguments")
-    parser = getattr(front, make)()
+    if package == "rig":
+        parser = front._arguments([])  # of no verb alone: of all
+    else:
+        parser = front.parser() if package == "recorder" else front.arguments()
     (verbs,) = (each for each in parser._actions if isinstance(each, argparse._SubParsersAction))
     return dict(verbs.choices)
 
