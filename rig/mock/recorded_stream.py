@@ -110,7 +110,7 @@ class ReplayedSensor(StartedOrClosed):
         force = session.streams["force"]
         recorded = np.asarray(t_ns, np.int64) - self._start_ns + self._origin_ns
         value = np.asarray(force.array("value"), np.float64)[rows]
-        return align.linear(force.t_ns[rows], value, recorded).value
+        return linear(force.t_ns[rows], value, recorded).value
 
     def close(self) -> None:
         """End driver and player; safe twice."""
