@@ -14,7 +14,7 @@ DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
-.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test test-all check format reference setup clean
+.PHONY: help accuracy cost-table speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
 
 # Above a target: `##@` begins a group of the list, `#:` are the options of the target.
 help:
@@ -201,9 +201,13 @@ learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by si
 
 ##@ Develop
 
-test: $(VENV)/.dev  ## Run the default tests (about 8 minutes on 2 cores)
-	@$(PY) -m pytest -q -n 2 --dist worksteal -m 'not serial'
-	@$(PY) -m pytest -q -m serial
+test: $(VENV)/.dev  ## Run the default tests (about 6 minutes on 2 cores)
+	@$(PY) -m pytest -q -n 2 --dist worksteal -m 'not serial' --ignore tests/golden
+	@$(PY) -m pytest -q -m serial --ignore tests/golden
+
+#: [ARGS="--slow | --only NAME"]
+golden: $(VENV)/.dev  ## Replay what every command did before (3 minutes)
+	@$(PY) tests/golden/replay.py -j 2 $(ARGS)
 
 test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10

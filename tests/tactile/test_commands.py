@@ -184,7 +184,11 @@ def test_the_pages_of_reference_are_those_of_the_table_and_the_packages() -> Non
 
 def test_make_lists_its_targets_in_groups_of_short_lines() -> None:
     ran = subprocess.run(
-        ["make"], cwd=reference.ROOT, capture_output=True, text=True, check=True
+        ["make", "--no-print-directory"],
+        cwd=reference.ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout.splitlines()
     assert max(map(len, ran)) < 100
     titles = [line.split(" (")[0] for line in ran[1:] if line and not line.startswith(" ")]
@@ -197,7 +201,11 @@ def test_make_lists_its_targets_in_groups_of_short_lines() -> None:
 
 def test_make_tells_the_options_of_a_target() -> None:
     ran = subprocess.run(
-        ["make", "help-collect"], cwd=reference.ROOT, capture_output=True, text=True, check=True
+        ["make", "--no-print-directory", "help-collect"],
+        cwd=reference.ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert "make collect SENSOR=tacpalm [TARGETS=8]" in ran.stdout
     assert max(map(len, ran.stdout.splitlines())) <= 100
