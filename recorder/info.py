@@ -16,13 +16,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from recorder.archive.info import describe_archive
 from recorder.archive.plan import FORMAT as ARCHIVE
+from recorder.archive.reader import describe_archive
 from recorder.session.align import NS
 from recorder.session.reader import Session, Stream
 from recorder.spec import OUTCOMES, PHASES
-from recorder.store.attrs import says_it_is
 from recorder.store.files import locate
+from recorder.store.layout import says_it_is
 
 Progress = Callable[[int, int], None]
 

@@ -32,7 +32,6 @@ from learning.training.run import METRICS, RunFolder, described, generator
 from learning.training.run import accelerator as launched
 from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.network import MarkerToMarker, fuse
-from learning.translation.diffusion.perceptual import WIDTHS, PerceptualDistance
 from learning.translation.diffusion.settings import (
     TRANSLATOR_PRESETS,
     LossWeights,
@@ -40,7 +39,7 @@ from learning.translation.diffusion.settings import (
 )
 from learning.translation.diffusion.train import Pretrained, train
 from learning.translation.diffusion.translator import KIND, DiffusionTranslator
-from learning.translation.diffusion.weights import vendor
+from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
 from recorder.store.durable import replace_file
 
 if TYPE_CHECKING:

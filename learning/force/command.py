@@ -60,10 +60,9 @@ def add_to(verbs: Verbs) -> None:
 def _run(options: argparse.Namespace) -> int:
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
-    from learning.force import load_force_model
     from learning.force.data import labels_of
     from learning.force.model import PRESETS, ForceSettings
-    from learning.force.predict import KIND, ForcePredictor
+    from learning.force.predict import KIND, ForcePredictor, load_force_model
     from learning.force.train import train_force
     from learning.train_command import Training, open_data, run_training
 

@@ -5,10 +5,9 @@
 
 from recorder.archive.array import Rows
 from recorder.archive.check import check_archive, marker_flags
-from recorder.archive.info import describe_archive
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
 from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
-from recorder.archive.reader import ArchivedSensor, MarkerArchive
+from recorder.archive.reader import ArchivedSensor, MarkerArchive, describe_archive
 from recorder.archive.table import COLUMNS, GIVEN, NO_PHASE
 from recorder.archive.writer import ArchiveWriter, SensorWriter
 

@@ -29,10 +29,9 @@ from recorder.archive.table import (
 )
 from recorder.errors import SessionError
 from recorder.spec import PHASES
-from recorder.store.attrs import read_attrs
 from recorder.store.durable import TEMPORARY, sync_directory
 from recorder.store.files import LOCAL
-from recorder.store.layout import merge_attrs, write_group
+from recorder.store.layout import merge_attrs, read_attrs, write_group
 
 _SOURCE_CHUNK = 256
 

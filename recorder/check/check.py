@@ -11,9 +11,8 @@ from recorder.check.integrity import check_arrays, check_chunks, check_stream_fi
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.reader import Session
-from recorder.store.attrs import read_session_attrs, says_it_is
 from recorder.store.files import Files, locate
-from recorder.store.layout import StreamLayout
+from recorder.store.layout import StreamLayout, read_session_attrs, says_it_is
 
 
 def check(path: str | os.PathLike[str]) -> list[Finding]:

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from recorder.convert.export import Options, Progress, file_name
-from recorder.convert.presses import Press, need_presses
-from recorder.convert.times import utc_offset
+from recorder.convert.runs import Press, need_presses, utc_offset
 from recorder.errors import SessionError
 from recorder.session.reader import Session, Stream
 from recorder.spec import PHASES

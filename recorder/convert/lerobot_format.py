@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from recorder.convert.export import Options, Progress
-from recorder.convert.presses import Press, need_presses
-from recorder.convert.times import utc_offset
+from recorder.convert.runs import Press, need_presses, utc_offset
 from recorder.session.align import NS
 from recorder.session.reader import Session, Stream
 

@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from recorder.convert.export import Options, Progress
-from recorder.convert.times import utc_of_rows
+from recorder.convert.runs import utc_of_rows
 from recorder.session.align import captured, quaternion
 from recorder.session.reader import Session, Stream
 from recorder.spec import OUTCOMES, PHASES

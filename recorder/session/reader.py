@@ -18,10 +18,9 @@ from recorder.errors import SessionError
 from recorder.session.align import Sources, sources_of_run
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.store import images
-from recorder.store.attrs import read_session_attrs
 from recorder.store.column import ColumnReader, LazyRows
 from recorder.store.files import LOCAL, Files, locate
-from recorder.store.layout import StreamLayout
+from recorder.store.layout import StreamLayout, read_session_attrs
 from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]

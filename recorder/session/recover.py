@@ -7,9 +7,8 @@ from pathlib import Path
 from recorder.session.frames import remove_leftovers, write_frames
 from recorder.session.reader import Session
 from recorder.session.stream_writer import StreamWriter, survey
-from recorder.store.attrs import read_session_attrs
 from recorder.store.durable import TEMPORARY
-from recorder.store.layout import StreamLayout, merge_attrs
+from recorder.store.layout import StreamLayout, merge_attrs, read_session_attrs
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store import images
-from recorder.store.background import Background
-from recorder.store.durable import TEMPORARY
+from recorder.store.durable import TEMPORARY, Background
 from recorder.store.journal import (
     HEADER,
     Journal,

@@ -21,9 +21,14 @@ from recorder.spec import (
     TARGET_UNITS,
     StreamSpec,
 )
-from recorder.store.attrs import read_session_attrs
 from recorder.store.durable import sync_directory
-from recorder.store.layout import StreamLayout, create_stream, merge_attrs, write_group
+from recorder.store.layout import (
+    StreamLayout,
+    create_stream,
+    merge_attrs,
+    read_session_attrs,
+    write_group,
+)
 from recorder.store.tables import write_table
 
 _CREATING = ".creating"

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from recorder import Session, SessionError
-from rig.acquire.curve import show_curve
 from rig.acquire.progress_line import minutes
-from rig.acquire.resume import first_open_target
+from rig.acquire.request import first_open_target
+from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, find_bench, load_bench
 from rig.core.config import build, read_yaml
 from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT, ConfigError

@@ -23,8 +23,7 @@ from rig.acquire.interlocks import Sentinels
 from rig.acquire.plan_runner import Walk, require_arrival
 from rig.acquire.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
 from rig.acquire.progress_line import LiveLine
-from rig.acquire.request import Order
-from rig.acquire.resume import first_open_target
+from rig.acquire.request import Order, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import stream_names, stream_spec

@@ -17,7 +17,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.devices.hid.settings import PedalConfig
 
 if TYPE_CHECKING:
-    from rig.devices.gripper.watch import GripWatch
+    from rig.devices.gripper.robotiq import GripWatch
     from rig.devices.hid.pedal import DeadMan, PedalState, PedalWatch
 
 PEDAL = "foot pedal"
@@ -50,7 +50,7 @@ class Sentinels:
         self._config: PedalConfig | None = bench.pedal
         # Imported here, so that a bench without them needs no library of theirs.
         if bench.gripper is not None:
-            from rig.devices.gripper.watch import GripWatch
+            from rig.devices.gripper.robotiq import GripWatch
 
             self._grip = GripWatch(bench.gripper, clock, self._tell)
         if bench.pedal is not None:

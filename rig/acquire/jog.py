@@ -19,9 +19,9 @@ from rig.acquire.preflight import tip_position
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.core.clock import SECOND_NS, Clock
+from rig.core.config import from_si
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
-from rig.core.units import from_si
 from rig.devices.arm.arm import Arm, MoveResult
 from rig.devices.hid.reports import Axes
 from rig.devices.hid.spacemouse import Cap, SpaceMouseDriver

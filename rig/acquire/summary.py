@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from recorder import Session
+from recorder import Session, SessionError
+from recorder.session import press_curves, save_curves
 from rig.acquire.progress_line import minutes
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import expected_rate
@@ -82,3 +83,24 @@ def last_line(
     return (
         f"{status}{why}: {done} of {total} targets{ended} in {minutes(seconds)}; readable at {path}"
     )
+
+
+# What is shown of a session of force-depth presses once it is recorded.
+
+
+def show_curve(path: Path) -> None:
+    """Print the table of a session of presses and write its curve beside it."""
+    try:
+        session = Session(path)
+        curves = press_curves(session)
+    except SessionError as error:
+        print(f"no curve: {error}")
+        return
+    print("\n".join(curves.lines()))
+    picture = path.with_suffix(".curve.png")
+    try:
+        save_curves(curves, picture, f"{session.attrs['sensor']}, {session.attrs['indenter']}")
+    except OSError as error:
+        print(f"no curve: {picture}: {error}")
+    else:
+        print(f"force-depth curve: {picture}")

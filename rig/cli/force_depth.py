@@ -43,8 +43,8 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
-    from rig.acquire.curve import show_curve
     from rig.acquire.request import Order, plan_of
+    from rig.acquire.summary import show_curve
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)

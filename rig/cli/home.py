@@ -10,8 +10,8 @@ from recorder import Session
 from rig.acquire.calibration import store
 from rig.cli.options import banner, bench_options, calibration_options, chosen_bench, log_to
 from rig.core.clock import file_stamp
+from rig.core.config import to_si
 from rig.core.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
-from rig.core.units import to_si
 
 if TYPE_CHECKING:
     from rig.cli.options import Verbs

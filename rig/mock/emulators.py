@@ -10,11 +10,11 @@ from urllib.parse import urlsplit
 
 from rig.bench.bench import Bench
 from rig.bench.worlds import Noise, SimulatedSpec
+from rig.core.config import from_si
 from rig.core.emulation import PORTS
 from rig.core.errors import ConfigError
 from rig.core.geometry import compose
 from rig.core.sources import Sources
-from rig.core.units import from_si
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig

@@ -8,12 +8,7 @@ import torch
 from PIL import Image
 from support.made_up_archives import State, mask_of
 
-from learning.data.images import (
-    enlarge_images,
-    shrink,
-    shrink_masks,
-    unpack_masks,
-)
+from learning.data.images import enlarge_images, shrink, shrink_masks, unpack_masks
 from learning.errors import LearningError
 from recorder.markers import HEIGHT, WIDTH, pack
 

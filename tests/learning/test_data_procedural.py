@@ -5,12 +5,7 @@ import pytest
 import torch
 
 from learning.data.images import shrink_masks, warp
-from learning.data.synthetic import (
-    before,
-    random_fields,
-    sample_patterns,
-    untouched,
-)
+from learning.data.synthetic import before, random_fields, sample_patterns, untouched
 from recorder.markers import HEIGHT, WIDTH
 
 CPU = torch.device("cpu")

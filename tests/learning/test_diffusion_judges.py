@@ -17,7 +17,7 @@ from learning.translation.diffusion.losses import (
     DiscriminatorHeads,
     multilevel_sigmoid,
 )
-from learning.translation.diffusion.perceptual import PerceptualDistance
+from learning.translation.diffusion.weights import PerceptualDistance
 
 
 def _generator(seed: int = 0) -> torch.Generator:

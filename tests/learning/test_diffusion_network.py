@@ -32,10 +32,9 @@ from learning.translation.diffusion.network import (
     is_adapter,
     remaining_signal,
 )
-from learning.translation.diffusion.perceptual import WIDTHS
 from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
 from learning.translation.diffusion.train import train
-from learning.translation.diffusion.weights import vendor
+from learning.translation.diffusion.weights import WIDTHS, vendor
 
 LEARNING = Path(__file__).parents[2] / "learning"
 

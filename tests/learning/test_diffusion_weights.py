@@ -25,9 +25,9 @@ from learning.translation.diffusion.network import (
     build,
     is_adapter,
 )
-from learning.translation.diffusion.perceptual import PerceptualDistance
 from learning.translation.diffusion.translator import load_network, load_vae_adapter
 from learning.translation.diffusion.weights import (
+    PerceptualDistance,
     fingerprint,
     read_clip,
     read_perceptual,

@@ -26,7 +26,7 @@ from recorder import StreamSpec, StreamWriter, camera_spec, force_spec
 from recorder.session import stream_writer
 from recorder.session.reader import Stream
 from recorder.session.stream_writer import survey, unfinished_files
-from recorder.store.background import Background
+from recorder.store.durable import Background
 from recorder.store.layout import StreamLayout, create_stream
 
 BLOCK = 64

@@ -16,7 +16,7 @@ from recorder import SessionError
 from recorder.__main__ import main
 from recorder.convert import FORMATS, export
 from recorder.convert.export import building, file_name
-from recorder.convert.times import parse_utc
+from recorder.convert.runs import parse_utc
 
 ROOT = Path(__file__).parents[2]
 

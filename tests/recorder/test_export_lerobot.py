@@ -19,7 +19,7 @@ from support.sessions import T0, make_session
 from recorder import Session
 from recorder.convert import Options, export, lerobot_format
 from recorder.convert.lerobot_format import Stats
-from recorder.convert.times import parse_utc
+from recorder.convert.runs import parse_utc
 
 IMAGE = "observation.images.tactile"
 READER = """

@@ -13,7 +13,7 @@ from support.sessions import T0, make_session
 
 from recorder import PHASES, Session
 from recorder.convert import export
-from recorder.convert.times import parse_utc
+from recorder.convert.runs import parse_utc
 from recorder.session.align import quaternion
 
 OFFSET = parse_utc("2026-01-01T00:00:00Z") - T0

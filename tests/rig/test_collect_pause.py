@@ -17,15 +17,15 @@ from support.collecting import Collection, faults_of
 
 from recorder import OUTCOMES, Session
 from rig.acquire.control import Control, Interrupted
-from rig.acquire.resume import first_open_target
+from rig.acquire.request import first_open_target
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
 from rig.core.packaged import BENCHES
+from rig.devices.gripper.robotiq import GripWatch, judge
 from rig.devices.gripper.robotiq_emulator import Fingers, RobotiqEmulator
 from rig.devices.gripper.robotiq_wire import AT_POSITION, MOVING, STOPPED_CLOSING, GripperStatus
 from rig.devices.gripper.settings import RobotiqConfig
-from rig.devices.gripper.watch import GripWatch, judge
 from trajectories import PressShear
 
 ROOT = Path(__file__).parents[2]

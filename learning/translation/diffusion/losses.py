@@ -18,8 +18,8 @@ from torch.nn.utils.parametrizations import spectral_norm
 
 from learning.translation.diffusion.data import augment
 from learning.translation.diffusion.network import MarkerToMarker
-from learning.translation.diffusion.perceptual import PerceptualDistance
 from learning.translation.diffusion.settings import LossWeights
+from learning.translation.diffusion.weights import PerceptualDistance
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

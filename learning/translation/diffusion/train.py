@@ -36,9 +36,14 @@ from learning.translation.diffusion.losses import (
     two_pass,
 )
 from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
-from learning.translation.diffusion.perceptual import PerceptualDistance
 from learning.translation.diffusion.settings import TranslatorSettings
-from learning.translation.diffusion.weights import read_clip, read_perceptual, read_unet, read_vae
+from learning.translation.diffusion.weights import (
+    PerceptualDistance,
+    read_clip,
+    read_perceptual,
+    read_unet,
+    read_vae,
+)
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

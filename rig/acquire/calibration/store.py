@@ -20,9 +20,8 @@ from recorder.strict_yaml import yaml_text
 from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench
 from rig.core.clock import ClockAnchor
-from rig.core.config import build, key_of, read_yaml
+from rig.core.config import build, from_si, key_of, read_yaml
 from rig.core.errors import ConfigError
-from rig.core.units import from_si
 
 FOLDER = Path("calibrations")
 """Where they lie unless told otherwise."""

@@ -19,10 +19,10 @@ from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
 from rig.core.clock import SECOND_NS
+from rig.core.config import from_si
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
 from rig.core.shared_memory import AwaitedRecord
-from rig.core.units import from_si
 
 TRACE_RATE_HZ = 40.0
 TRACE_SECONDS = 20.0
