@@ -202,7 +202,7 @@ learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by si
 ##@ Develop
 
 test: $(VENV)/.dev  ## Run the default tests (about 6 minutes on 2 cores)
-	@$(PY) -m pytest -q -n 2 --dist worksteal -m 'not serial' --ignore tests/golden
+	@$(PY) -m pytest -q -n 3 --dist worksteal -m 'not serial' --ignore tests/golden
 	@$(PY) -m pytest -q -m serial --ignore tests/golden
 
 #: [ARGS="--slow | --only NAME"]
