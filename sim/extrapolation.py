@@ -53,14 +53,15 @@ def simulate_extrapolated(
             high where the indenter comes; bodies of several thicknesses.
         WorkerLost: As `simulate_many`.
     """
-    from sim.fem.numerics import FOR_EDGES, Numerics
+    from sim.fem.numerics import FOR_EDGES, Grading, Numerics
 
     if not scenes:
         return []
     fine = numerics or Numerics(grading=FOR_EDGES)
-    if fine.grading.finer > FINER:
+    grading = fine.grading or Grading()
+    if grading.finer > FINER:
         raise SceneError(
-            f"numerics.grading.finer: {fine.grading.finer:g}; allowed where forces are "
+            f"numerics.grading.finer: {grading.finer:g}; allowed where forces are "
             f"extrapolated: {FINER:g} or less, such as sim.fem.numerics.FOR_EDGES"
         )
     coarse = replace(fine, spacing=_coarser(scenes, fine))

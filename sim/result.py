@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from sim.errors import SceneError, SimulationDiverged
 from sim.scene import Scene
@@ -36,6 +37,16 @@ class Quality:
     slip_excess: Array
     """Largest |shear traction| - coefficient * pressure of a contact point, over the largest
     pressure; Coulomb's law holds where it is 0 or less. NaN without friction."""
+    overlap: Array
+    """How deep the skin stands inside the indenter at most [m]: the deepest of 8 x 8 samples on
+    every face that can reach it (`layer`: of the pixels)."""
+    overlap_bound: Array
+    """What no point of the skin is deeper than [m]: the distance to the next sample added."""
+    overlap_path: Array
+    """As `overlap`, of all states on the way from the frame before: the solver's steps and states
+    in between, skin and tip moving straight [m]. Looser solved than frames."""
+    contact_width: Array
+    """Diameter of the largest disc that fits into what is touched [m]; 0 without contact."""
     newton: NDArray[np.int64]
     """Newton iterations spent on the frame (contact iterations for `layer`)."""
     cg: NDArray[np.int64]
@@ -79,6 +90,48 @@ class Result:
 
 Outcome = Result | SimulationDiverged
 """What becomes of a scene."""
+
+
+def with_beginning(whole: Result, beginning: Result) -> Result:
+    """`whole` with the first frames of another result, which has only those, on its own mesh.
+
+    Surfaces and tractions are read off the other mesh at the points of the whole one, between its
+    nodes by straight lines. What the frames of the beginning cost is theirs and the whole's.
+    """
+    count = len(beginning.wrench)
+    places = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
+    known = beginning.surface_x, beginning.surface_y
+
+    def read(values: NDArray[np.float32], own: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = own.copy()
+        low = np.array([known[0][0], known[1][0]])
+        high = np.array([known[0][-1], known[1][-1]])
+        for frame in range(count):
+            look = RegularGridInterpolator(known, values[frame])
+            out[frame] = look(np.clip(places, low, high))
+        return out
+
+    def first(name: str) -> Any:
+        own, other = getattr(whole.quality, name), getattr(beginning.quality, name)
+        spent = own[:count] if name in ("newton", "cg", "steps") else 0
+        return np.concatenate([other + spent, own[count:]])
+
+    said = beginning.record["warnings"]
+    stage = {"waypoints": count, "mesh": beginning.record["mesh"]}
+    return dataclasses.replace(
+        whole,
+        wrench=np.concatenate([beginning.wrench, whole.wrench[count:]]),
+        surface=read(beginning.surface, whole.surface),
+        traction=read(beginning.traction, whole.traction),
+        quality=Quality(**{one.name: first(one.name) for one in dataclasses.fields(Quality)}),
+        record={
+            **whole.record,
+            "stages": [*whole.record.get("stages", []), stage],
+            "warnings": list(
+                dict.fromkeys(whole.record["warnings"] + beginning.record["warnings"])
+            ),
+        },
+    )
 
 
 # Scenes and other values to and from JSON: everything they are, so that the same can be built.

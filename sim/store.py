@@ -92,11 +92,15 @@ def load_result(path: Path, index: int = 0) -> Result:
     def read(name: str) -> Any:
         return np.asarray(root[f"{index}/{name}"])
 
+    def quality(name: str) -> Any:
+        known = f"{index}/quality/{name}" in root  # a file from before it was measured has none
+        return read(f"quality/{name}") if known else np.full(len(arrays["wrench"]), np.nan)
+
     arrays = {name: read(name) for name in ARRAYS if name not in ("time", "tip")}
     return Result(
         scene=scene_from_json(attributes["scene"]),
         tier=attributes["tier"],
-        quality=Quality(**{one.name: read(f"quality/{one.name}") for one in fields(Quality)}),
+        quality=Quality(**{one.name: quality(one.name) for one in fields(Quality)}),
         record=attributes["record"],
         **arrays,
     )

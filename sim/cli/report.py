@@ -134,14 +134,12 @@ def notes(result: Result) -> list[str]:
     solid = result.scene.indenter.solid
     said = [] if solid is None else list(solid.notes)
     if result.tier == "fem":
-        from sim.fem.newton import sharpest
-
         body = result.scene.body
         size = max(
             body.size_x / result.record["mesh"]["cells"][0],
             body.size_y / result.record["mesh"]["cells"][1],
         )
-        edge = sharpest(result.scene.indenter)
+        edge = result.scene.indenter.sharpest
         if edge < EDGE_NOTE_SHARE * size:
             said.append(
                 f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "

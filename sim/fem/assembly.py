@@ -21,6 +21,7 @@ from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.matrix import Stencil
 from sim.fem.mesh import Mesh
 from sim.fem.numerics import Numerics
+from sim.fem.overlap import COLUMNS, overlap_kernel
 from sim.fem.vectors import (
     RUN,
     SUMS,
@@ -103,7 +104,8 @@ class State:
         """A mask with every environment."""
         self.tip = zeros(count, vec3)
         """Tip of the indenter (B,)."""
-        self._tip_old = zeros(count, vec3)
+        self.tip_old = zeros(count, vec3)
+        """The same at the last accepted step (B,)."""
         self.tip_before = np.zeros((count, 3))
         """Where it was at the last accepted step (B, 3)."""
         self._tip_after = np.zeros((count, 3))
@@ -174,7 +176,7 @@ class State:
         return (
             self._coefficient,
             stick,
-            self._tip_old,
+            self.tip_old,
             self.u_old,
             self._traction_old,
             self.limit,
@@ -183,7 +185,7 @@ class State:
     def start(self, tip: np.ndarray) -> None:
         """Put the tips where they are before the first step (B, 3)."""
         self.tip_before[:] = self._tip_after[:] = tip
-        self._tip_old.assign(self._array(tip, self.tip.dtype))
+        self.tip_old.assign(self._array(tip, self.tip.dtype))
         self.put_tip(np.ones(len(tip), bool))
 
     def begin_step(
@@ -255,7 +257,7 @@ class State:
         if "friction" in self._effects:
             copy_active(active, self.traction, self._traction_old)
         self.tip_before[chosen] = self._tip_after[chosen]
-        self._tip_old.assign(self._array(self.tip_before, self.tip.dtype))
+        self.tip_old.assign(self._array(self.tip_before, self.tip.dtype))
 
     def _mask(self, chosen: np.ndarray):
         return wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self._device)
@@ -330,6 +332,7 @@ class Assembly:
         )
         self._table = table.struct
         self._contact = contact_kernels(real, "friction" in self.effects, table.traits)
+        self._overlap = overlap_kernel(real, table.traits)
         self._penalty = real(numerics.penalty)
         self._stick = real(numerics.stick)
 
@@ -347,6 +350,9 @@ class Assembly:
         self._matrix = wp.zeros((environments, faces, self.points), dtype=mat33, device=device)
         self._sums = wp.zeros((environments, self._runs, SUMS), dtype=wp.float64, device=device)
         self._totals = wp.zeros((environments, SUMS), dtype=wp.float64, device=device)
+        self.face_overlap = wp.zeros((environments, faces, COLUMNS), dtype=real, device=device)
+        """What `overlap` found on each face (B, S, `COLUMNS`) [T]."""
+        self._most_overlap = wp.zeros((environments, COLUMNS), dtype=real, device=device)
         self._field = wp.zeros((environments, count), dtype=vec3, device=device)
         self.sums = Sums(np.zeros((environments, SUMS)))
         """Sums over the state last evaluated."""
@@ -447,6 +453,37 @@ class Assembly:
         )
         self.sums = Sums(self._totals.numpy().copy())
         return self.sums
+
+    def overlap(self, active, *, samples: int, states: int = 1) -> Array:
+        """How far skin overlaps indenter and base plane (B, `COLUMNS`) [T]; see `sim.fem.overlap`.
+
+        Args:
+            active: Of which environments.
+            samples: Along each side of a face.
+            states: How many on the way from the last accepted state, the present one included.
+        """
+        state = self.state
+        self._most_overlap.zero_()
+        wp.launch(
+            self._overlap,
+            dim=(self.environments, len(self.mesh.faces)),
+            inputs=[
+                self._faces,
+                self._nodes,
+                self._variant,
+                self._table,
+                state.tip,
+                state.tip_old,
+                samples,
+                states,
+                active,
+                state.u,
+                state.u_old,
+            ],
+            outputs=[self.face_overlap, self._most_overlap],
+            device=self.device,
+        )
+        return self._most_overlap.numpy().astype(float)
 
     def push(self, active, travel) -> None:
         """Write the forces of contact that moves by `travel` (B,) into `residual`.

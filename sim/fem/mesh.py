@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.fem.numerics import Grading, Numerics
+from sim.fem.numerics import CELLS_MAX, Grading, Numerics
+from sim.fem.sizing import DEEPEST, GROWTH, GROWTH_DOWN, Sizes, Span, places_of, stages_of
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
@@ -33,9 +34,6 @@ GRADING = 1.25
 Array = NDArray[np.float64]
 Window = tuple[tuple[float, float], tuple[float, float]]
 
-CELLS_MAX = 4_000_000
-"""More elements than this need more than 10 GB for one press."""
-
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
@@ -47,6 +45,8 @@ class Mesh:
     """Where the nodes stand along x (X,), in thicknesses."""
     y: NDArray[np.float64]
     """The same along y (Y,)."""
+    fineness: float
+    """As of `Numerics`, where the mesh follows the contact; else NaN."""
     nodes: NDArray[np.float64]
     """Rest positions (N, 3), in thicknesses."""
     elements: NDArray[np.int32]
@@ -186,11 +186,16 @@ def build_mesh(
     Arguments and errors as of `axes`.
     """
     x, y = axes(body, spacing, window, grading, at_least=at_least)
+    layers = cell_counts(body, spacing)[2]
+    return _mesh(body, x, y, 1.0 - np.linspace(1.0, 0.0, layers + 1) ** GRADING)
+
+
+def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan) -> Mesh:
+    """The mesh with nodes at x (X,) and y (Y,) [thicknesses], and shares (Z,) of the height."""
     unit = body.thickness
-    nx, ny, nz = cells = len(x) - 1, len(y) - 1, cell_counts(body, spacing)[2]
-    share = 1.0 - np.linspace(1.0, 0.0, nz + 1) ** GRADING
+    cells = len(x) - 1, len(y) - 1, len(share) - 1
     height = body.heights(x * unit, y * unit) / unit
-    place = np.empty((nx + 1, ny + 1, nz + 1, 3))
+    place = np.empty((len(x), len(y), len(share), 3))
     place[..., 0] = x[:, None, None]
     place[..., 1] = y[None, :, None]
     place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
@@ -209,6 +214,7 @@ def build_mesh(
         cells=cells,
         x=x,
         y=y,
+        fineness=fineness,
         nodes=nodes,
         elements=grid.elements,
         inverse=inverse,
@@ -377,6 +383,77 @@ def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[i
     return np.argsort(colour, kind="stable"), begins.tolist()
 
 
+# The meshes that follow the contacts of scenes.
+
+LONGEST_EVEN = 1 / 4
+"""Longest element, in thicknesses, where all of a body moves: under gravity, inertia, or unpressed.
+"""
+DOME_SHARE = 0.01
+"""Height by which a dome may stand above the flat faces of its elements, in thicknesses."""
+COARSEST_FINENESS = 0.1
+"""Least fineness that a bound on the elements may lead to."""
+
+
+def following_mesh(
+    scene: Scene,
+    sizes: Sizes,
+    fineness: float,
+    elements_max: int,
+    at_least: tuple[int, int] = (0, 0),
+) -> Mesh:
+    """The mesh as fine as `sizes` asks, times `fineness`; coarser where it has too many elements.
+
+    Args:
+        scene: Whose body is meshed.
+        sizes: What its contacts ask for.
+        fineness: See `Numerics`.
+        elements_max: See `Numerics`.
+        at_least: Elements along x and y that there are at the least.
+    """
+    body, unit = scene.body, scene.body.thickness
+    effects = scene.effects
+    whole = effects.gravity is not None or effects.inertia is not None or not sizes.x
+    longest = LONGEST_EVEN * unit if whole else max(body.size_x, body.size_y)
+    if body.dome_radius is not None:
+        longest = min(longest, float(np.sqrt(8 * body.dome_radius * DOME_SHARE * unit)))
+    top = min(sizes.top, (LONGEST_EVEN if whole else DEEPEST) * unit)
+    while True:
+        along = [
+            places_of(spans, -side / 2, side / 2, growth=GROWTH, longest=longest, fineness=fineness)
+            for spans, side in ((sizes.x, body.size_x), (sizes.y, body.size_y))
+        ]
+        down = places_of(
+            [Span(0.0, 0.0, top)],
+            0.0,
+            unit,
+            growth=GROWTH_DOWN,
+            longest=DEEPEST * unit,
+            fineness=fineness,
+        )
+        x, y = (
+            _in_buckets(*counted, at_least=least)
+            for counted, least in zip(along, at_least, strict=True)
+        )
+        layers = max(3, int(np.ceil(down[0][-1])))
+        layers += layers % 2 if layers > MANY_LAYERS else 0
+        if (len(x) - 1) * (len(y) - 1) * layers <= elements_max or fineness <= COARSEST_FINENESS:
+            break
+        fineness *= 0.95
+    depth = np.interp(np.linspace(0.0, down[0][-1], layers + 1), *down)
+    return _mesh(body, x / unit, y / unit, 1.0 - depth[::-1] / unit, fineness)
+
+
+MANY_LAYERS = 8
+"""Layers of elements above which there is an even number of them."""
+
+
+def _in_buckets(counted: Array, place: Array, *, at_least: int) -> Array:
+    """Places of nodes, a multiple of elements between them as `axis` has it."""
+    multiple = MULTIPLE if counted[-1] <= MANY else 2 * MULTIPLE
+    cells = max(at_least, multiple * max(1, int(np.ceil(counted[-1] / multiple - 1e-6))))
+    return np.asarray(np.interp(np.linspace(0.0, counted[-1], cells + 1), counted, place))
+
+
 # Where an indenter comes: the part of a body that is meshed finely.
 
 SPACING_SHARE = 6
@@ -388,12 +465,30 @@ MARGIN = 1.0
 """Width of the rim around the footprint that is meshed finely too, in fine elements."""
 
 
-def meshes_of(scenes: Sequence[Scene], numerics: Numerics) -> list[Mesh]:
+def meshes_of(
+    scenes: Sequence[Scene], numerics: Numerics, sizes: Sequence[Sizes] | None = None
+) -> list[Mesh]:
     """The meshes that scenes are solved on; `Numerics.one_topology` makes their counts agree.
+
+    Args:
+        scenes: What is simulated.
+        numerics: How finely.
+        sizes: What the contacts of each ask for, where the mesh follows them; looked at if None.
 
     Raises:
         SceneError: See `mesh.cell_counts`.
     """
+    if numerics.follows:
+        sizes = sizes or [stages_of(scene)[0].sizes for scene in scenes]
+        asked = [
+            (scene, size, numerics.fineness, numerics.elements_max)
+            for scene, size in zip(scenes, sizes, strict=True)
+        ]
+        meshes = [following_mesh(*each) for each in asked]
+        if numerics.one_topology:
+            most = max(m.cells[0] for m in meshes), max(m.cells[1] for m in meshes)
+            meshes = [following_mesh(*each, most) for each in asked]
+        return meshes
     plans = [
         (scene.body, *_spacing_and_window(scene, numerics), numerics.grading) for scene in scenes
     ]

@@ -19,7 +19,6 @@ from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
 from sim.fem.numerics import ELASTIC_EVERY, Numerics
 from sim.fem.vectors import copy_active, walk
-from sim.indenters import Indenter
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
@@ -214,6 +213,10 @@ GROWTH = 1.5
 RELAXATION_STEPS = 4
 """Steps within the shortest relaxation time, but at most `STEPS_MAX` in a segment."""
 STEPS_MAX = 16
+FINE_STEPS, DEPTH_STEPS = 4.0, 8.0
+"""Sides of the smallest elements that a step may go where the mesh follows the contact, and the
+steps in the depth that it need not fall below: longer steps bring so many elements into contact at
+once that Newton's method takes several times the iterations."""
 
 
 @dataclass(slots=True)
@@ -298,27 +301,24 @@ class Path:
         return self.halvings <= self.halvings_max and self.length > 0
 
 
-def sharpest(indenter: Indenter) -> float:
-    """Smallest radius that an indenter's surface may be rounded with [m]; 0 with a sharp edge."""
-    if indenter.solid is not None:
-        return indenter.edge_radius
-    radii = [part.values[2] for part in indenter.parts if part.figure == "circle"]
-    if any(part.join != "union" or part.figure == "path" for part in indenter.parts):
-        radii.append(indenter.edge_radius)
-    return min(radii, default=np.inf)
+def path_of(scene: Scene, numerics: Numerics, finest: float = np.inf) -> Path:
+    """The way of a scene's tip, in units of the body's thickness.
 
-
-def path_of(scene: Scene, numerics: Numerics) -> Path:
-    """The way of a scene's tip, in units of the body's thickness."""
+    Args:
+        scene: Whose tip.
+        numerics: What limits its steps.
+        finest: Side of the smallest elements, where the mesh follows the contact.
+    """
     unit = scene.body.thickness
     tip = np.asarray(scene.motion.tip) / unit
     start = tip[0].copy()
     start[2] = max(start[2], 0.0)
-    longest = max(sharpest(scene.indenter) / 2, unit / 50)
+    longest = max(scene.indenter.sharpest / 2, unit / 50)
     if numerics.step_travel is not None:
         longest = min(longest, numerics.step_travel)
     elif scene.effects.friction is not None:
         longest = min(longest, unit / 40)
+    longest = min(longest, max(FINE_STEPS * finest * unit, scene.motion.depth_max / DEPTH_STEPS))
     shortest = np.inf
     if scene.effects.viscosity is not None:
         shortest = min(scene.effects.viscosity.times)

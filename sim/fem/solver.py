@@ -17,11 +17,19 @@ import warp as wp
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of, sharpest
+from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of
 from sim.fem.numerics import Numerics
+from sim.fem.sizing import (
+    Sizes,
+    coarser_than_asked,
+    finer_at,
+    sizes_of,
+    stages_of,
+    width_of,
+)
 from sim.indenters.device import traits_of
-from sim.result import Outcome, Quality, Result
-from sim.scene import Scene
+from sim.result import Outcome, Quality, Result, with_beginning
+from sim.scene import Motion, Scene
 
 # What the state last evaluated says of one environment: contact, traction, energy, weight.
 
@@ -182,8 +190,16 @@ class Collector:
         self._traction = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
         self._quality = {
             name: np.full(frames, np.nan)
-            for name in ("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess")
+            for name in (
+                *("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess"),
+                *("overlap", "overlap_bound", "overlap_path", "contact_width"),
+            )
         }
+        self._overlap_path = 0.0
+        self.below_base = 0.0
+        """How far the skin stood below the base plane at most [m]."""
+        self.worst = np.full(3, np.nan)
+        """Where the skin stood deepest inside the indenter: the material point [m]."""
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
         self._force_before, self._tip_before = np.zeros(3), None
@@ -197,8 +213,18 @@ class Collector:
             self._work_most = max(self._work_most, self._work)
         self._force_before, self._tip_before = force.copy(), tip.copy()
 
-    def keep(self, frame: int, env: int, held: Snapshot, residual: float) -> None:
-        """Keep the state of environment `env`, last evaluated, as frame `frame`."""
+    def passed(self, overlap: np.ndarray) -> None:
+        """Count what a step's way overlapped, as `Assembly.overlap` has it (3,)."""
+        self._overlap_path = max(self._overlap_path, float(overlap[0]))
+        self.below_base = max(self.below_base, float(overlap[2]) * self._unit)
+
+    def keep(
+        self, frame: int, env: int, held: Snapshot, residual: float, overlap: np.ndarray
+    ) -> None:
+        """Keep the state of environment `env`, last evaluated, as frame `frame`.
+
+        `overlap` is that of the state, as `Assembly.overlap` has it (3,).
+        """
         assembly, mesh = held.assembly, self._mesh
         u = held.of(env, assembly.state.u).astype(float)
         tip = self._tip_before
@@ -228,6 +254,15 @@ class Collector:
         quality["energy_gap"][frame] = lost / self._work_most if self._work_most > 1e-9 else 0.0
         quality["det_f_min"][frame] = assembly.sums.det[env]
         quality["slip_excess"][frame] = points.slip_excess
+        deepest, bound = overlap[:2] * self._unit
+        if not frame or deepest > np.nanmax(quality["overlap"][:frame]):
+            face = int(np.argmax(held.of(env, assembly.face_overlap)[:, 0]))
+            self.worst = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
+        quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
+        quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
+        self._overlap_path = 0.0
+        touched = (np.abs(self._traction[frame]) > 0).any(axis=-1)
+        quality["contact_width"][frame] = width_of(touched, mesh.x * unit, mesh.y * unit)
         for name in self._counts:
             self._counts[name][frame] = getattr(self.spent, name)
         self.spent = Spent()
@@ -251,6 +286,9 @@ class Collector:
 
 Progress = Callable[[float], None]
 
+FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
+"""Samples along a side of a face at which overlap is measured, of a frame and of states on the way
+to it; and how many of those a step has, its end included."""
 POISSON_FLOAT32 = 0.4995
 """Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""
 ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
@@ -278,18 +316,83 @@ def simulate_fem(
     """
     numerics = numerics or Numerics()
     _check_device(device)
+    if not numerics.follows:
+        outcomes = _on_meshes(scenes, numerics, None, device, progress)
+        return [_judged(outcome) for outcome in outcomes]
+    stages = [stages_of(scene) for scene in scenes]
+    parts = [(i, stage) for i, each in enumerate(stages) for stage in each]
+    some = [_beginning(scenes[i], stage.waypoints) for i, stage in parts]
+    outcomes = _following(some, [stage.sizes for _i, stage in parts], numerics, device, progress)
+    of_scene: list[list[Outcome]] = [[] for _scene in scenes]
+    for (i, _stage), outcome in zip(parts, outcomes, strict=True):
+        of_scene[i].append(_judged(outcome))
+    return [_in_one(each) for each in of_scene]
+
+
+def _beginning(scene: Scene, waypoints: int) -> Scene:
+    """The scene up to its first `waypoints` waypoints."""
+    motion = scene.motion
+    if waypoints == len(motion):
+        return scene
+    return replace(scene, motion=Motion(motion.tip[:waypoints], motion.time[:waypoints]))
+
+
+def _in_one(stages: list[Outcome]) -> Outcome:
+    """The result of all waypoints, those of beginnings in place of its own."""
+    whole = stages[0]
+    for stage in stages:
+        if isinstance(stage, SimulationDiverged):
+            return stage
+    for stage in stages[1:]:
+        whole = with_beginning(whole, stage)
+    return whole
+
+
+def _following(
+    scenes: Sequence[Scene],
+    sizes: list[Sizes],
+    numerics: Numerics,
+    device: str,
+    progress: Progress | None,
+) -> list[Outcome]:
+    """Presses on meshes that follow their contacts, made anew where the solution asks for more."""
+    outcomes = _on_meshes(scenes, numerics, sizes, device, progress)
+    for attempt in range(1, REMESHED + 1):
+        wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
+        again = [i for i, more in wanted.items() if more is not None]
+        if not again:
+            break
+        for i in again:
+            sizes[i] = sizes[i].joined(wanted[i])
+        some = _on_meshes(
+            [scenes[i] for i in again], numerics, [sizes[i] for i in again], device, None
+        )
+        for i, outcome in zip(again, some, strict=True):
+            outcomes[i] = _remeshed(outcome, attempt)
+    return outcomes
+
+
+def _on_meshes(
+    scenes: Sequence[Scene],
+    numerics: Numerics,
+    sizes: Sequence[Sizes] | None,
+    device: str,
+    progress: Progress | None,
+) -> list[Outcome]:
+    """Presses solved on the meshes that their contacts ask for, or on those of the numerics."""
     began = time.perf_counter()
-    meshes = meshes_of(scenes, numerics)
+    meshes = meshes_of(scenes, numerics, sizes)
     meshed = (time.perf_counter() - began) / max(len(scenes), 1)
     outcomes: dict[int, Outcome] = {}
-    for chosen in _batches(scenes, meshes, device):
+    for chosen in _batches(scenes, meshes, numerics, device):
         share = None
         if progress is not None:
             share = _part(progress, len(outcomes), len(chosen), len(scenes))
+        stiffer = replace(numerics, penalty=_penalty(meshes[chosen[0]], numerics))
         some = _solve(
             [scenes[i] for i in chosen],
             [meshes[i] for i in chosen],
-            numerics,
+            stiffer,
             device,
             meshed * len(chosen),
             share,
@@ -298,12 +401,113 @@ def simulate_fem(
     return [outcomes[i] for i in range(len(scenes))]
 
 
-def _batches(scenes: Sequence[Scene], meshes: Sequence[Mesh], device: str) -> list[list[int]]:
+# Whether a mesh was fine enough for what the solution shows on it.
+
+REMESHED = 2
+"""How often a mesh is made anew where the solution shows that it was too coarse."""
+TOO_COARSE = 1.6
+"""Elements this many times as long as the solution's own contact asks for are too long."""
+WEAK, FAINT = 0.1, 0.02
+"""Frames of less than this share of the largest force are not asked; in a frame, tractions of less
+than this share of its largest do not count as contact."""
+OVERLAP_GOOD, OVERLAP_MOST = 0.02, 0.2
+"""Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
+there, or a warning says so; above the second there is no result."""
+BELOW_GOOD = 0.01
+"""Depth of the skin below the base plane, over the thickness, that is not worth a warning."""
+
+
+def overlap_shares(result: Result) -> np.ndarray:
+    """Overlap of each frame over the width of its contact, or over the depth if that is less."""
+    depth = np.maximum(-np.asarray(result.scene.motion.tip)[:, 2], 0.0)
+    width = result.quality.contact_width
+    scale = np.where(width > 0, np.minimum(width, np.maximum(depth, 0.1 * width)), depth)
+    share = np.zeros(len(scale))
+    some = scale > 1e-9 * result.scene.body.thickness
+    share[some] = result.quality.overlap[some] / scale[some]
+    return share
+
+
+def more_wanted(result: Result) -> Sizes | None:
+    """What the solution asks for beyond its mesh; None where that was fine enough."""
+    fineness = result.record["mesh"]["fineness"]
+    x, y, thickness = result.surface_x, result.surface_y, result.scene.body.thickness
+    force = np.linalg.norm(result.force, axis=1)
+    found = Sizes((), (), np.inf)
+    for frame in np.flatnonzero((force >= WEAK * force.max()) & (force > 0)).tolist():
+        size = np.linalg.norm(result.traction[frame], axis=-1)
+        found = found.joined(sizes_of(size > FAINT * size.max(), x, y, thickness))
+    wanted = None
+    if coarser_than_asked(found, x, y, fineness) > TOO_COARSE:
+        wanted = found
+    if overlap_shares(result).max(initial=0.0) > OVERLAP_GOOD:
+        place = result.record["overlap"]["place"]
+        finer = finer_at(place, x, y, fineness)
+        wanted = finer if wanted is None else wanted.joined(finer)
+    return wanted
+
+
+def _remeshed(outcome: Outcome, times: int) -> Outcome:
+    if isinstance(outcome, SimulationDiverged):
+        return outcome
+    mesh = {**outcome.record["mesh"], "made_anew": times}
+    return replace(outcome, record={**outcome.record, "mesh": mesh})
+
+
+def _judged(outcome: Outcome) -> Outcome:
+    """The result with what is to be said of overlaps, or that there is none."""
+    if isinstance(outcome, SimulationDiverged):
+        return outcome
+    shares = overlap_shares(outcome)
+    worst = int(np.argmax(shares))
+    deepest = float(outcome.quality.overlap[worst])
+    x, y, _z = (1e3 * one for one in outcome.record["overlap"]["place"])
+    where = (
+        f"the skin that lay at ({x:.3g}, {y:.3g}) mm stands {deepest * 1e6:.3g} um inside the "
+        f"indenter at waypoint {worst}, {100 * shares[worst]:.3g} % of the contact's width or depth"
+    )
+    if shares[worst] > OVERLAP_MOST:
+        return SimulationDiverged(
+            f"the indenter passes through the skin: {where}; the mesh does not resolve the contact "
+            "(allowed: finer elements, a rounder edge)",
+            tried=(),
+            dump=None,
+        )
+    warnings = list(outcome.record["warnings"])
+    if shares[worst] > OVERLAP_GOOD:
+        warnings.append(where)
+    below = outcome.record["overlap"]["below_base"]
+    if below > BELOW_GOOD * outcome.scene.body.thickness:
+        warnings.append(
+            f"the skin stands {below * 1e3:.3g} mm below the base plane, beside the base: contact "
+            "with it is not computed"
+        )
+    return replace(outcome, record={**outcome.record, "warnings": warnings})
+
+
+SOFT_SHARE = 24
+"""Elements of a thickness up to which `Numerics.penalty` holds as it is; with smaller ones contact
+is stiffer by the same factor, in powers of 2, as small contacts press as hard over smaller depths.
+"""
+
+
+def _penalty(mesh: Mesh, numerics: Numerics) -> float:
+    """Contact stiffness on a mesh [E / T]."""
+    if not numerics.follows:
+        return numerics.penalty
+    finer = max(1.0, 1.0 / (SOFT_SHARE * mesh.finest))
+    return float(numerics.penalty * 2.0 ** np.round(np.log2(finer)))
+
+
+def _batches(
+    scenes: Sequence[Scene], meshes: Sequence[Mesh], numerics: Numerics, device: str
+) -> list[list[int]]:
     """Which scenes are solved side by side: same mesh topology, same kernels, not too many."""
     alike: dict[tuple, list[int]] = {}
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
         kernels = scene.effects.key, traits_of([scene.indenter])
-        alike.setdefault((scene.body.thickness, mesh.cells, kernels), []).append(index)
+        key = scene.body.thickness, mesh.cells, kernels, _penalty(mesh, numerics)
+        alike.setdefault(key, []).append(index)
     most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
     batches = []
     for group in alike.values():
@@ -389,7 +593,10 @@ class _Batch:
             Collector(scene, mesh, self._assembly)
             for scene, mesh in zip(scenes, meshes, strict=True)
         ]
-        self._paths: list[Path] = [path_of(scene, numerics) for scene in scenes]
+        self._paths: list[Path] = [
+            path_of(scene, numerics, *([mesh.finest] if numerics.follows else []))
+            for scene, mesh in zip(scenes, meshes, strict=True)
+        ]
         self._seconds = {"mesh": meshed, "build": time.perf_counter() - began}
         self._failed: dict[int, SimulationDiverged] = {}
         count = len(scenes)
@@ -417,7 +624,7 @@ class _Batch:
         self._seconds["solve"] = time.perf_counter() - began
         record = self._record()
         return [
-            self._failed.get(i) or collector.result({**record, "warnings": self._warnings(i)})
+            self._failed.get(i) or collector.result({**record, **self._of_one(i)})
             for i, collector in enumerate(self._collectors)
         ]
 
@@ -495,9 +702,16 @@ class _Batch:
             frame = path.segment
             if path.accept(self._share[i]):
                 kept[i] = frame
+        way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
+        for i in np.flatnonzero(good).tolist():
+            self._collectors[i].passed(way[i])
+        keeping = np.isin(np.arange(len(good)), list(kept))
+        overlap = way
+        if keeping.any():
+            overlap = assembly.overlap(self._newton.mask(keeping), samples=FRAME_SAMPLES)
         held = Snapshot(assembly, list(kept))
         for i, frame in kept.items():
-            self._collectors[i].keep(frame, i, held, self._newton.residual[i])
+            self._collectors[i].keep(frame, i, held, self._newton.residual[i], overlap[i])
         assembly.accept(good, self._duration)
         if self._progress is not None:
             done = sum(path.segment + path.share - 1 for path in self._paths)
@@ -531,18 +745,40 @@ class _Batch:
             dump=dump,
         )
 
+    def _of_one(self, env: int) -> dict:
+        """What the record says of one environment alone."""
+        mesh, collector, unit = self._meshes[env], self._collectors[env], self._scenes[env].body
+        shape = self._record()["mesh"]
+        if self._numerics.follows:
+            shape["fineness"] = round(mesh.fineness, 4)
+            shape["finest"] = mesh.finest * unit.thickness
+        return {
+            "mesh": shape,
+            "overlap": {
+                "place": [float(one) for one in collector.worst],
+                "below_base": collector.below_base,
+            },
+            "warnings": self._warnings(env),
+        }
+
     def _warnings(self, env: int) -> list[str]:
         """What makes this result less than its tolerances say."""
-        scene = self._scenes[env]
-        radius = sharpest(scene.indenter)
-        element = self._meshes[env].finest * scene.body.thickness
-        if radius >= 0.99 * element:
-            return []
-        return [
-            f"edge radius {radius * 1e3:.3g} mm is below the element's {element * 1e3:.3g} mm: the "
-            "force depends on the mesh and on the path; allowed without this warning: a finer "
-            "mesh or a rounder edge"
-        ]
+        scene, mesh, asked = self._scenes[env], self._meshes[env], self._numerics.fineness
+        radius = scene.indenter.sharpest
+        element = mesh.finest * scene.body.thickness
+        said = []
+        if self._numerics.follows and mesh.fineness < 0.99 * asked:
+            said.append(
+                f"the contact is meshed with a fineness of {mesh.fineness:.2g} where {asked:g} was "
+                f"asked for, which takes more than {self._numerics.elements_max} elements"
+            )
+        if radius < 0.99 * element:
+            said.append(
+                f"edge radius {radius * 1e3:.3g} mm is below the element's {element * 1e3:.3g} mm: "
+                "the force depends on the mesh and on the path; allowed without this warning: a "
+                "finer mesh or a rounder edge"
+            )
+        return said
 
     def _record(self) -> dict:
         assembly = self._assembly

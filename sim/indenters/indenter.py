@@ -269,6 +269,16 @@ class Indenter:
         return min((self.narrowest / 2, *(part.edge_radius_max for part in self.parts)))
 
     @property
+    def sharpest(self) -> float:
+        """Smallest radius that the surface may be rounded with [m]; 0 with a sharp edge."""
+        if self.solid is not None:
+            return self.edge_radius
+        radii = [part.values[2] for part in self.parts if part.figure == "circle"]
+        if any(part.join != "union" or part.figure == "path" for part in self.parts):
+            radii.append(self.edge_radius)
+        return float(min(radii, default=math.inf))
+
+    @property
     def bounds(self) -> Bounds:
         """A box around the body: least and greatest x, y and z [m]; infinite where it is open."""
         return self.bounds_below(math.inf)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim.effects import Viscosity
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem.sizing import width_of
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
 from sim.layer.spectral import Convolutions, Grid
 from sim.result import Quality, Result
@@ -345,7 +346,10 @@ class Frames:
         self._traction = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._quality = {
             name: np.full(count, np.nan)
-            for name in ("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess")
+            for name in (
+                *("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess"),
+                *("overlap", "overlap_bound", "overlap_path", "contact_width"),
+            )
         }
         self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._start: tuple[float, float] | None = None
@@ -357,6 +361,11 @@ class Frames:
         self._surface[frame] = np.moveaxis(press.displacement, 0, -1)
         self._traction[frame] = np.moveaxis(press.traction, 0, -1)
         self._wrench[frame] = press.wrench
+        quality["overlap"][frame] = max(0.0, -float(press.gap.min()))
+        touched = np.asarray(press.traction.any(axis=0))
+        quality["contact_width"][frame] = width_of(
+            touched, press.grid.x.astype(float), press.grid.y.astype(float)
+        )
         quality["residual"][frame] = press.residual
         overlap = max(0.0, -float(press.gap.min()))
         quality["contact"][frame] = overlap / -press.tip[2] if press.tip[2] < 0 else 0.0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 
 import numpy as np
 import warp as wp
@@ -52,7 +53,7 @@ class Frames:
         nx, ny, _nz = state.lattice.counts
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx, ny, 3), np.nan, np.float32)
-        names = ("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess")
+        names = [one.name for one in fields(Quality) if one.name not in ("newton", "cg", "steps")]
         self._quality = {name: np.full(frames, np.nan) for name in names}
         self._steps = np.zeros(frames, np.int64)
         self._readings = np.zeros((pace.steps, 9))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.fem.newton import path_of, sharpest
+from sim.fem.newton import path_of
 from sim.layer import simulate_layer
 from sim.metrics import WEAK, Outcome, marker_pixels, outcome_of
 from sim.result import Result
@@ -197,7 +197,7 @@ def probe(scene: Scene) -> Probe:
         depth=scene.motion.depth_max / thickness,
         contact=_contact_width(outcome, strong) / thickness,
         contact_least=min(widths) / thickness,
-        sharpest=min(sharpest(scene.indenter) / thickness, RADIUS_MAX),
+        sharpest=min(scene.indenter.sharpest / thickness, RADIUS_MAX),
         poisson=-math.log(1 - 2 * body.poisson),
         friction=0.0 if friction is None else friction.coefficient,
         shear=shear / thickness,

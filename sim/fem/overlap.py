@@ -1,0 +1,101 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""How far skin stands inside the indenter, or below its base: measured, not read from the solver.
+
+Contact is enforced at four points of a face. What lies between them is looked at here: every face
+that can reach the indenter is sampled densely, at the end of a step and on the way to it, where
+skin and tip are taken to move straight. A signed distance changes by no more than the way that a
+point moves, so no point of a face is deeper than its deepest sample and the way to the next one.
+Inside a wall a signed distance ends at half the wall's width; steps are shorter than that.
+
+Lengths in thicknesses. One thread a face of one environment.
+"""
+
+import functools
+
+import warp as wp
+
+from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
+from sim.scalars import vector_of
+
+COLUMNS = 3
+"""What is measured: deepest sample, what nothing is deeper than, depth below the base plane."""
+
+
+@functools.cache
+def overlap_kernel(real, traits: Traits = PLAIN):
+    """Kernel of the overlap of faces and indenter; `traits` are those of the indenters' table."""
+    vec3 = vector_of(real)
+    table_type = table_struct(real, traits)
+    distance = distance_function(real, traits)
+    zero, half, one, quarter = real(0.0), real(0.5), real(1.0), real(0.25)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def overlap(
+        # Mesh:
+        faces: wp.array2d(dtype=wp.int32),
+        nodes: wp.array2d(dtype=vec3),
+        variant: wp.array(dtype=wp.int32),
+        # Indenter:
+        table: table_type,
+        tip: wp.array(dtype=vec3),
+        tip_old: wp.array(dtype=vec3),
+        # In: how many samples along a side, and states on the way
+        samples: int,
+        states: int,
+        active: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vec3),
+        u_old: wp.array2d(dtype=vec3),
+        # Out: of each face (B, S, COLUMNS), and the largest of each environment (B, COLUMNS)
+        face_out: wp.array3d(dtype=real),
+        most_out: wp.array2d(dtype=real),
+    ):
+        env, s = wp.tid()
+        if active[env] == 0:
+            return
+        m = variant[env]
+        deepest = zero
+        bound = zero
+        below = zero
+        for k in range(states):
+            left = one - real(k + 1) / real(states)
+            at = tip[env] + (tip_old[env] - tip[env]) * left
+            n0 = faces[s, 0]
+            n1 = faces[s, 1]
+            n2 = faces[s, 2]
+            n3 = faces[s, 3]
+            x0 = nodes[m, n0] + u[env, n0] + (u_old[env, n0] - u[env, n0]) * left
+            x1 = nodes[m, n1] + u[env, n1] + (u_old[env, n1] - u[env, n1]) * left
+            x2 = nodes[m, n2] + u[env, n2] + (u_old[env, n2] - u[env, n2]) * left
+            x3 = nodes[m, n3] + u[env, n3] + (u_old[env, n3] - u[env, n3]) * left
+            lowest = wp.min(wp.min(x0[2], x1[2]), wp.min(x2[2], x3[2]))
+            below = wp.max(below, -one - lowest)
+            middle = (x0 + x1 + x2 + x3) * quarter
+            reach = wp.max(
+                wp.max(wp.length(x0 - middle), wp.length(x1 - middle)),
+                wp.max(wp.length(x2 - middle), wp.length(x3 - middle)),
+            )
+            answer = distance(table, env, middle - at)
+            if answer[3] < reach:
+                # Largest distance of a point of the face from the nearest sample.
+                along = wp.max(wp.length(x2 - x0), wp.length(x3 - x1))
+                across = wp.max(wp.length(x1 - x0), wp.length(x3 - x2))
+                spacing = wp.sqrt(along * along + across * across) * half / real(samples)
+                for i in range(samples):
+                    a = (real(i) + half) / real(samples)
+                    for j in range(samples):
+                        b = (real(j) + half) / real(samples)
+                        place = (x0 * (one - b) + x1 * b) * (one - a) + (
+                            x2 * (one - b) + x3 * b
+                        ) * a
+                        found = distance(table, env, place - at)
+                        deepest = wp.max(deepest, -found[3])
+                        bound = wp.max(bound, spacing - found[3])
+        face_out[env, s, 0] = deepest
+        face_out[env, s, 1] = bound
+        face_out[env, s, 2] = below
+        wp.atomic_max(most_out, env, 0, deepest)
+        wp.atomic_max(most_out, env, 1, bound)
+        wp.atomic_max(most_out, env, 2, below)
+
+    return overlap

@@ -1,0 +1,484 @@
+"""How small elements must be: as small as what touches, where it touches.
+
+A contact is looked at before anything is solved, by a linear layer on a window of its own size
+(milliseconds), and again on the solution. What touches is a set of pixels; its connected pieces
+have a width each, and elements are a share of that width from one side of a piece to the other.
+From there they grow outwards and downwards. So neither the body's size nor its thickness decides
+how finely a contact is resolved, and a motion that begins with a small contact has a fine middle.
+
+Lengths in metres, in the contact frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sim.indenters import Indenter
+from sim.scene import Body, Scene
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ACROSS = 12
+"""Elements from one side of a contact to the other, with a fineness of 1."""
+OVER_DEPTH = 0.6
+"""Height of the topmost elements over the least side of those in contact."""
+GROWTH, GROWTH_DOWN = 0.3, 0.18
+"""How much longer an element is than the fine ones, per distance from them: in plan, in depth."""
+LAYER_SHARE = 0.25
+"""Longest element under a contact, in thicknesses: a wide contact on a thin layer is resolved as
+the layer's own edge, which is about as wide as the layer is thick."""
+DEEPEST = 1 / 3
+"""Tallest element, in thicknesses."""
+OBLIQUE = 0.2
+"""Least cosine between an axis and the outline's normal that counts: an outline along an axis asks
+for nothing along it."""
+EDGE_SHARE, EDGE_LEAST = 0.5, 0.25
+"""Size at the rounded edges of an indenter over their radius; its least over that of the contact:
+the force of a punch is 4 % too large where elements are as long as the radius."""
+STEEP = 1.5
+"""Slope of an indenter's lower surface from which it is a wall."""
+SITES = 2001
+"""Places along an axis at which sizes are told, and about as many more in the contacts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Elements no longer than `size` from `low` to `high` along one axis."""
+
+    low: float
+    high: float
+    size: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """What the contacts of a motion ask of a mesh."""
+
+    x: tuple[Span, ...]
+    y: tuple[Span, ...]
+    top: float
+    """Height of the topmost elements; inf where nothing touches."""
+
+    def joined(self, other: Sizes) -> Sizes:
+        """What both ask for."""
+        return Sizes(self.x + other.x, self.y + other.y, min(self.top, other.top))
+
+
+NOTHING = Sizes((), (), math.inf)
+
+
+def sizes_of(
+    touched: Mask,
+    x: Array,
+    y: Array,
+    thickness: float,
+    steep: Mask | None = None,
+    edge_radius: float = math.inf,
+) -> Sizes:
+    """What one contact asks for.
+
+    Args:
+        touched: Which pixels or nodes touch (X, Y).
+        x: Where they stand (X,), rising, evenly or not.
+        y: The same along y (Y,).
+        thickness: Of the body.
+        steep: Beside which of them the indenter rises like a wall (X, Y); None: nowhere.
+        edge_radius: Of the edges there.
+    """
+    if not touched.any():
+        return NOTHING
+    edges_x, edges_y = _between(x), _between(y)
+    pieces, count = ndimage.label(touched, structure=np.ones((3, 3)))
+    spans: tuple[list[Span], list[Span]] = ([], [])
+    top = math.inf
+    for piece in range(1, count + 1):
+        mask = pieces == piece
+        size = min(2 * _half_width(mask, edges_x, edges_y) / ACROSS, LAYER_SHARE * thickness)
+        normal = _normals(mask)
+        edge = max(EDGE_SHARE * edge_radius, EDGE_LEAST * size)
+        for axis, (part, edges) in enumerate(((mask, edges_x), (mask.T, edges_y))):
+            across = np.maximum(np.abs(normal[axis] if not axis else normal[axis].T), OBLIQUE)
+            walls = None if steep is None else (steep if not axis else steep.T)
+            spans[axis].extend(_runs(part, edges, across, size, walls, min(edge, size)))
+        if steep is not None and (mask & steep).any():
+            size = min(size, edge / OVER_DEPTH)
+        top = min(top, OVER_DEPTH * size)
+    return Sizes(_least(spans[0]), _least(spans[1]), top)
+
+
+def width_of(touched: Mask, x: Array, y: Array) -> float:
+    """Diameter of the largest disc within what touches (X, Y); 0 where nothing does.
+
+    Nodes that touch stand for half of the way to the next ones.
+    """
+    if not touched.any():
+        return 0.0
+    return 2 * _half_width(touched, _between(x), _between(y))
+
+
+def _between(places: Array) -> Array:
+    """Edges of the pixels around places (N,): half-way between them (N + 1,)."""
+    middle = (places[1:] + places[:-1]) / 2
+    first, last = places[0] - (middle[0] - places[0]), places[-1] + (places[-1] - middle[-1])
+    return np.concatenate([[first], middle, [last]])
+
+
+def _half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
+    """Radius of the largest disc that fits into a piece.
+
+    Pixels may differ in width: they are drawn anew, evenly.
+    """
+    even, steps = [], []
+    for axis, edges in ((0, edges_x), (1, edges_y)):
+        used = np.flatnonzero(mask.any(axis=1 - axis))
+        low, high = edges[used[0]], edges[used[-1] + 1]
+        finest = float(np.diff(edges[used[0] : used[-1] + 2]).min())
+        count = int(np.clip(np.ceil(2 * (high - low) / finest), 8, 192))
+        steps.append(float(high - low) / count)
+        even.append(np.searchsorted(edges, low + steps[-1] * (np.arange(count) + 0.5)) - 1)
+    inner = np.pad(mask[np.ix_(*even)], 1)
+    reach = float(ndimage.distance_transform_edt(inner, sampling=steps).max())
+    # A distance is to the middle of the nearest pixel outside; the outline is half a pixel nearer.
+    return max(reach - min(steps) / 2, min(steps) / 2)
+
+
+def _normals(mask: Mask) -> Array:
+    """Unit normals of a piece's outline, at its pixels (2, X, Y); by pixels, not by metres."""
+    soft = ndimage.gaussian_filter(mask.astype(float), 1.5, mode="nearest")
+    slope = np.stack(np.gradient(soft)) if min(mask.shape) > 1 else np.ones((2, *mask.shape))
+    length = np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
+    return np.asarray(slope / length)
+
+
+def _runs(
+    mask: Mask, edges: Array, across: Array, size: float, steep: Mask | None, edge: float
+) -> Iterable[Span]:
+    """Spans of the runs of touched pixels along the first axis, and of the edges they end at.
+
+    Args:
+        mask: What touches (X, Y).
+        edges: Between the pixels (X + 1,).
+        across: Cosine between the first axis and the outline's normal (X, Y).
+        size: Asked for from one side to the other, across the outline.
+        steep: Where a run ends at an edge of the indenter (X, Y).
+        edge: Asked for there.
+    """
+    padded = np.pad(mask, ((1, 1), (0, 0)))
+    change = np.diff(padded.astype(np.int8), axis=0)
+    for column in np.flatnonzero(mask.any(axis=0)):
+        begins = np.flatnonzero(change[:, column] == 1)
+        ends = np.flatnonzero(change[:, column] == -1)
+        for first, past in zip(begins.tolist(), ends.tolist(), strict=True):
+            most = max(float(across[first, column]), float(across[past - 1, column]))
+            yield Span(float(edges[first]), float(edges[past]), size / most)
+            for pixel, place in ((first, edges[first]), (past - 1, edges[past])):
+                if steep is not None and steep[pixel, column] and edge < size:
+                    fine = edge / float(across[pixel, column])
+                    yield Span(float(place) - edge, float(place) + edge, fine)
+
+
+def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
+    """The same demand by fewer spans: those that no other one holds and is as fine as."""
+    kept: list[Span] = []
+    for span in sorted(set(spans), key=lambda one: (one.size, one.low - one.high)):
+        if not any(
+            one.size <= 1.05 * span.size and one.low <= span.low and span.high <= one.high
+            for one in kept
+        ):
+            kept.append(span)
+    return tuple(kept)
+
+
+# Where the nodes of one axis stand, for what is asked of it.
+
+
+def places_of(
+    spans: Sequence[Span],
+    low: float,
+    high: float,
+    *,
+    growth: float,
+    longest: float,
+    fineness: float = 1.0,
+) -> tuple[Array, Array]:
+    """Elements counted from `low` (N,), rising from 0, at places (N,) between `low` and `high`.
+
+    Args:
+        spans: What is asked for.
+        low: Where the axis begins.
+        high: Where it ends.
+        growth: How much longer an element is, per distance from a span.
+        longest: Longest element.
+        fineness: Divides every size.
+    """
+    sites = [np.linspace(low, high, SITES)]
+    for span in spans:
+        reach = span.high - span.low + 4 * span.size
+        sites.append(np.linspace(span.low - reach, span.high + reach, 65))
+    place = np.unique(np.clip(np.concatenate(sites), low, high))
+    size = np.full(len(place), longest)
+    for span in spans:
+        inside = (place >= span.low) & (place <= span.high)
+        size[inside] = np.minimum(size[inside], span.size)
+    forward = np.minimum.accumulate(size - growth * place) + growth * place
+    backward = np.minimum.accumulate((size + growth * place)[::-1])[::-1] - growth * place
+    density = fineness / np.minimum(forward, backward)
+    counted = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
+    return counted, place
+
+
+def coarser_than_asked(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) -> float:
+    """Largest element over what is asked for where it stands; 1 or less is as fine as asked.
+
+    Args:
+        sizes: What is asked for.
+        x: Where the nodes stand (X,).
+        y: The same along y (Y,).
+        fineness: As of `places_of`.
+    """
+    worst = 0.0
+    for spans, nodes in ((sizes.x, x), (sizes.y, y)):
+        length = np.diff(nodes)
+        for span in spans:
+            here = (nodes[1:] > span.low) & (nodes[:-1] < span.high)
+            if here.any():
+                worst = max(worst, float(length[here].max()) * fineness / span.size)
+    return worst
+
+
+def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Sizes:
+    """What makes the elements around a point (x, y, ...) [m] half as long.
+
+    Args:
+        place: The point.
+        x: Where the nodes stand (X,).
+        y: The same along y (Y,).
+        fineness: As of `places_of`.
+    """
+    spans = []
+    for nodes, middle in ((x, place[0]), (y, place[1])):
+        cell = int(np.clip(np.searchsorted(nodes, middle) - 1, 0, len(nodes) - 2))
+        length = float(nodes[cell + 1] - nodes[cell])
+        spans.append(Span(middle - 1.5 * length, middle + 1.5 * length, length * fineness / 2))
+    return Sizes((spans[0],), (spans[1],), OVER_DEPTH * min(spans[0].size, spans[1].size))
+
+
+# What touches, before anything is solved.
+
+WINDOW = 64
+"""Pixels along the longer side of a window on a contact."""
+NARROW = 4
+"""Sides of a window that differ more than this have twice as many pixels."""
+WIDER = 0.15
+"""Rim around what the indenter covers of the untouched top, over its width."""
+LAYERS = 2.0
+"""Thickness of the linear layer at most, in narrower sides of the window: a thicker one answers a
+contact of that size alike within a few per cent."""
+RESIDUAL = 0.02
+"""Natural residual to which the layer's contact is solved: its width is what counts."""
+LOOKS = 24
+"""Contacts of a motion that are looked at, at most."""
+MANY_SIZES = 4.0
+"""Largest contact over the smallest that one mesh resolves; sizes of elements that differ more make
+the equations so hard that a beginning is better solved alone."""
+ALIKE = 1.25
+"""Depths less than this apart have alike contacts."""
+SAMPLES, LEVELS, PASSES = 61, 6, 2
+"""Points along x and y, and heights, at which an indenter is looked at; the second pass looks only
+where the first has found it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Waypoints of a motion, from its beginning, that one mesh resolves."""
+
+    waypoints: int
+    """How many; the first stage has all of them, and those of later stages take their place."""
+    sizes: Sizes
+
+
+def stages_of(scene: Scene) -> list[Stage]:
+    """The meshes that a scene takes, by a look at its contacts; the first is for all waypoints.
+
+    A motion that begins with contacts much smaller than those to come has a mesh for its beginning:
+    one mesh for all would have elements of so many sizes that its equations are hard to solve. Up
+    to there nothing is different, so a beginning may be solved alone, whatever the effects.
+    """
+    looks = _looks(scene)
+    found = [look for look in looks if look is not None and look.top < math.inf]
+    count = len(scene.motion)
+    if not found:
+        return [Stage(count, NOTHING)]
+    stages: list[Stage] = []
+    while True:
+        seen = [look for look in looks[:count] if look is not None and look.top < math.inf]
+        if not seen:
+            return stages
+        floor = max(look.top for look in seen) / MANY_SIZES
+        joined = NOTHING
+        for look in [*seen, *(looks[len(scene.motion) :] if not stages else [])]:
+            if look is not None:
+                joined = joined.joined(_no_finer(look, floor))
+        stages.append(Stage(count, Sizes(_least(joined.x), _least(joined.y), joined.top)))
+        before = 0
+        for index, look in enumerate(looks[:count]):
+            if look is None or look.top >= math.inf:
+                continue
+            if look.top >= floor:
+                break
+            before = index + 1
+        if before == 0:
+            return stages
+        count = before
+
+
+def _no_finer(sizes: Sizes, floor: float) -> Sizes:
+    """The same with no topmost element less than `floor` high, and those in plan to match."""
+    if sizes.top >= floor:
+        return sizes
+    least = floor / OVER_DEPTH
+    x, y = (
+        tuple(Span(one.low, one.high, max(one.size, least)) for one in spans)
+        for spans in (sizes.x, sizes.y)
+    )
+    return Sizes(x, y, floor)
+
+
+def _looks(scene: Scene) -> list[Sizes | None]:
+    """What the contact at each waypoint asks for, then that at places on long slides.
+
+    Of contacts that are alike one is looked at; None stands for a tip above the body, or past the
+    number of looks that a motion is worth.
+    """
+    waypoints = np.asarray(scene.motion.tip)
+    depth = scene.motion.depth_max
+    if depth <= 0:
+        waypoints = waypoints - [0.0, 0.0, 1e-3 * scene.body.thickness + waypoints[:, 2].min()]
+    ways: list[Array] = []
+    for start, end in pairwise(waypoints):
+        parts = 1 + min(4, int(np.linalg.norm((end - start)[:2]) / max(depth, 1e-9)))
+        ways += [start + (end - start) * part / parts for part in range(1, parts)]
+    tips = np.array([*waypoints, *ways])
+    found: list[Sizes | None] = [None] * len(tips)
+    known: list[tuple[Array, float, Sizes]] = []
+    for index in np.argsort(tips[:, 2], kind="stable").tolist():
+        tip = tips[index]
+        down = scene.body.height(*_onto(scene.body, tip)) - float(tip[2])
+        if down <= 0:
+            continue
+        for other, deep, sizes in known:
+            near = float(np.linalg.norm((tip - other)[:2])) <= down / 4
+            if near and deep / ALIKE < down < deep * ALIKE:
+                found[index] = sizes
+                break
+        else:
+            if len(known) < LOOKS:
+                found[index] = _look(scene.indenter, scene.body, tip)
+                known.append((tip, down, found[index]))
+    return found
+
+
+def _onto(body: Body, tip: Array) -> tuple[float, float]:
+    return (
+        float(np.clip(tip[0], -body.size_x / 2, body.size_x / 2)),
+        float(np.clip(tip[1], -body.size_y / 2, body.size_y / 2)),
+    )
+
+
+def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
+    """What the contact with the tip at (3,) asks for."""
+    from sim.layer.contact import solve_frictionless
+    from sim.layer.spectral import Convolutions, Grid
+
+    box = covered(indenter, body, tip)
+    if box is None:
+        return NOTHING
+    low, high = box
+    width = np.maximum(high - low, 1e-4)
+    middle, width = (low + high) / 2, width * (1 + 2 * WIDER)
+    count = WINDOW * (2 if width.max() > NARROW * width.min() else 1)
+    thickness = float(np.clip(body.thickness, 1e-4, LAYERS * width.min()))
+    window = Body(
+        size_x=float(width[0]),
+        size_y=float(width[1]),
+        thickness=thickness,
+        modulus=body.modulus,
+        poisson=body.poisson,
+    )
+    grid = Grid(window, count)
+    x, y = grid.x + middle[0], grid.y + middle[1]
+    reach = max(body.thickness, 2 * abs(float(tip[2])))
+    height = indenter.heights(x[:, None] - tip[0], y[None, :] - tip[1], reach=reach)
+    on_body = (np.abs(x) <= body.size_x / 2)[:, None] & (np.abs(y) <= body.size_y / 2)
+    gap = np.minimum(height, reach) + tip[2] - _heights(body, x, y)
+    gap = np.where(on_body, gap, reach)
+    layer = Convolutions(grid, np.float32).within(grid.shape)
+    start = np.zeros((3, *grid.shape), np.float32)
+    contact = solve_frictionless(layer, gap.astype(np.float32), start, tolerance=RESIDUAL)
+    touched = contact.traction[2] < 0
+    return sizes_of(
+        touched, x, y, body.thickness, _beside_walls(height, grid.pixel), indenter.sharpest
+    )
+
+
+def _beside_walls(height: Array, pixel: tuple[float, float]) -> Mask:
+    """Pixels from which an indenter of this `height` (X, Y) rises like a wall within two pixels."""
+    walls = np.zeros(height.shape, bool)
+    for axis in (0, 1):
+        for way in (-1, 1):
+            step = np.full(height.shape, np.inf)
+            part = [slice(None), slice(None)]
+            part[axis] = slice(2, None) if way > 0 else slice(None, -2)
+            other = [slice(None), slice(None)]
+            other[axis] = slice(None, -2) if way > 0 else slice(2, None)
+            with np.errstate(invalid="ignore"):
+                step[tuple(other)] = height[tuple(part)] - height[tuple(other)]
+            walls |= step > STEEP * 2 * pixel[axis]
+    return walls
+
+
+def _heights(body: Body, x: Array, y: Array) -> Array:
+    """Heights of the untouched top; beyond its sides those at the sides."""
+    half_x, half_y = body.size_x / 2, body.size_y / 2
+    return body.heights(np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y))
+
+
+def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | None:
+    """Least and greatest (x, y) of the untouched top that an indenter at `tip` overlaps; or None.
+
+    Found on a grid of points, and widened by what may lie between them.
+    """
+    half = np.array([body.size_x, body.size_y]) / 2
+    highest = float(_heights(body, np.array([tip[0]]), np.array([tip[1]]))[0, 0])
+    deep = max(0.0, max(highest, 0.0) - float(tip[2]))
+    bounds = np.array(indenter.bounds_below(deep)[:2])
+    low = np.maximum(bounds[:, 0] + tip[:2], -half)
+    high = np.minimum(bounds[:, 1] + tip[:2], half)
+    if (low >= high).any():
+        return None
+    for _pass in range(PASSES):
+        x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
+        top = _heights(body, x, y)
+        under = np.linspace(0.0, 1.0, LEVELS) * np.maximum(top - tip[2], 0.0)[..., None]
+        places = np.empty((SAMPLES, SAMPLES, LEVELS, 3))
+        places[..., 0] = x[:, None, None] - tip[0]
+        places[..., 1] = y[None, :, None] - tip[1]
+        places[..., 2] = under
+        overlaps = (indenter.distance(places)[0].min(axis=2) <= 0) & (top >= tip[2])
+        if not overlaps.any():
+            return None
+        between = (high - low) / (SAMPLES - 1)
+        in_x, in_y = (np.unique(place) for place in np.nonzero(overlaps))
+        least = np.array([x[in_x[0]], y[in_y[0]]]) - between
+        most = np.array([x[in_x[-1]], y[in_y[-1]]]) + between
+        low, high = np.maximum(least, low), np.minimum(most, high)
+    return low, high
