@@ -128,11 +128,13 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
 
 
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
-    """Energy in the material at rest modulus, contact springs and height [E T^3]."""
+    """Energy in the material at rest modulus, sticking springs and height [E T^3].
+
+    Not what is in penetration: that is an error, told as `contact`, and nobody's work.
+    """
     assembly = held.assembly
-    penalty = assembly.numerics.penalty
-    square = (points.traction**2).sum(axis=2) / (assembly.numerics.stick * penalty)
-    springs = ((points.penetration**2 * penalty + square) * points.area / 2).sum()
+    spring = assembly.numerics.stick * assembly.numerics.penalty
+    springs = ((points.traction**2).sum(axis=2) * points.area).sum() / (2 * spring)
     if "gravity" in assembly.effects:
         weight = assembly.state.weight.numpy()[env].astype(float)
         springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
@@ -186,22 +188,21 @@ class Collector:
         }
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
-        self._force_before, self._tip_before = np.zeros(3), None
+        self._tip = np.zeros(3)
         self._start: float | None = None
         self.spent = Spent()
 
-    def moved(self, tip: np.ndarray, force: np.ndarray) -> None:
-        """Count the work of a step that ended with the tip at `tip`, pushing with `force` (3,)."""
-        if self._tip_before is not None:
-            self._work += 0.5 * float((force + self._force_before) @ (tip - self._tip_before))
-            self._work_most = max(self._work_most, self._work)
-        self._force_before, self._tip_before = force.copy(), tip.copy()
+    def moved(self, tip: np.ndarray, work: float) -> None:
+        """Count the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
+        self._work += work
+        self._work_most = max(self._work_most, self._work)
+        self._tip = tip.copy()
 
     def keep(self, frame: int, env: int, held: Snapshot, residual: float) -> None:
         """Keep the state of environment `env`, last evaluated, as frame `frame`."""
         assembly, mesh = held.assembly, self._mesh
         u = held.of(env, assembly.state.u).astype(float)
-        tip = self._tip_before
+        tip = self._tip
         points = contact_points(held, env, u)
         force = points.force.sum(axis=(0, 1))
         lever = points.place - tip
@@ -487,10 +488,11 @@ class _Batch:
             return
         assembly = self._assembly
         kept: dict[int, int] = {}
+        work = self._newton.work(good, self._duration)
         for i in np.flatnonzero(good).tolist():
             path, collector = self._paths[i], self._collectors[i]
             collector.spent.steps += 1
-            collector.moved(self._tip[i], assembly.sums.contact[i])
+            collector.moved(self._tip[i], work[i])
             self._last[i] = path.segment, self._share[i] - path.share
             frame = path.segment
             if path.accept(self._share[i]):

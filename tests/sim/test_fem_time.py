@@ -131,3 +131,21 @@ def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
         for speed in (1e-3, 10.0)
     )
     assert -fast.force[-1, 2] > 1.1 * -slow.force[-1, 2]
+
+
+@pytest.mark.parametrize("speed", [2e-3, 20e-3])
+def test_what_viscosity_takes_is_told_the_same_by_few_and_by_many_steps(speed: float) -> None:
+    scene = Scene(sphere(3e-3), press([0.6e-3, 0.1e-3], speed=speed), SMALL, _viscous())
+    fine = Numerics(spacing=SPACING, step_travel=4e-3 / 200)
+    few, many = (
+        simulate(scene, numerics=numerics).quality.energy_gap
+        for numerics in (Numerics(spacing=SPACING), fine)
+    )
+    assert few == pytest.approx(many, abs=0.012)
+
+
+def test_weight_is_no_loss() -> None:
+    effects = Effects(gravity=Gravity((0.0, 0.0, -50.0)))
+    scene = Scene(sphere(3e-3), press([0.6e-3, 0.2e-3]), SMALL, effects)
+    gap = simulate(scene, numerics=Numerics(spacing=SPACING)).quality.energy_gap
+    assert np.abs(gap).max() < 0.005
