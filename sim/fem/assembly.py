@@ -166,16 +166,17 @@ class State:
                 for scene, body in zip(scenes, bodies, strict=True)
             ]
         )
-        self.weight = self._array(
+        whole = (
             [
                 np.array(scene.effects.gravity.acceleration)
                 * (body.density * body.thickness / body.modulus)
                 for scene, body in zip(scenes, bodies, strict=True)
             ]
             if "gravity" in on
-            else np.zeros((0, 3)),
-            vec3,
+            else np.zeros((0, 3))
         )
+        self._weight = np.array(whole)
+        self.weight = self._array(whole, vec3)
         """Weight of a unit volume (B,); of length zero without gravity."""
 
     def friction(self, stick) -> tuple:
@@ -242,6 +243,10 @@ class State:
             self._foresee(active, duration)
             back = self._array(np.full(len(chosen), share - 1.0), self._real)
             walk(active, back, self.predicted, way, self.predicted)
+
+    def put_weight(self, share: np.ndarray) -> None:
+        """Let the bodies have these shares of their weight (B,)."""
+        self.weight.assign(self._array(self._weight * share[:, None], self.weight.dtype))
 
     def put_tip_away(self, chosen: np.ndarray) -> None:
         """Put the tips of the chosen environments (B,) where they touch nothing."""

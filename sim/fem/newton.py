@@ -255,7 +255,9 @@ class Path:
     """Where one press stands on its motion; lengths in thicknesses.
 
     Segment 0 leads from above the body straight to the first waypoint, in no time: a motion that
-    begins inside the body arrived there at once. Segment k leads to waypoint k.
+    begins inside the body arrived there at once. Segment k leads to waypoint k. Weight is there
+    from the start; where the body does not find its shape under all of it at once, segment 0 brings
+    it up along its way.
     """
 
     corners: Array
@@ -267,6 +269,10 @@ class Path:
     shortest_time: float
     """Shortest time that a step has to resolve [s]; inf when nothing depends on time."""
     halvings_max: int
+    heavy: bool = False
+    """Whether the body has weight."""
+    ramped: bool = False
+    """Whether segment 0 brings the weight up."""
     segment: int = 0
     share: float = 0.0
     """Share of the segment that is done."""
@@ -307,6 +313,10 @@ class Path:
             duration = REST if self.length == 0 else 0.0
         return share, start + (end - start) * share, float(duration)
 
+    def load(self, share: float) -> float:
+        """Share of the weight that there is after a share of the present segment."""
+        return share if self.ramped and self.segment == 0 else 1.0
+
     def accept(self, share: float) -> bool:
         """Take the step; whether a waypoint was reached."""
         step = share - self.share
@@ -327,9 +337,12 @@ class Path:
         """Give the step up and halve it; whether there is a smaller one to try."""
         step = share - self.share
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {said}")
+        self.ramped |= self.heavy and self.segment == 0 and self.share == 0
         self.step = step / 2
         self.halvings += 1
-        return self.halvings <= self.halvings_max and self.length > 0
+        return self.halvings <= self.halvings_max and (
+            self.length > 0 or (self.ramped and self.segment == 0)
+        )
 
 
 def sharpest(indenter: Indenter) -> float:
@@ -362,4 +375,5 @@ def path_of(scene: Scene, numerics: Numerics) -> Path:
         longest=longest / unit,
         shortest_time=shortest,
         halvings_max=numerics.halvings,
+        heavy=scene.effects.gravity is not None,
     )

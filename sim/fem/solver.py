@@ -398,7 +398,7 @@ class _Batch:
         self._augmented = np.zeros(count, int)
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
-        self._duration = np.ones(count)
+        self._duration, self._load = np.ones(count), np.ones(count)
         self._assembly.state.start(np.array([path.corners[0] for path in self._paths]))
 
     def run(self) -> list[Outcome]:
@@ -430,6 +430,7 @@ class _Batch:
         for i in np.flatnonzero(idle).tolist():
             path = self._paths[i]
             self._share[i], self._tip[i], self._duration[i] = path.goal()
+            self._load[i] = path.load(self._share[i])
             tolerance[i] = self._tolerance(self._share[i])
             segment, step = self._last[i]
             going_on = segment == path.segment and step > 0 and path.halvings == 0
@@ -437,6 +438,8 @@ class _Batch:
                 guess[i] = min((self._share[i] - path.share) / step, 1.5)
         self._busy |= idle
         self._augmented[idle] = 0
+        if "gravity" in self._assembly.effects:
+            self._assembly.state.put_weight(self._load)
         self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
         self._newton.begin(idle, tolerance, predict=guess == 0)
 
@@ -523,10 +526,17 @@ class _Batch:
         where = path.corners[path.segment] + path.share * (
             path.corners[path.segment + 1] - path.corners[path.segment]
         )
+        weight = ""
+        if path.ramped and path.segment == 0:
+            pull = ", ".join(f"{value:g}" for value in scene.effects.gravity.acceleration)
+            weight = (
+                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, which was brought up "
+                "in steps (the body may be too soft to carry its weight)"
+            )
         millimetres = where * scene.body.thickness * 1e3
         return SimulationDiverged(
             f"no converged state after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
-            f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}: "
+            f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
             f"{len(path.tried)} steps failed, the last: {path.tried[-1]}; "
             f"{self._assembly.precision}; state: {dump or 'could not be written'}",
             tried=tuple(path.tried),
