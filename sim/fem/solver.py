@@ -530,7 +530,7 @@ class _Batch:
         if path.ramped and path.segment == 0:
             pull = ", ".join(f"{value:g}" for value in scene.effects.gravity.acceleration)
             weight = (
-                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, which was brought up "
+                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, which came "
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
