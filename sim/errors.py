@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 from pathlib import Path
+from typing import Any
 
 
 class SceneError(ValueError):
@@ -49,3 +51,19 @@ def check_range(
         raise SceneError(
             f"{owner}.{name}: {value!r}{unit}; allowed: {edge}{low:g} to {high:g}{unit}"
         )
+
+
+def is_finite(value: Any) -> bool:
+    """Whether it is a number, and neither infinite nor NaN."""
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def check_kind(name: str, value: Any, kind: Any, allowed: str, *, optional: bool = False) -> None:
+    """Refuse a value that is not of `kind`; None is one where it is `optional`.
+
+    Raises:
+        SceneError: Names what it is, what was found and what is allowed.
+    """
+    if not (isinstance(value, kind) or (optional and value is None)):
+        none = ", or None" if optional else ""
+        raise SceneError(f"{name}: {value!r}; allowed: {allowed}{none}")

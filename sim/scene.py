@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.effects import Effects
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_kind, check_range, is_finite
 from sim.indenters import Indenter
 from trajectories import Plan, Point, Target
 
@@ -108,14 +108,16 @@ class Motion:
     """When it is there [s]; starts at 0 and rises. Only viscosity and inertia feel it."""
 
     def __post_init__(self) -> None:
-        if not self.tip or len(self.tip) != len(self.time):
+        _check_sequence("motion.tip", self.tip, "positions (x, y, z) [m]")
+        _check_sequence("motion.time", self.time, "numbers [s]")
+        if not len(self.tip) or len(self.tip) != len(self.time):
             raise SceneError(
                 f"motion: {len(self.tip)} positions and {len(self.time)} times; allowed: as many "
                 "of both, at least one"
             )
         _check_points(self.tip)
-        rising = all(a < b for a, b in pairwise(self.time))
-        if self.time[0] != 0 or not rising or not math.isfinite(self.time[-1]):
+        rising = all(map(is_finite, self.time)) and all(a < b for a, b in pairwise(self.time))
+        if not rising or self.time[0] != 0:
             raise SceneError(
                 f"motion.time: {self.time[:4]!r}...; allowed: 0 first, then rising [s]"
             )
@@ -133,7 +135,21 @@ class Motion:
 def press(
     depths: Sequence[float], *, at: tuple[float, float] = (0.0, 0.0), speed: float = 10e-3
 ) -> Motion:
-    """Touch the surface, then go to each of `depths` [m] in turn at `speed` [m/s]."""
+    """Touch the surface, then go to each of `depths` [m] in turn at `speed` [m/s].
+
+    Raises:
+        SceneError: Depths that are no sequence of finite numbers, or one where the tip already is.
+    """
+    _check_sequence("motion.depths", depths, "numbers [m], such as (0.5e-3, 1e-3)")
+    before = 0.0
+    for index, depth in enumerate(depths):
+        if not is_finite(depth) or depth == before:
+            where = f"finite, and another than {before!r} m, where the tip already is"
+            raise SceneError(f"motion.depths[{index}]: {depth!r} m; allowed: {where}")
+        before = depth
+    _check_sequence("motion.at", at, "2 finite numbers [m]")
+    if len(at) != 2 or not all(map(is_finite, at)):
+        raise SceneError(f"motion.at: {at!r}; allowed: 2 finite numbers [m]")
     return through(
         [(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths], speed=speed
     )
@@ -152,7 +168,10 @@ def press_shear_return(
 
     Each phase is cut into `steps` equal parts: 4 `steps` + 1 frames.
     """
-    if not math.isfinite(angle):
+    for name, value in (("depth", depth), ("shear", shear)):
+        if not (is_finite(value) and value != 0):
+            raise SceneError(f"motion.{name}: {value!r} m; allowed: a finite number, not 0")
+    if not is_finite(angle):
         raise SceneError(f"motion.tip: sheared at an angle of {angle!r} rad; allowed: finite")
     low = (at[0], at[1], -depth)
     aside = (at[0] + shear * math.cos(angle), at[1] + shear * math.sin(angle), -depth)
@@ -193,17 +212,30 @@ def through(points: Sequence[Point], *, speed: float) -> Motion:
     Raises:
         SceneError: A speed that is not above 0, or two equal points in a row (they take no time).
     """
-    if not (math.isfinite(speed) and speed > 0):
+    if not (is_finite(speed) and speed > 0):
         raise SceneError(f"motion.speed: {speed!r} m/s; allowed: above 0")
+    _check_sequence("motion.tip", points, "positions (x, y, z) [m]")
     _check_points(points)
     lengths = np.linalg.norm(np.diff(np.asarray(points, float), axis=0), axis=1)
+    if (lengths == 0).any():
+        index = int(np.argmin(lengths)) + 1
+        raise SceneError(
+            f"motion.tip[{index}]: {points[index]!r}, where the tip already is; allowed: another "
+            "place than the one before"
+        )
     time = np.concatenate([[0.0], np.cumsum(lengths) / speed])
     return Motion(tip=tuple(points), time=tuple(float(value) for value in time))
 
 
+def _check_sequence(name: str, value: Any, of: str) -> None:
+    if isinstance(value, str) or not (isinstance(value, Sequence) or np.ndim(value)):
+        raise SceneError(f"{name}: {value!r}; allowed: a sequence of {of}")
+
+
 def _check_points(points: Sequence[Point]) -> None:
     for index, point in enumerate(points):
-        if len(point) != 3 or not all(math.isfinite(value) for value in point):
+        _check_sequence(f"motion.tip[{index}]", point, "3 finite numbers [m]")
+        if len(point) != 3 or not all(map(is_finite, point)):
             raise SceneError(f"motion.tip[{index}]: {point!r}; allowed: 3 finite numbers [m]")
 
 
@@ -232,6 +264,10 @@ class Scene:
     effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
+        check_kind("scene.indenter", self.indenter, Indenter, "an Indenter")
+        check_kind("scene.motion", self.motion, Motion, "a Motion, such as press((1e-3,)) gives")
+        check_kind("scene.body", self.body, Body, "a Body")
+        check_kind("scene.effects", self.effects, Effects, "Effects")
         limit = 0.9 * self.body.thickness
         if self.motion.depth_max > limit:
             raise SceneError(

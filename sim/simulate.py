@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.result import Result
 from sim.scene import Scene
 from sim.tiers import Tier, simulate_many, simulate_one, unfit
@@ -46,6 +46,7 @@ def simulate(
             tolerance that nothing reaches; what excludes each other.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
+    check_kind("scene", scene, Scene, "a Scene")
     if extrapolate:
         return _extrapolated(scene, tier, tolerance, error_bar, numerics, device, progress)
     if tolerance is not None:
@@ -60,7 +61,7 @@ def simulate(
             scene, tolerance, device=device, error_bar=error_bar, progress=progress
         )
     outcome = simulate_one(
-        scene, tier or "fem", numerics=numerics, device=device, progress=progress
+        scene, "fem" if tier is None else tier, numerics=numerics, device=device, progress=progress
     )
     if error_bar:
         from sim.fem.numerics import Numerics

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
 from typing import TYPE_CHECKING, Literal
 
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.result import Outcome, Result
 from sim.scene import Scene
 
@@ -61,6 +61,8 @@ def simulate_many(
     """
     if tier not in TIERS:
         raise SceneError(f"tier: {tier!r}; allowed: {', '.join(TIERS)}")
+    for scene in scenes:
+        check_kind("scene", scene, Scene, "a Scene")
     check_processes(processes, device)
     if processes > 1 and len(scenes) > 1:
         return simulate_in_processes(
@@ -181,7 +183,7 @@ def _raise_error_of(task: Future[Outcome]) -> None:
 
 def unfit(numerics: Numerics | MpmNumerics, tier: Tier, allowed: str) -> SceneError:
     """The error of numerics that belong to another tier."""
-    return SceneError(f"numerics: {type(numerics).__name__}; allowed with tier {tier!r}: {allowed}")
+    return SceneError(f"numerics: {numerics!r}; allowed with tier {tier!r}: {allowed}")
 
 
 def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:

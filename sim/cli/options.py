@@ -488,9 +488,31 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+FIELDS = ("surface", "traction")
+"""What `--fields` adds to `--json`."""
+
+
+def fields(text: str) -> tuple[str, ...]:
+    """Names out of `FIELDS` between commas."""
+    names = tuple(text.split(","))
+    if not set(names) <= set(FIELDS):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}; allowed: one or more of {', '.join(FIELDS)} between commas"
+        )
+    return names
+
+
 def _add_output_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("output")
     group.add_argument("--json", action="store_true", help="print one JSON object, no picture")
+    group.add_argument(
+        "--fields",
+        type=fields,
+        default=(),
+        metavar="NAME,...",
+        help="with --json, at every point of the top in every frame: surface, its displacement "
+        "[m]; traction [Pa]",
+    )
     group.add_argument(
         "--out", type=Path, metavar="PNG", help="picture to write (default: VERB-SHAPE.png)"
     )

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -31,13 +31,16 @@ EDGE_NOTE_SHARE = 0.999
 """An edge radius below this share of an element is worth a note."""
 
 
-def as_json(result: Result, *, first: int, seconds: float) -> dict[str, Any]:
-    """Everything but the fields of the surface, from frame `first` on, as plain JSON values.
+def as_json(
+    result: Result, *, first: int, seconds: float, wanted: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Everything from frame `first` on, as plain JSON values; of the fields those that are wanted.
 
     Args:
         result: What was simulated.
         first: First frame that counts.
         seconds: Wall-clock time of the whole.
+        wanted: `surface`, `traction` or both: (F, X, Y, 3), with the places that they are at.
     """
     scene, frames = result.scene, slice(first, None)
     tip = np.array(scene.motion.tip, float)[frames] * 1e3
@@ -68,7 +71,19 @@ def as_json(result: Result, *, first: int, seconds: float) -> dict[str, Any]:
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
+        **_fields(result, frames, wanted),
     }
+
+
+def _fields(result: Result, frames: slice, wanted: Sequence[str]) -> dict[str, Any]:
+    units = {"surface": "m", "traction": "pa"}
+    told = {f"{name}_{units[name]}": _plain(getattr(result, name)[frames]) for name in wanted}
+    if told:
+        told["surface_x_m"], told["surface_y_m"] = (
+            _plain(result.surface_x),
+            _plain(result.surface_y),
+        )
+    return told
 
 
 def table(result: Result, *, first: int) -> list[str]:
@@ -187,6 +202,8 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
         SceneError, SimulationDiverged: Before anything was written.
     """
     began = time.perf_counter()
+    if options.fields and not options.json:
+        raise SceneError(f"--fields: {','.join(options.fields)}; allowed: with --json")
     scene = Scene(
         indenter=indenter_of(options),
         motion=motion,
@@ -206,7 +223,8 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
 
         save_picture(result, picture)
     if options.json:
-        print(json.dumps(as_json(result, first=first, seconds=seconds), allow_nan=False))
+        told = as_json(result, first=first, seconds=seconds, wanted=options.fields)
+        print(json.dumps(told, allow_nan=False))
         return 0
     print(heading(result))
     print()

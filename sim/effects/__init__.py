@@ -9,8 +9,12 @@ from sim.effects.friction import Friction
 from sim.effects.gravity import Gravity
 from sim.effects.inertia import Inertia
 from sim.effects.viscosity import Viscosity
+from sim.errors import check_kind
 
 __all__ = ["Effects", "Friction", "Gravity", "Inertia", "Memory", "Snippet", "Viscosity"]
+
+
+KINDS = {"friction": Friction, "viscosity": Viscosity, "inertia": Inertia, "gravity": Gravity}
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,11 @@ class Effects:
     """Mass: the body swings and waves travel."""
     gravity: Gravity | None = None
     """Weight: the body sags."""
+
+    def __post_init__(self) -> None:
+        for name, kind in KINDS.items():
+            allowed = f"{'an' if kind is Inertia else 'a'} {kind.__name__}"
+            check_kind(f"effects.{name}", getattr(self, name), kind, allowed, optional=True)
 
     @property
     def key(self) -> tuple[str, ...]:

@@ -19,12 +19,13 @@ class Friction:
 
     STATE: ClassVar[tuple[Memory, ...]] = (
         Memory("traction", "contact point", 3),
-        Memory("_traction_old", "contact point", 3),
+        Memory("traction_old", "contact point", 3),
         Memory("limit", "contact point", 1),
         Memory("_limit_relaxed", "contact point", 1),
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.contact", "contact_kernels", "friction"),
+        Snippet("sim.fem.vectors", "work_kernel", "friction"),
     )
     LIMIT: ClassVar[str] = "coefficient -> 0: frictionless contact"
 

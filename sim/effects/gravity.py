@@ -27,7 +27,7 @@ class Gravity:
     """In the contact frame [m/s^2]; a sensor looking down has +9.81 in z."""
 
     def __post_init__(self) -> None:
-        if len(self.acceleration) != 3:
+        if not isinstance(self.acceleration, tuple | list) or len(self.acceleration) != 3:
             raise SceneError(f"gravity.acceleration: {self.acceleration!r}; allowed: 3 numbers")
         for index, value in enumerate(self.acceleration):
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 from sim.effects.declaration import Memory, Snippet
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_kind, check_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,8 @@ class Viscosity:
     answer to a change of volume is elastic. The `layer` tier knows `all` only."""
 
     def __post_init__(self) -> None:
+        for name in ("ratios", "times"):
+            check_kind(f"viscosity.{name}", getattr(self, name), tuple | list, "a tuple of numbers")
         if not 1 <= len(self.ratios) <= 4 or len(self.ratios) != len(self.times):
             raise SceneError(
                 f"viscosity: {len(self.ratios)} ratios and {len(self.times)} times; allowed: as "

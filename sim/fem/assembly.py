@@ -32,12 +32,17 @@ from sim.fem.vectors import (
     push_kernel,
     reduce_kernel,
     residual_kernel,
+    walk,
+    work_kernel,
 )
 from sim.indenters.device import PartTable
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
+
+AWAY = (0.0, 0.0, 1e3)
+"""Where a tip touches nothing, in thicknesses."""
 
 # What the sums over a state say of each environment of a batch.
 
@@ -124,9 +129,13 @@ class State:
         """Unit normal out of the indenter where there is contact (B, S, P)."""
 
         rubbing = points if "friction" in on else none3
+        self.push = zeros(points, vec3)
+        """Pressure as a vector at the last accepted step (B, S, P); `Assembly.work` keeps it."""
+
         self.traction = zeros(rubbing, vec3)
         """Shear traction on the body (B, S, P); of length zero without friction."""
-        self._traction_old = zeros(rubbing, vec3)
+        self.traction_old = zeros(rubbing, vec3)
+        """The same at the last accepted step."""
         self.limit = zeros(rubbing, real)
         """Pressure that limits friction (B, S, P)."""
         self._limit_relaxed = zeros(rubbing, real)
@@ -159,16 +168,17 @@ class State:
                 for scene, body in zip(scenes, bodies, strict=True)
             ]
         )
-        self.weight = self._array(
+        whole = (
             [
                 np.array(scene.effects.gravity.acceleration)
                 * (body.density * body.thickness / body.modulus)
                 for scene, body in zip(scenes, bodies, strict=True)
             ]
             if "gravity" in on
-            else np.zeros((0, 3)),
-            vec3,
+            else np.zeros((0, 3))
         )
+        self._weight = np.array(whole)
+        self.weight = self._array(whole, vec3)
         """Weight of a unit volume (B,); of length zero without gravity."""
 
     def friction(self, stick) -> tuple:
@@ -178,7 +188,7 @@ class State:
             stick,
             self.tip_old,
             self.u_old,
-            self._traction_old,
+            self.traction_old,
             self.limit,
         )
 
@@ -203,17 +213,47 @@ class State:
         active = self._mask(chosen)
         share = self._array(guess, self._real)
         extrapolate(active, share, self.u_old, self._u_before, self.u)
+        self._remember(active, duration)
+        self._foresee(active, duration)
+
+    def _remember(self, active, duration: np.ndarray) -> None:
+        """What the material remembers of earlier steps, `duration` (B,) [s] after the last one."""
         if self._branches is not None:
             for factor, values in zip(
                 self.viscous[:2], self._branches.begin(active, duration), strict=True
             ):
                 factor.assign(self._array(values, self._real))
+
+    def _foresee(self, active, duration: np.ndarray) -> None:
+        """Where mass goes by itself in the step of `duration` (B,) [s]."""
         if "inertia" in self._effects:
             step = np.maximum(duration, 1e-12)
             self.rates = self._mass / step**2
             self.inertia_rate.assign(self._array(self.rates, self._real))
             share = self._array(step / self._duration_old, self._real)
             extrapolate(active, share, self.u_old, self._u_before, self.predicted)
+
+    def put_within(self, chosen: np.ndarray, share: float, duration: np.ndarray, way) -> None:
+        """Let the chosen (B,) remember what they do after a share of their step.
+
+        `duration` (B,) [s] is that of the whole step, and `way` (B, N) how far the nodes go in it,
+        with one acceleration throughout.
+        """
+        active = self._mask(chosen)
+        self._remember(active, np.where(chosen, share, 1.0) * duration)
+        if "inertia" in self._effects:
+            self._foresee(active, duration)
+            back = self._array(np.full(len(chosen), share - 1.0), self._real)
+            walk(active, back, self.predicted, way, self.predicted)
+
+    def put_weight(self, share: np.ndarray) -> None:
+        """Let the bodies have these shares of their weight (B,)."""
+        self.weight.assign(self._array(self._weight * share[:, None], self.weight.dtype))
+
+    def put_tip_away(self, chosen: np.ndarray) -> None:
+        """Put the tips of the chosen environments (B,) where they touch nothing."""
+        self._tip_now[chosen] = AWAY
+        self.tip.assign(self._array(self._tip_now, self.tip.dtype))
 
     def put_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
         """Put the tips of the chosen environments (B,) where their step ends, or where it began."""
@@ -222,10 +262,14 @@ class State:
         self._tip_now[chosen] = (self.tip_before if before else self._tip_after)[chosen]
         self.tip.assign(self._array(self._tip_now, self.tip.dtype))
 
+    @property
+    def step(self) -> np.ndarray:
+        """How far the tips go in their step (B, 3)."""
+        return self._tip_after - self.tip_before
+
     def travel(self, chosen: np.ndarray):
-        """How far the tips of the chosen environments go in their step (B,); 0 for the others."""
-        way = np.where(chosen[:, None], self._tip_after - self.tip_before, 0.0)
-        return self._array(way, self.tip.dtype)
+        """The same on the device (B,); 0 for those that are not chosen."""
+        return self._array(np.where(chosen[:, None], self.step, 0.0), self.tip.dtype)
 
     def carry(self, active) -> None:
         """Let the present pressure be the one that needs no penetration."""
@@ -255,7 +299,7 @@ class State:
         copy_active(active, self.pressure, self.carried)
         copy_active(active, self.pressure, self._carried_old)
         if "friction" in self._effects:
-            copy_active(active, self.traction, self._traction_old)
+            copy_active(active, self.traction, self.traction_old)
         self.tip_before[chosen] = self._tip_after[chosen]
         self.tip_old.assign(self._array(self.tip_before, self.tip.dtype))
 
@@ -333,6 +377,7 @@ class Assembly:
         self._table = table.struct
         self._contact = contact_kernels(real, "friction" in self.effects, table.traits)
         self._overlap = overlap_kernel(real, table.traits)
+        self._work = work_kernel(real, "friction" in self.effects)
         self._penalty = real(numerics.penalty)
         self._stick = real(numerics.stick)
 
@@ -346,6 +391,7 @@ class Assembly:
         self.face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
         self.face_energy = wp.zeros((environments, faces), dtype=real, device=device)
         """Energy of the contact springs of each face (B, S) [E T^3]."""
+        self._face_work = wp.zeros((environments, faces), dtype=real, device=device)
         self.touched = wp.zeros((environments, faces), dtype=wp.int32, device=device)
         self._matrix = wp.zeros((environments, faces, self.points), dtype=mat33, device=device)
         self._sums = wp.zeros((environments, self._runs, SUMS), dtype=wp.float64, device=device)
@@ -484,6 +530,35 @@ class Assembly:
             device=self.device,
         )
         return self._most_overlap.numpy().astype(float)
+
+    def work(self, chosen: np.ndarray) -> np.ndarray:
+        """Work of the indenter over the step that led to the state last evaluated (B,) [E T^3].
+
+        By the trapezoid rule; to be asked for once a step of those that are chosen (B,).
+        """
+        state = self.state
+        wp.launch(
+            self._work,
+            dim=self._face_work.shape,
+            inputs=[
+                self._faces,
+                self._face_area,
+                self.shape,
+                self.rule,
+                self._variant,
+                self._array(chosen.astype(np.int32), wp.int32),
+                state.u,
+                state.u_old,
+                state.travel(chosen),
+                state.pressure,
+                state.normal,
+                state.traction,
+                state.traction_old,
+            ],
+            outputs=[state.push, self._face_work],
+            device=self.device,
+        )
+        return self._face_work.numpy().sum(axis=1, dtype=float)
 
     def push(self, active, travel) -> None:
         """Write the forces of contact that moves by `travel` (B,) into `residual`.

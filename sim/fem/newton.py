@@ -38,6 +38,9 @@ LENGTH_GOOD = 0.2
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
+WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
+"""Longest step [T] over which the work of the indenter is told well enough by the two ends: with
+viscosity, whose steps are short in time, a state between them would cost 5 % of the whole."""
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 """Friction's limit follows the pressure at once for the first iterations, later half of the way:
 the two may answer each other with equal and opposite changes for ever."""
@@ -192,10 +195,41 @@ class Newton:
 
     def _walk(self, trying, length: np.ndarray) -> None:
         assembly = self._assembly
-        lengths = wp.array(
+        walk(trying, self._lengths(length), self._start, self._cg.solution, assembly.state.u)
+
+    def _lengths(self, length: np.ndarray):
+        """Lengths (B,) as the kernels take them."""
+        assembly = self._assembly
+        return wp.array(
             length.astype(numpy_of(assembly.real)), dtype=assembly.real, device=assembly.device
         )
-        walk(trying, lengths, self._start, self._cg.solution, assembly.state.u)
+
+    def work(self, chosen: np.ndarray, duration: np.ndarray) -> np.ndarray:
+        """Work of the indenter over the step that led the chosen to where they are (B,) [E T^3].
+
+        What it does to the skin is integrated by both ends of the step, and by what the body takes
+        up half of the way where the step is long (Simpson's rule).
+
+        Args:
+            chosen: Whose step has converged (B,); their present state stays as it is.
+            duration: Time of the step that each environment is in (B,) [s].
+        """
+        assembly, state = self._assembly, self._assembly.state
+        work = assembly.work(chosen)
+        longest = WORK_STEP_VISCOUS if "viscosity" in assembly.effects else WORK_STEP
+        long = chosen & (np.linalg.norm(state.step, axis=1) > longest)
+        if self._friction or not long.any():
+            return work
+        active, way = self.mask(long), self._cg.solution
+        walk(active, self._lengths(np.full(len(long), -1.0)), state.u, state.u_old, way)
+        walk(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
+        state.put_within(long, 0.5, duration, way)
+        state.put_tip_away(long)
+        between = assembly.evaluate(active, self._start, way).slope
+        state.put_within(long, 1.0, duration, way)
+        state.put_tip(long)
+        assembly.evaluate(active, state.u, way)
+        return np.where(long, (work + 2 * between) / 3, work)
 
     def mask(self, chosen: np.ndarray):
         """The chosen environments (B,) as the kernels take them."""
@@ -224,7 +258,9 @@ class Path:
     """Where one press stands on its motion; lengths in thicknesses.
 
     Segment 0 leads from above the body straight to the first waypoint, in no time: a motion that
-    begins inside the body arrived there at once. Segment k leads to waypoint k.
+    begins inside the body arrived there at once. Segment k leads to waypoint k. Weight is there
+    from the start; where the body does not find its shape under all of it at once, segment 0 brings
+    it up along its way.
     """
 
     corners: Array
@@ -236,6 +272,10 @@ class Path:
     shortest_time: float
     """Shortest time that a step has to resolve [s]; inf when nothing depends on time."""
     halvings_max: int
+    heavy: bool = False
+    """Whether the body has weight."""
+    ramped: bool = False
+    """Whether segment 0 brings the weight up."""
     segment: int = 0
     share: float = 0.0
     """Share of the segment that is done."""
@@ -276,6 +316,10 @@ class Path:
             duration = REST if self.length == 0 else 0.0
         return share, start + (end - start) * share, float(duration)
 
+    def load(self, share: float) -> float:
+        """Share of the weight that there is after a share of the present segment."""
+        return share if self.ramped and self.segment == 0 else 1.0
+
     def accept(self, share: float) -> bool:
         """Take the step; whether a waypoint was reached."""
         step = share - self.share
@@ -296,9 +340,12 @@ class Path:
         """Give the step up and halve it; whether there is a smaller one to try."""
         step = share - self.share
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {said}")
+        self.ramped |= self.heavy and self.segment == 0 and self.share == 0
         self.step = step / 2
         self.halvings += 1
-        return self.halvings <= self.halvings_max and self.length > 0
+        return self.halvings <= self.halvings_max and (
+            self.length > 0 or (self.ramped and self.segment == 0)
+        )
 
 
 def path_of(scene: Scene, numerics: Numerics, finest: float = np.inf) -> Path:
@@ -328,4 +375,5 @@ def path_of(scene: Scene, numerics: Numerics, finest: float = np.inf) -> Path:
         longest=longest / unit,
         shortest_time=shortest,
         halvings_max=numerics.halvings,
+        heavy=scene.effects.gravity is not None,
     )

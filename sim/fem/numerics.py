@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_kind, check_range
 
 # How the elements of a mesh grow outwards in plan from where the indenter comes.
 
@@ -108,6 +108,11 @@ class Numerics:
             raise SceneError(
                 f"numerics.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"
             )
+        for name in ("graded", "one_topology"):
+            check_kind(f"numerics.{name}", getattr(self, name), bool, "True or False")
+        check_kind("numerics.grading", self.grading, Grading, "a Grading")
+        for name in ("augmentations", "contact_points", "newton_max", "cg_max", "halvings"):
+            check_kind(f"numerics.{name}", getattr(self, name), int, "a whole number")
         for name in ("spacing", "step_travel"):
             value = getattr(self, name)
             if value is not None:

@@ -136,11 +136,13 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
 
 
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
-    """Energy in the material at rest modulus, contact springs and height [E T^3]."""
+    """Energy in the material at rest modulus, sticking springs and height [E T^3].
+
+    Not what is in penetration: that is an error, told as `contact`, and nobody's work.
+    """
     assembly = held.assembly
-    penalty = assembly.numerics.penalty
-    square = (points.traction**2).sum(axis=2) / (assembly.numerics.stick * penalty)
-    springs = ((points.penetration**2 * penalty + square) * points.area / 2).sum()
+    spring = assembly.numerics.stick * assembly.numerics.penalty
+    springs = ((points.traction**2).sum(axis=2) * points.area).sum() / (2 * spring)
     if "gravity" in assembly.effects:
         weight = assembly.state.weight.numpy()[env].astype(float)
         springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
@@ -202,16 +204,15 @@ class Collector:
         """Where the skin stood deepest inside the indenter: the material point [m]."""
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
-        self._force_before, self._tip_before = np.zeros(3), None
+        self._tip = np.zeros(3)
         self._start: float | None = None
         self.spent = Spent()
 
-    def moved(self, tip: np.ndarray, force: np.ndarray) -> None:
-        """Count the work of a step that ended with the tip at `tip`, pushing with `force` (3,)."""
-        if self._tip_before is not None:
-            self._work += 0.5 * float((force + self._force_before) @ (tip - self._tip_before))
-            self._work_most = max(self._work_most, self._work)
-        self._force_before, self._tip_before = force.copy(), tip.copy()
+    def moved(self, tip: np.ndarray, work: float) -> None:
+        """Count the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
+        self._work += work
+        self._work_most = max(self._work_most, self._work)
+        self._tip = tip.copy()
 
     def passed(self, overlap: np.ndarray) -> None:
         """Count what a step's way overlapped, as `Assembly.overlap` has it (3,)."""
@@ -227,7 +228,7 @@ class Collector:
         """
         assembly, mesh = held.assembly, self._mesh
         u = held.of(env, assembly.state.u).astype(float)
-        tip = self._tip_before
+        tip = self._tip
         points = contact_points(held, env, u)
         force = points.force.sum(axis=(0, 1))
         lever = points.place - tip
@@ -604,7 +605,7 @@ class _Batch:
         self._augmented = np.zeros(count, int)
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
-        self._duration = np.ones(count)
+        self._duration, self._load = np.ones(count), np.ones(count)
         self._assembly.state.start(np.array([path.corners[0] for path in self._paths]))
 
     def run(self) -> list[Outcome]:
@@ -636,6 +637,7 @@ class _Batch:
         for i in np.flatnonzero(idle).tolist():
             path = self._paths[i]
             self._share[i], self._tip[i], self._duration[i] = path.goal()
+            self._load[i] = path.load(self._share[i])
             tolerance[i] = self._tolerance(self._share[i])
             segment, step = self._last[i]
             going_on = segment == path.segment and step > 0 and path.halvings == 0
@@ -643,6 +645,8 @@ class _Batch:
                 guess[i] = min((self._share[i] - path.share) / step, 1.5)
         self._busy |= idle
         self._augmented[idle] = 0
+        if "gravity" in self._assembly.effects:
+            self._assembly.state.put_weight(self._load)
         self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
         self._newton.begin(idle, tolerance, predict=guess == 0)
 
@@ -694,10 +698,11 @@ class _Batch:
             return
         assembly = self._assembly
         kept: dict[int, int] = {}
+        work = self._newton.work(good, self._duration)
         for i in np.flatnonzero(good).tolist():
             path, collector = self._paths[i], self._collectors[i]
             collector.spent.steps += 1
-            collector.moved(self._tip[i], assembly.sums.contact[i])
+            collector.moved(self._tip[i], work[i])
             self._last[i] = path.segment, self._share[i] - path.share
             frame = path.segment
             if path.accept(self._share[i]):
@@ -735,10 +740,17 @@ class _Batch:
         where = path.corners[path.segment] + path.share * (
             path.corners[path.segment + 1] - path.corners[path.segment]
         )
+        weight = ""
+        if path.ramped and path.segment == 0:
+            pull = ", ".join(f"{value:g}" for value in scene.effects.gravity.acceleration)
+            weight = (
+                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, which came "
+                "in steps (the body may be too soft to carry its weight)"
+            )
         millimetres = where * scene.body.thickness * 1e3
         return SimulationDiverged(
             f"no converged state after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
-            f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}: "
+            f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
             f"{len(path.tried)} steps failed, the last: {path.tried[-1]}; "
             f"{self._assembly.precision}; state: {dump or 'could not be written'}",
             tried=tuple(path.tried),

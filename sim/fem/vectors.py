@@ -291,6 +291,57 @@ def push_kernel(real):
 
 
 @functools.cache
+def work_kernel(real, friction: bool):
+    """Kernel of the work of the contact points of each face over a step, by the trapezoid rule.
+
+    Pressure goes with the skin, friction with the indenter: a point that is touched within the
+    step was not pushed on the way there.
+    """
+    vec3 = vector_of(real)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def work(
+        # Mesh:
+        faces: wp.array2d(dtype=wp.int32),
+        face_area: wp.array2d(dtype=real),
+        shape: wp.array2d(dtype=real),
+        rule: wp.array(dtype=real),
+        variant: wp.array(dtype=wp.int32),
+        # In: displacement and how the tip moved
+        active: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vec3),
+        u_old: wp.array2d(dtype=vec3),
+        step: wp.array(dtype=vec3),
+        pressure: wp.array3d(dtype=real),
+        normal: wp.array3d(dtype=vec3),
+        traction: wp.array3d(dtype=vec3),
+        traction_old: wp.array3d(dtype=vec3),
+        # In and out: pressure as a vector, at the start of the step and at its end
+        push_out: wp.array3d(dtype=vec3),
+        # Out:
+        work_out: wp.array2d(dtype=real),
+    ):
+        env, s = wp.tid()
+        if active[env] == 0:
+            return
+        total = real(0.0)
+        for p in range(rule.shape[0]):
+            way = vec3()
+            for k in range(4):
+                n = faces[s, k]
+                way += (u[env, n] - u_old[env, n]) * shape[p, k]
+            push = normal[env, s, p] * pressure[env, s, p]
+            given = wp.dot(push_out[env, s, p] + push, way)
+            if wp.static(friction):
+                given += wp.dot(traction[env, s, p] + traction_old[env, s, p], step[env])
+            push_out[env, s, p] = push
+            total += given * rule[p]
+        work_out[env, s] = total * face_area[variant[env], s] * real(0.5)
+
+    return work
+
+
+@functools.cache
 def reduce_kernel():
     """Kernel that adds the sums (B, runs, `SUMS`) of each environment up; least of column 3."""
 

@@ -69,6 +69,27 @@ def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     assert "warp" not in done.stderr.lower()
 
 
+def test_json_has_the_surface_and_the_traction_where_they_are_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["press", "--depths", "0.2,0.4", *QUICK]
+    plain = _said(words, capsys)
+    both = _said([*words, "--fields", "surface,traction", "--save", "kept.zarr"], capsys)
+    kept = load_result("kept.zarr")
+    np.testing.assert_array_equal(both["surface_m"], kept.surface[1:].astype(float))
+    np.testing.assert_array_equal(both["traction_pa"], kept.traction[1:].astype(float))
+    np.testing.assert_array_equal(both["surface_x_m"], kept.surface_x)
+    np.testing.assert_array_equal(both["surface_y_m"], kept.surface_y)
+    added = {"surface_m", "traction_pa", "surface_x_m", "surface_y_m"}
+    assert set(both) - set(plain) == added
+    assert set(_said([*words, "--fields", "surface"], capsys)) & added == added - {"traction_pa"}
+    assert main([*words, "--fields", "surface"]) == 2
+    assert "--fields: surface; allowed: with --json" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([*words, "--json", "--fields", "skin"])
+    assert "'skin'; allowed: one or more of surface, traction" in capsys.readouterr().err
+
+
 def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["press", "--shape", "dots", "--depths", "0.2,0.4", *QUICK]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -152,7 +173,7 @@ def test_a_shape_has_the_measures_it_was_given(
         ("press --size 20,20,0", r"body\.thickness: 0\.0 m; allowed"),
         ("press --friction -1", r"friction\.coefficient: -1\.0; allowed: 0 to 10"),
         ("press --friction nan", r"friction\.coefficient: nan"),
-        ("press --depths nan", r"motion\.tip\[1\]"),
+        ("press --depths nan", r"motion\.depths\[0\]"),
         ("press --depths 5", r"5 mm deep into a body 4 mm thick; allowed"),
         ("press --depths 1,1", r"--depths\[1\]: 1\.0 mm; allowed: another"),
         ("press --speed 0", r"motion\.speed: 0\.0 m/s"),

@@ -64,3 +64,12 @@ def test_more_friction_holds_the_surface_more() -> None:
         middle = len(result.surface_y) // 2
         slides.append(float(np.interp(1.3e-3, result.surface_x, result.surface[-1, :, middle, 0])))
     assert slides[0] > slides[1] > slides[2] > slides[3]
+
+
+def test_what_friction_takes_is_told_the_same_by_few_and_by_many_steps() -> None:
+    fine = Numerics(spacing=4e-3 / 3, step_travel=4e-3 / 200, path_tolerance=1e-3)
+    few, many = (
+        simulate(_loop(0.0, steps=1), numerics=numerics).quality.energy_gap
+        for numerics in (Numerics(spacing=4e-3 / 3), fine)
+    )
+    assert few == pytest.approx(many, abs=0.015)

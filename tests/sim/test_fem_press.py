@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
 from sim.fem.numerics import Numerics
-from sim.indenters import flat_punch, named, sphere
+from sim.indenters import Indenter, box, cone, flat_punch, named, sphere
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 COARSE = Numerics(spacing=4e-3 / 3, precision="float64")
@@ -55,6 +55,22 @@ def test_lifting_off_returns_the_body_to_where_it_was() -> None:
     assert not result.wrench[2].any()
     assert not result.traction[2].any()
     assert np.abs(result.surface[2]).max() < 1e-6 * np.abs(result.surface[1]).max()
+
+
+@pytest.mark.parametrize(
+    ("indenter", "depths"),
+    [
+        (sphere(4e-3), (0.5e-3, 1.0e-3, 1.5e-3)),
+        (sphere(4e-3), (1.5e-3,)),
+        (sphere(3e-3), (1.0e-3, 0.5e-3, 0.0)),
+        (box(4e-3, 3e-3, 0.4e-3), (0.4e-3, 0.8e-3, 0.4e-3, 0.0)),
+        (box(4e-3, 3e-3, 0.4e-3), (0.8e-3,)),
+        (cone(1.0, 1e-3, 0.3e-3), (0.4e-3, 0.8e-3)),
+    ],
+)
+def test_an_elastic_press_stores_all_of_the_work(indenter: Indenter, depths: list[float]) -> None:
+    result = simulate(Scene(indenter, press(depths), SMALL), numerics=Numerics(spacing=1e-3))
+    assert np.abs(result.quality.energy_gap).max() < 0.01
 
 
 def test_mirrored_presses_mirror() -> None:

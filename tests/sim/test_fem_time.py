@@ -13,6 +13,7 @@ from sim import (
     Inertia,
     Motion,
     Scene,
+    SimulationDiverged,
     Viscosity,
     press,
     ramp_hold,
@@ -20,6 +21,7 @@ from sim import (
 )
 from sim.fem.numerics import Numerics
 from sim.indenters import plane, sphere
+from trajectories import Point
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
@@ -131,3 +133,39 @@ def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
         for speed in (1e-3, 10.0)
     )
     assert -fast.force[-1, 2] > 1.1 * -slow.force[-1, 2]
+
+
+@pytest.mark.parametrize("speed", [2e-3, 20e-3])
+def test_what_viscosity_takes_is_told_the_same_by_few_and_by_many_steps(speed: float) -> None:
+    scene = Scene(sphere(3e-3), press([0.6e-3, 0.1e-3], speed=speed), SMALL, _viscous())
+    fine = Numerics(spacing=SPACING, step_travel=4e-3 / 200)
+    few, many = (
+        simulate(scene, numerics=numerics).quality.energy_gap
+        for numerics in (Numerics(spacing=SPACING), fine)
+    )
+    assert few == pytest.approx(many, abs=0.012)
+
+
+def test_weight_is_no_loss() -> None:
+    effects = Effects(gravity=Gravity((0.0, 0.0, -50.0)))
+    scene = Scene(sphere(3e-3), press([0.6e-3, 0.2e-3]), SMALL, effects)
+    gap = simulate(scene, numerics=Numerics(spacing=SPACING)).quality.energy_gap
+    assert np.abs(gap).max() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("pull", "found"), [((49.05, 0.0, 0.0), True), ((0.0, 0.0, -49.05), False)]
+)
+def test_strong_gravity_is_brought_up_in_steps(pull: Point, found: bool) -> None:
+    """A gel of 100 Pa: its weight at once is too much; down, it cannot carry all of it."""
+    gel = Body(20e-3, 20e-3, 10e-3, modulus=100.0)
+    away = Motion(((0.0, 0.0, 90e-3),), (0.0,))
+    scene = Scene(sphere(4e-3), away, gel, Effects(gravity=Gravity(pull)))
+    numerics = Numerics(spacing=10e-3 / 3, precision="float64", halvings=4)
+    if found:
+        result = simulate(scene, numerics=numerics)
+        assert result.quality.steps[0] > 1
+        assert result.quality.balance[0] < 1e-4, "the base carries the weight, all of it"
+    else:
+        with pytest.raises(SimulationDiverged, match=r"% of gravity's \(0, 0, -49.05\) m/s\^2"):
+            simulate(scene, numerics=numerics)

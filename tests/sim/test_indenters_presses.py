@@ -45,6 +45,26 @@ def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) ->
     np.testing.assert_allclose(force, expected, rtol=0.01)
 
 
+@pytest.mark.parametrize(
+    ("drawn", "declared"), [(0.0, 0.3e-3), (0.3, 0.0), (0.3, 0.3e-3), (0.0, 0.15e-3)]
+)
+def test_a_prism_from_a_file_presses_like_the_one_by_name(
+    drawn: float, declared: float, tmp_path: Path
+) -> None:
+    """Drawn with its fillets [mm], or sharp and told its edge radius [m], or both."""
+    sharp, count = files.block(5, 7, 8), 25
+    body = files.rounded_block(5, 7, 8, drawn, count) if drawn else sharp
+    indenter = from_stl(files.write_binary(tmp_path / "prism.stl", body), edge_radius=declared)
+    expected = named("prism", max(drawn * 1e-3, declared))
+    tiers: tuple[tuple[Tier, Numerics | None], ...] = (("fem", COARSE), ("layer", None))
+    for tier, numerics in tiers:
+        found, by_name = (
+            simulate(Scene(one, press([0.5e-3])), tier, numerics=numerics).force[-1, 2]
+            for one in (indenter, expected)
+        )
+        assert found == pytest.approx(by_name, rel=0.01)
+
+
 def test_the_planner_knows_how_sharp_a_body_from_a_file_is(block: Indenter) -> None:
     features = probe(Scene(block, press([0.5e-3]))).features
     assert features.sharpest == pytest.approx(0.4 / 4)

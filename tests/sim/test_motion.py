@@ -109,5 +109,7 @@ def test_a_speed_that_is_none_is_refused(speed: float) -> None:
 
 
 def test_standing_still_takes_no_time_and_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"^motion\.time"):
+    with pytest.raises(SceneError, match=r"^motion\.depths\[1\]"):
         press([1e-3, 1e-3])
+    with pytest.raises(SceneError, match=r"^motion\.tip\[1\]: .* where the tip already is"):
+        through([ORIGIN, ORIGIN], speed=1.0)
