@@ -92,7 +92,7 @@ def _inscribed(found: Footprint, depth: float) -> float:
     within = np.pad(found.deep >= depth, 1)
     steps = found.x[1] - found.x[0], found.y[1] - found.y[0]
     radius: float = distance_transform_edt(within, sampling=steps).max()
-    return max(radius - max(steps), 0.0)
+    return float(max(radius - max(steps), 0.0))
 
 
 def reached(result: Result) -> list[tuple[float, float, float]]:

@@ -135,7 +135,9 @@ def _bilinear(top: Array, cells: NDArray[np.int64], u: Array, v: Array) -> Array
     i, j = cells.T
     corners = [top[i, j], top[i + 1, j], top[i, j + 1], top[i + 1, j + 1]]
     weights = [(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]
-    pieces = [weight[:, None] * corner[:, None] for weight, corner in zip(weights, corners, strict=True)]
+    pieces = [
+        weight[:, None] * corner[:, None] for weight, corner in zip(weights, corners, strict=True)
+    ]
     placed: Array = sum(pieces[1:], pieces[0])
     return placed
 

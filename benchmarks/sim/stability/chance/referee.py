@@ -28,6 +28,8 @@ TOUCH = 1e-6, 2.5e-4
 """Overlap with the untouched gel that must be answered by a force [m], and in thicknesses."""
 NOTHING = 1e-3
 """Share of the largest force that is none."""
+OF_GRID = 0.02
+"""How exact a solid's surface is, in spacings of its grid."""
 SAME = 0.01
 """Two frames of an elastic gel at one place."""
 DROP = 0.005
@@ -144,6 +146,8 @@ def _lets_go(result: Result) -> list[Law]:
     if scene.effects.inertia is not None or not weightless(scene):
         return []
     clear = 0.0 if elastic(scene) and smooth(scene) else -0.05 * scene.body.thickness
+    if scene.indenter.solid is not None:
+        clear -= OF_GRID * scene.indenter.solid.spacing
     size = np.linalg.norm(result.force, axis=1)
     free = [
         size[frame]

@@ -101,7 +101,9 @@ def _body(dice: Dice) -> Body:
         size_y = size_x
     dome = None
     if dice.chance(0.15):
-        dome = rounded(math.hypot(size_x, size_y) * dice.scaled(0.7, 5.0))
+        drop, corner = 0.45 * thickness, math.hypot(size_x, size_y) / 2
+        least = max((corner**2 + drop**2) / (2 * drop), corner)
+        dome = rounded(least * dice.scaled(1.02, 6.0))
     return Body(
         size_x, size_y, thickness,
         modulus=dice.scaled(1e4, 3e6),

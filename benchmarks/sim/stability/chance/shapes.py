@@ -35,9 +35,7 @@ def draw_shape(dice: Dice, unit: float, folder: Path) -> tuple[str, Indenter]:
     if kind != "plane" and dice.chance(0.25):
         size = dice.one_of([0.01, 0.1, 0.3, TILT_MAX])
         turn = dice.even(0.0, math.tau)
-        indenter = indenter.tilted(
-            rounded(size * math.cos(turn)), rounded(size * math.sin(turn))
-        )
+        indenter = indenter.tilted(rounded(size * math.cos(turn)), rounded(size * math.sin(turn)))
         kind = f"{kind}, tilted"
     return kind, indenter
 

@@ -142,9 +142,7 @@ def _figure(
     if not turns:
         return tuple(value for u, v, turn in corners for value in (*place(u, v), turn))
     # Backwards, so that the material stays on the left; the arc that led on to a corner now leaves.
-    backwards = [
-        (*place(u, v), corners[index - 1][2]) for index, (u, v, _) in enumerate(corners)
-    ]
+    backwards = [(*place(u, v), corners[index - 1][2]) for index, (u, v, _) in enumerate(corners)]
     return tuple(value for corner in reversed(backwards) for value in corner)
 
 

@@ -45,7 +45,7 @@ COVERS: tuple[tuple[str, str], ...] = (
 say that the indenter went through the gel, or that there is no force at all."""
 
 
-class OutOfTime(Exception):  # noqa: N818
+class OutOfTime(Exception):
     """A solve took longer than it may."""
 
 
