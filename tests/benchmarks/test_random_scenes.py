@@ -14,21 +14,19 @@ from benchmarks.sim.stability.chance import bounds
 from benchmarks.sim.stability.chance.footprint import footprint, half_wall
 from benchmarks.sim.stability.chance.page import page
 from benchmarks.sim.stability.chance.referee import LAWS, held, loading
-from benchmarks.sim.stability.chance.run import Plan, Told, judge_all, tell
+from benchmarks.sim.stability.chance.run import Plan, Told, tell
 from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
-from benchmarks.sim.stability.chance.twins import twins
+from benchmarks.sim.stability.chance.twins import KINDS, twin_of
 from benchmarks.sim.stability.chance.verdict import (
     OutOfTime,
     Settings,
     Verdict,
     covered,
     judge,
-    judge_scene,
     of_laws,
     time_limit,
 )
-from benchmarks.sim.stability.planted import planted
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.mesh import meshes_of
@@ -56,7 +54,10 @@ def _made_up(scene: Scene) -> Result:
         push = bounds.layer_force(scene, tip) or 0.0
         wrench[frame, 2] = -push
         if deep.any():
-            traction[frame, ..., 2] = -push * deep / (deep * area).sum()
+            place = np.stack([*np.meshgrid(x, x, indexing="ij"), -deep], axis=-1) - np.array(tip)
+            _, normal = scene.indenter.distance(place)
+            share = deep / -(deep * area * normal[..., 2]).sum()
+            traction[frame] = push * share[..., None] * normal
     none = np.full(frames, np.nan)
     quality = Quality(*[none] * 6, *[np.zeros(frames, np.int64)] * 3)
     return Result(scene, "fem", wrench, x, x, surface, traction, quality, {"warnings": []})
@@ -82,7 +83,8 @@ def test_a_made_up_answer_of_the_right_size_keeps_all_laws(good: Result) -> None
     [
         (-1.0, {"no-pull", "touches", "within-bounds", "near-layer"}),
         (0.0, {"touches", "within-bounds", "near-layer"}),
-        (10.0, {"within-bounds", "near-layer"}),
+        (5.0, {"near-layer"}),
+        (30.0, {"within-bounds", "near-layer"}),
         (math.nan, {"finite"}),
     ],
 )
@@ -157,7 +159,7 @@ def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
     assert not covered("not-through", [edge])
     assert not covered("touches", [edge])
     assert covered("not-through", ["the skin overlaps the indenter by 0.3 mm"])
-    said = replace(good, wrench=good.wrench * 2.2, record={"warnings": [edge]})
+    said = replace(good, wrench=good.wrench * 0.45, record={"warnings": [edge]})
     assert of_laws(said, held(said)).kind == "warned"
     silent = replace(said, record={"warnings": []})
     assert of_laws(silent, held(silent)).kind == "silent"
@@ -179,20 +181,17 @@ def test_scene_17_of_seed_0_is_what_it_was(tmp_path: Path) -> None:
     one = drawn(0, 17, tmp_path)
     assert one.what == "trap, far aside"
     assert one.scene is not None
-    assert one.scene.motion.tip[1][2] == pytest.approx(WAS_DEEP, rel=1e-12)
-
-
-WAS_DEEP = 0.0
-"""Depth of that scene [m]: a change here is a change of every counter-example's name."""
+    # Where this changes, every counter-example's name means another scene.
+    assert one.scene.motion.tip[1:3] == ((0.0, 0.0, -0.000584), (0.00146, 0.0, -0.000584))
 
 
 def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Path) -> None:
-    some = [drawn(1, index, tmp_path) for index in range(60)]
+    some = [drawn(1, index, tmp_path) for index in range(40)]
     for one in some:
         assert (one.scene is None) == (one.refusal is not None)
         assert one.refusal is None or isinstance(one.refusal, SceneError), one
     families = [one.what.split(", ")[0] for one in some]
-    assert families.count("sensible") > 30
+    assert families.count("sensible") > 20
     assert {"trap", "absurd"} < set(families)
     assert sum(one.scene is None for one in some) < 15
     for one in some[:20]:
@@ -205,11 +204,9 @@ def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Pat
 
 
 def test_twins_are_mirrored_in_geometry_too() -> None:
-    scene = Scene(
-        shapes.named("random").tilted(0.1, 0.2), press([0.5 * MM], at=(1 * MM, 2 * MM))
-    )
-    places = np.random.default_rng(0).uniform(-4 * MM, 4 * MM, (200, 3)) + [0, 0, 4 * MM]
-    known = {twin.name: twin for twin in twins(scene)}
+    scene = Scene(shapes.named("triangle").tilted(0.1, 0.2), press([0.5 * MM], at=(1 * MM, 2 * MM)))
+    places = np.random.default_rng(0).uniform(-4 * MM, 4 * MM, (200, 3)) + np.array([0, 0, 4 * MM])
+    known = {name: twin for name in KINDS if (twin := twin_of(scene, name)) is not None}
     gap, _ = scene.indenter.distance(places)
     for name, turned in (
         ("mirror-x", places * [-1, 1, 1]),
@@ -224,9 +221,9 @@ def test_twins_are_mirrored_in_geometry_too() -> None:
 
 
 def test_a_bar_has_a_twin_in_a_mirror_but_none_across() -> None:
-    names = {twin.name for twin in twins(Scene(shapes.bar(2 * MM, 8 * MM), press([0.5 * MM])))}
-    assert "mirror-x" in names
-    assert "swap-xy" not in names
+    scene = Scene(shapes.bar(2 * MM, 8 * MM), press([0.5 * MM]))
+    assert twin_of(scene, "mirror-x") is not None
+    assert twin_of(scene, "swap-xy") is None
 
 
 def test_a_footprint_is_as_wide_as_the_sphere_there() -> None:
@@ -266,9 +263,8 @@ def test_every_exception_has_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_solve_that_takes_too_long_is_ended() -> None:
     began = time.perf_counter()
-    with pytest.raises(OutOfTime, match="within 0.05 s"), time_limit(0.05):
-        while time.perf_counter() < began + 5:
-            pass
+    with pytest.raises(OutOfTime, match=r"within 0.05 s"), time_limit(0.05):
+        time.sleep(5)
     assert time.perf_counter() < began + 2
 
 
@@ -291,7 +287,7 @@ def test_a_counter_example_is_made_plain_while_the_same_law_stays_broken(
 
     plain, verdict = shrunk(scene, pulls(scene), Settings(), judge=pulls)
     assert plain.effects == Effects(friction=Friction(0.3))
-    assert plain.motion.tip == ((0.0, 0.0, 0.0), (0.0, 0.0, -0.4 * MM))
+    assert plain.motion.tip == ((0.0, 0.0, 0.0),)
     assert plain.indenter.tilt == (0.0, 0.0)
     assert plain.body.modulus == pytest.approx(0.145e6, rel=0.4)
     store(tmp_path / "found.json", plain, verdict, "0/1")
@@ -312,9 +308,7 @@ def test_the_page_counts_by_class_and_by_law(good: Result) -> None:
     assert "| 0/1 | silent | trap, y\\|z |" in text
 
 
-def test_the_last_line_counts_what_passed(
-    good: Result, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_last_line_counts_what_passed(good: Result, capsys: pytest.CaptureFixture[str]) -> None:
     right = of_laws(good, held(good))
     late = Verdict("timeout", "no answer")
     assert not tell([Told("0/0", "x", right, 1.0), Told("0/1", "y", late, 2.0)])
@@ -325,19 +319,29 @@ def test_the_last_line_counts_what_passed(
 
 
 @pytest.mark.parametrize(
-    "wrong", [["--random", "0"], ["--random", "1", "--scene", "-1"], ["--random", "1", "--only", "x"]]
+    "wrong",
+    [["--random", "0"], ["--random", "1", "--scene", "-1"], ["--random", "1", "--only", "rim-*"]],
 )
 def test_the_verb_refuses_wrong_options(
     wrong: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["hard-cases", *wrong]) == 2
-    assert "allowed" in capsys.readouterr().err or "no case" in capsys.readouterr().err
+    assert "allowed" in capsys.readouterr().err
 
 
 def test_the_verb_judges_one_scene_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["--random", "1", "--scene", "3", "--found", str(tmp_path), "--out", str(tmp_path / "p")]
+    given = [
+        "--random",
+        "1",
+        "--scene",
+        "3",
+        "--found",
+        str(tmp_path),
+        "--out",
+        str(tmp_path / "p"),
+    ]
     assert main(["hard-cases", *given]) == 0
     assert "1 refused" in capsys.readouterr().out
     assert "| refused | a SceneError names" in (tmp_path / "p").read_text()

@@ -37,9 +37,10 @@ DROP = 0.005
 RING = 0.02, 0.05
 """Work that a closed loop may give back or, elastic, take, over the most put in: without friction,
 and with it (the trapezoid rule over a few frames)."""
-SHEAR, NODES = 0.15, 16
-"""Shear over pressure beyond friction's, where so many nodes carry the force: nodal forces gather
-contact points whose normals differ, which a coarse mesh under a sphere shows as 0.03 to 0.12."""
+SHEAR, NODES = 0.2, 9
+"""Shear over pressure without friction, where so many nodes carry the force: nodal forces gather
+contact points whose normals differ, which a coarse mesh shows as 0.03 to 0.16, and with friction
+as a sum of squares."""
 PULL, TENSION = 0.05, 0.02
 """Pull in all over the largest force, and nodes that pull over those that push."""
 SUM, LEVER = 0.02, 0.02
@@ -278,7 +279,8 @@ def _coulomb(result: Result) -> list[Law]:
     """
     scene = result.scene
     friction = scene.effects.friction
-    limit = SHEAR + (friction.coefficient if friction else 0.0)
+    coefficient = friction.coefficient if friction else 0.0
+    limit = math.hypot(SHEAR, coefficient)
     element = max(np.diff(result.surface_x).min(), np.diff(result.surface_y).min())
     if half_wall(scene) < 2 * element or rounding(scene) < element:
         return []
@@ -288,14 +290,16 @@ def _coulomb(result: Result) -> list[Law]:
         force = result.traction[frame].astype(float) * _areas(result)[..., None]
         loaded = np.linalg.norm(force, axis=-1)
         many = (loaded > 0.2 * loaded.max()).sum() >= NODES
-        if size < 0.1 * largest(result) or size <= floor(scene) or not many:
+        if size < 0.05 * largest(result) or size <= floor(scene) or not many:
             continue
         x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")
         rest = np.stack([x, y, scene.body.heights(result.surface_x, result.surface_y)], axis=-1)
         _, normal = scene.indenter.distance(rest + result.surface[frame] - np.asarray(tip))
         pressure = np.einsum("...i,...i->...", force, normal)
         shear = np.linalg.norm(force - pressure[..., None] * normal, axis=-1)
-        if pressure.sum() > 0.8 * size:  # the rest is on the sides, which are not shown
+        if pressure.sum() > 0.8 * size / math.hypot(
+            1.0, coefficient
+        ):  # the rest is on the sides, which are not shown
             shears.append(float(shear.sum() / pressure.sum()))
             pulls.append(float(-np.minimum(pressure, 0.0).sum() / pressure.sum()))
     if not shears:

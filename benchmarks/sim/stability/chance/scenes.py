@@ -212,7 +212,8 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
     if kind == "blade":
         return _down(blade(dice, MM), body, MM * dice.even(1.0, 3.0), steps=dice.whole(1, 3))
     if kind == "corner":
-        at = (dice.even(0.8, 1.05) * 8 * MM, dice.even(0.8, 1.05) * 8 * MM)
+        body = replace(body, size_x=10 * MM, size_y=10 * MM)
+        at = (dice.even(0.8, 1.05) * 5 * MM, dice.even(0.8, 1.05) * 5 * MM)
         indenter = ball if dice.chance(0.7) else shapes.named("prism")
         return _down(indenter, body, MM * dice.even(1.5, 3.5), at=at, steps=dice.whole(1, 3))
     if kind == "first touch":
@@ -234,9 +235,12 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         words.append(shape)
         return _down(indenter, hard, MM * dice.even(0.2, 1.5), steps=dice.whole(1, 3))
     if kind == "far aside":
-        depth, aside = MM * dice.even(0.5, 1.5), rounded(MM * dice.even(1.5, 4.0))
+        body = replace(body, size_x=12 * MM, size_y=10 * MM)
+        depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
         friction = Friction(dice.one_of([0.5, 1.0, 2.0]))
-        points = [(0.0, 0.0, 0.0), (0.0, 0.0, -depth), (aside, 0.0, -depth), (aside, 0.0, MM)]
+        # Lifted while it slips, before it lets go.
+        lifts = [(aside, 0.0, -rounded(share * depth)) for share in (1.0, 0.6, 0.3)]
+        points = [(0.0, 0.0, 0.0), (0.0, 0.0, -depth), *lifts, (aside, 0.0, MM)]
         return Scene(ball, through(points, speed=10e-3), body, Effects(friction=friction))
     if kind == "heavy":
         pull = dice.signed(dice.scaled(30.0, 1000.0))

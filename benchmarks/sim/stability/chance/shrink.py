@@ -16,7 +16,7 @@ from sim.errors import SceneError
 from sim.result import scene_from_json, scene_to_json
 from sim.scene import Body, Motion, Scene, through
 
-TRIES, SECONDS = 40, 60.0
+TRIES, SECONDS = 30, 30.0
 """Simpler scenes that are tried, and how long that may take [s]."""
 EXACT = frozenset({"cosine", "time", "poisson"})
 """Fields whose numbers are not rounded: they follow from others, or stand close to a limit."""

@@ -50,17 +50,12 @@ def _ratio(one: Scene, other: Scene) -> float:
     return size[0] / size[1]
 
 
-def twins(scene: Scene) -> list[Twin]:
-    """Every twin that the scene has."""
-    found = []
-    for make in (_mirrored_x, _mirrored_y, _swapped, _larger, _at_once):
-        try:
-            twin = make(scene)
-        except SceneError:  # beyond a limit: there is no such twin
-            continue
-        if twin is not None:
-            found.append(twin)
-    return found
+def twin_of(scene: Scene, name: str) -> Twin | None:
+    """The twin of that name; None where the scene has no such twin."""
+    try:
+        return KINDS[name](scene)
+    except SceneError:  # beyond a limit
+        return None
 
 
 def _mirrored_x(scene: Scene) -> Twin | None:
@@ -209,3 +204,13 @@ def _at_once(scene: Scene) -> Twin | None:
     way = Motion(((x, y, 0.0), (x, y, z)), (0.0, 1.0))
     twin = Scene(scene.indenter, way, scene.body, Effects())
     return Twin("at-once", twin, lambda force: np.stack([force[-1] * np.nan, force[-1]]))
+
+
+KINDS: dict[str, Callable[[Scene], Twin | None]] = {
+    "mirror-x": _mirrored_x,
+    "mirror-y": _mirrored_y,
+    "swap-xy": _swapped,
+    "ten-times": _larger,
+    "at-once": _at_once,
+}
+"""How the twin of each name is made."""

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.referee import Held, held
 from benchmarks.sim.stability.chance.scenes import Drawn
-from benchmarks.sim.stability.chance.twins import Twin, agrees, twins
+from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, twin_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.result import Outcome, Result
@@ -104,8 +104,7 @@ def judge(drawn: Drawn, settings: Settings) -> Verdict:
     dice = Dice(drawn.seed, -1 - drawn.index)
     twin = None
     if dice.chance(TWINNED):
-        known = twins(drawn.scene)
-        twin = dice.one_of(known).name if known else None
+        twin = dice.one_of(sorted(KINDS))
     return judge_scene(drawn.scene, settings, twin)
 
 
@@ -116,11 +115,12 @@ def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> Ve
         if isinstance(outcome, SimulationDiverged):
             return _unsolved(outcome, scene)
         found = held(outcome)
-        for other in (each for each in twins(scene) if each.name == twin):
+        other = twin_of(scene, twin) if twin else None
+        if other is not None:
             found += _compared(outcome, other, settings)
     except Exception as error:
         return _unsolved(error, scene)
-    return of_laws(outcome, found, twin or "")
+    return of_laws(outcome, found, other.name if other else "")
 
 
 def _compared(result: Result, twin: Twin, settings: Settings) -> list[Held]:
