@@ -17,7 +17,7 @@ from benchmarks.sim.stability.chance.referee import LAWS, held, loading
 from benchmarks.sim.stability.chance.run import Plan, Told, tell
 from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
-from benchmarks.sim.stability.chance.twins import KINDS, twin_of
+from benchmarks.sim.stability.chance.twins import KINDS, symmetric, twin_of
 from benchmarks.sim.stability.chance.verdict import (
     OutOfTime,
     Settings,
@@ -219,6 +219,17 @@ def test_twins_are_mirrored_in_geometry_too() -> None:
     larger, _ = known["ten-times"].scene.indenter.distance(places * 10)
     assert larger == pytest.approx(gap * 10, abs=1e-7)
     assert known["mirror-x"].scene.motion.tip[-1] == (-1 * MM, 2 * MM, -0.5 * MM)
+
+
+def test_a_scene_that_is_its_own_image_has_forces_that_are(good: Result) -> None:
+    assert len(symmetric(good)) == 3
+    assert all(each.law.holds for each in symmetric(good))
+    wrench = good.wrench.copy()
+    wrench[-1, 0] = wrench[-1, 2] / 20
+    broken = [each.law.holds for each in symmetric(replace(good, wrench=wrench))]
+    assert broken == [False, True, False]
+    aside = _made_up(Scene(shapes.box(2 * MM, 3 * MM), press([0.4 * MM], at=(1 * MM, 0.0))))
+    assert len(symmetric(aside)) == 1
 
 
 def test_a_bar_has_a_twin_in_a_mirror_but_none_across() -> None:

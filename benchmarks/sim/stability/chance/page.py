@@ -80,6 +80,8 @@ def _by_law(told: Sequence[Told]) -> list[str]:
 def _said(name: str) -> str:
     if name == "finite":
         return "No number is infinite or none."
+    if name == "symmetric":
+        return "Forces of a scene that is its own mirror image are their own image."
     return "The twin scene has the same forces."
 
 

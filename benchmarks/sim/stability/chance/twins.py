@@ -24,6 +24,7 @@ AGREE = 0.02
 AGREE_RUBBING = 0.05
 """The same with friction, where a point that slips early or late moves others."""
 LARGER = 10.0
+MIRRORS = ("mirror-x", "mirror-y", "swap-xy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,17 @@ def agrees(result: Result, twin: Twin, other: Result) -> Held:
     gap = float(np.nanmax(np.linalg.norm(other.force - expected, axis=1))) / scale
     limit = AGREE if smooth(result.scene) else AGREE_RUBBING
     return Held(f"twin-{twin.name}", at_most(f"{twin.name}: |difference| / largest", gap, limit))
+
+
+def symmetric(result: Result) -> list[Held]:
+    """The laws of a scene that is its own twin in a mirror: its forces are their own image."""
+    scene = result.scene
+    found = [twin_of(scene, name) for name in MIRRORS]
+    return [
+        Held("symmetric", agrees(result, twin, result).law)
+        for twin in found
+        if twin is not None and twin.scene == scene
+    ]
 
 
 def _ratio(one: Scene, other: Scene) -> float:
@@ -132,7 +144,10 @@ def _figure(
     part: Part, place: Callable[[float, float], tuple[float, float]], *, turns: bool
 ) -> tuple[float, ...]:
     if part.figure != "path":
-        return (*place(part.values[0], part.values[1]), *part.values[2:])
+        turned = place(part.values[0], part.values[1])
+        if part.figure == "band" and turned < (0.0, 0.0):  # one and the same, said the other way
+            return (0.0 - turned[0], 0.0 - turned[1], 0.0 - part.values[2], *part.values[3:])
+        return (*turned, *part.values[2:])
     corners = [part.values[index : index + 3] for index in range(0, len(part.values), 3)]
     if not turns:
         return tuple(value for u, v, turn in corners for value in (*place(u, v), turn))

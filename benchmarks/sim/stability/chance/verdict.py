@@ -16,7 +16,7 @@ from typing import Literal, get_args
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.referee import Held, held
 from benchmarks.sim.stability.chance.scenes import Drawn
-from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, twin_of
+from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, symmetric, twin_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.result import Outcome, Result
@@ -32,7 +32,7 @@ SECONDS = 60.0
 TWINNED = 0.35
 """Share of the scenes that are solved once more as a twin."""
 
-AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|twin-.*|no-overlap"
+AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"
 COVERS: tuple[tuple[str, str], ...] = (
     (r"edge radius .* below the element", AMOUNTS),
     (r"overlap|penetrat|passe?[sd]? through|inside the (indenter|gel|body)", r"no-.*|not-through"),
@@ -115,6 +115,8 @@ def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> Ve
         if isinstance(outcome, SimulationDiverged):
             return _unsolved(outcome, scene)
         found = held(outcome)
+        if found[0].law.holds:
+            found += symmetric(outcome)
         other = twin_of(scene, twin) if twin else None
         if other is not None:
             found += _compared(outcome, other, settings)
