@@ -16,8 +16,10 @@ from benchmarks.sim.stability.chance.verdict import Settings, judge_scene
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
 NOT_YET: dict[str, str] = {
     "blade-goes-through": "a blade narrower than an element passes between contact points",
+    "deep-cone-leaves-the-axis": "gel slips aside from under the tip, which an element is as wide as",
     "first-touch-is-nothing": "a touch lighter than the contact points' spacing is no touch",
     "press-at-the-corner": "the rim escapes, and the sides' overlap is not looked at",
+    "tilted-box-overlaps": "the low edge of a leaning box lies between contact points",
 }
 """Why an answer is still silently wrong."""
 
@@ -30,6 +32,7 @@ def _case(path: Path) -> object:
 
 SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "blade-goes-through": [pytest.mark.slow],
+    "deep-cone-leaves-the-axis": [pytest.mark.slow],
     "press-at-the-corner": [pytest.mark.slow],
 }
 """More than 5 seconds."""
