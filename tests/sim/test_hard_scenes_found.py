@@ -19,7 +19,7 @@ NOT_YET: dict[str, str] = {
     "deep-cone-leaves-the-axis": "gel slips aside from under the tip, which an element is as wide as",
     "first-touch-is-nothing": "a touch lighter than the contact points' spacing is no touch",
     "press-at-the-corner": "the rim escapes, and the sides' overlap is not looked at",
-    "tilted-box-overlaps": "the low edge of a leaning box lies between contact points",
+    "wide-box-overlaps": "a flat face of the mesh cuts into the round edge, which is as wide as it",
 }
 """Why an answer is still silently wrong."""
 
