@@ -35,7 +35,10 @@ TWINNED = 0.35
 AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"
 COVERS: tuple[tuple[str, str], ...] = (
     (r"edge radius .* below the element", AMOUNTS),
-    (r"overlap|penetrat|passe?[sd]? through|inside the (indenter|gel|body)", r"no-.*|not-through"),
+    (
+        r"overlap|penetrat|passe?[sd]? through|inside the (indenter|gel|body)",
+        r"no-overlap|no-crossing|not-through",
+    ),
     (r"overlap|passe?[sd]? through|wall|narrow|too coarse", rf"{AMOUNTS}|touches|within-bounds"),
     (r"too coarse|too small|few elements|not resolved", rf"{AMOUNTS}|touches|within-bounds"),
     (r"base plane|below the base", r"above-base"),
