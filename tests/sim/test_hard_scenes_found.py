@@ -16,6 +16,8 @@ from benchmarks.sim.stability.chance.verdict import Settings, judge_scene
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
 NOT_YET: dict[str, str] = {
     "blade-goes-through": "a blade narrower than an element passes between contact points",
+    "corner-below-the-base": "the rim is pressed past the plane of the base, where nothing stops it",
+    "corner-is-not-symmetric": "the rim escapes to one side, though x and y are alike",
     "deep-cone-leaves-the-axis": "gel slips aside from under a tip no wider than an element",
     "first-touch-is-nothing": "a touch lighter than the contact points' spacing is no touch",
     "press-at-the-corner": "the rim escapes, and the sides' overlap is not looked at",
@@ -32,6 +34,8 @@ def _case(path: Path) -> object:
 
 SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "blade-goes-through": [pytest.mark.slow],
+    "corner-below-the-base": [pytest.mark.slow, pytest.mark.timeout(180)],
+    "corner-is-not-symmetric": [pytest.mark.slow],
     "deep-cone-leaves-the-axis": [pytest.mark.slow],
     "press-at-the-corner": [pytest.mark.slow],
 }
