@@ -163,9 +163,9 @@ endurance: $(VENV)/.rig  ## A long mock collection, watched: endurance.md (half 
 bench-recorder: $(VENV)/.bench  ## Measure what recording costs: recording.md (12 minutes)
 	@$(PY) -m benchmarks recording $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
 
-#: [ONLY=case] [PLANTED=all] [DEVICE=cuda:0] [OUT=page.md]
+#: [ONLY=case] [PLANTED=all] [RANDOM=300 [SEED=1]] [DEVICE=cuda:0] [OUT=page.md] [ARGS="--scene 17"]
 hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators: stability.md (10 minutes)
-	@$(PY) -m benchmarks hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
+	@$(PY) -m benchmarks hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(RANDOM),--random $(RANDOM)) $(if $(SEED),--seed $(SEED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md]
 refine: $(VENV)/.sim  ## Coarse to fine meshes, all 18 shapes: refinement.md (hours on a CPU)

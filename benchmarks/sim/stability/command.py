@@ -25,7 +25,8 @@ def add_to(verbs: Verbs) -> None:
         "hard-cases",
         help="simulate what breaks simulators, judge it by laws of mechanics",
         description="Runs named cases and holds each to laws of mechanics. Exit 1 when any law "
-        "fails; with --planted, when a mistake is caught by no case. About ten minutes.",
+        "fails; with --planted, when a mistake is caught by no case. About ten minutes. With "
+        "--random, scenes are drawn by chance and judged by a referee that is not the solver.",
     )
     parser.add_argument(
         "--only",
@@ -47,16 +48,50 @@ def add_to(verbs: Verbs) -> None:
     )
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
     parser.add_argument(
-        "--out", type=Path, help="page to write (default: docs/results/stability.md)"
+        "--out",
+        type=Path,
+        help="page to write (default: docs/results/stability.md; with --random none)",
     )
+    _add_random(parser)
     parser.set_defaults(run=run)
+
+
+def _add_random(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("scenes drawn by chance, in place of the cases")
+    group.add_argument(
+        "--random",
+        type=int,
+        metavar="N",
+        help="so many scenes; exit 1 when any answer is silently wrong, or on a crash",
+    )
+    group.add_argument("--seed", type=int, default=0, help="others with each seed (%(default)s)")
+    group.add_argument(
+        "--scene", type=int, default=0, metavar="I", help="number of the first (%(default)s)"
+    )
+    group.add_argument(
+        "--precision",
+        choices=("auto", "float32", "float64"),
+        default="auto",
+        help="of the solver (%(default)s)",
+    )
+    group.add_argument(
+        "--seconds", type=float, default=60.0, help="a solve may take (default: %(default)g)"
+    )
+    group.add_argument(
+        "--found",
+        type=Path,
+        default=Path("runs/hard-cases"),
+        metavar="DIR",
+        help="where scenes that are wrong are stored, made plain (%(default)s)",
+    )
+    group.add_argument("--no-shrink", action="store_true", help="do not make them plain")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the cases, write the page; 0, or 1 when one failed.
 
     Raises:
-        SceneError: No such case, mistake or device.
+        SceneError: No such case, mistake or device; an option out of range.
     """
     from benchmarks.sim.stability.catalogue import CASES, chosen
     from benchmarks.sim.stability.page import page
@@ -78,6 +113,8 @@ def run(options: argparse.Namespace) -> int:
     processes = options.processes or (2 if options.device == "cpu" else 1)
     if processes < 1:
         raise SceneError(f"--processes: {processes}; allowed: 1 or more")
+    if options.random is not None:
+        return _run_random(options, processes)
     ready_device(options.device)
     if mistake == "all":
         _caught, every = _catch_all(options.device, processes)
@@ -95,6 +132,36 @@ def run(options: argparse.Namespace) -> int:
         failed = failed or not every
         _tell(reports)
     return 1 if failed else 0
+
+
+def _run_random(options: argparse.Namespace, processes: int) -> int:
+    from benchmarks.sim.stability.chance.page import page
+    from benchmarks.sim.stability.chance.run import Plan, judge_all, tell
+    from benchmarks.sim.stability.chance.verdict import Settings
+    from sim.device import ready_device
+
+    for name, least in (("random", 1), ("scene", 0), ("seconds", 1e-3)):
+        if not getattr(options, name) >= least:
+            raise SceneError(f"--{name}: {getattr(options, name)!r}; allowed: {least:g} or more")
+    if options.only or options.planted == "all":
+        raise SceneError("--random: with --only or --planted all; allowed: without them")
+    ready_device(options.device)
+    plan = Plan(
+        options.random,
+        options.seed,
+        options.scene,
+        Settings(options.device, options.precision, options.seconds),
+        options.found,
+        options.planted,
+        shrinks=not options.no_shrink,
+    )
+    told = judge_all(plan, processes=min(processes, options.random))
+    wrong = tell(told)
+    if options.out is not None:
+        options.out.write_text(page(told, plan), encoding="utf-8")
+        print(f"written: {options.out}")
+        tell(told)
+    return 1 if wrong else 0
 
 
 def _tell(reports: Sequence[Report]) -> bool:

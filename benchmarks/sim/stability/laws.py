@@ -54,6 +54,12 @@ class Law:
         return f"{self.says}: {self.measured:.3g} {self.sense} {self.limit:.3g}"
 
 
+def escaped(text: str) -> str:
+    """A law's words for a cell of a Markdown table."""
+    plain = text.replace("<=", "≤").replace(">=", "≥").replace("<", "&lt;")
+    return plain.replace("|", "\\|")
+
+
 def at_most(says: str, measured: float, limit: float) -> Law:
     """The law that a number is at most `limit`."""
     return Law(says, float(measured), "<=", limit)

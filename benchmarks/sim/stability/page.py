@@ -7,7 +7,7 @@ import platform
 from collections.abc import Mapping, Sequence
 
 from benchmarks.sim.stability.catalogue import BY_NAME, FAMILIES
-from benchmarks.sim.stability.laws import Law
+from benchmarks.sim.stability.laws import Law, escaped
 from benchmarks.sim.stability.planted import WHAT
 from benchmarks.sim.stability.runner import Report
 
@@ -64,19 +64,14 @@ def page(reports: Sequence[Report], caught: Mapping[str, Sequence[Report]], devi
 
 def _row(report: Report) -> str:
     name = f"`{report.name}`" if report.passed else f"**FAILED** `{report.name}`"
-    laws = "<br>".join(_cell(law) for law in report.laws) or _escaped(report.trouble)
-    asserts = _escaped(BY_NAME[report.name].asserts)
+    laws = "<br>".join(_cell(law) for law in report.laws) or escaped(report.trouble)
+    asserts = escaped(BY_NAME[report.name].asserts)
     return f"| {name} | {asserts} | {laws} | {report.seconds:.1f} |"
 
 
 def _cell(law: Law) -> str:
-    text = _escaped(str(law))
+    text = escaped(str(law))
     return text if law.holds else f"**{text}**"
-
-
-def _escaped(text: str) -> str:
-    plain = text.replace("<=", "≤").replace(">=", "≥").replace("<", "&lt;")
-    return plain.replace("|", "\\|")
 
 
 def _planted(caught: Mapping[str, Sequence[Report]]) -> list[str]:
@@ -92,6 +87,6 @@ def _planted(caught: Mapping[str, Sequence[Report]]) -> list[str]:
     for mistake, reports in caught.items():
         failing = [report for report in reports if not report.passed]
         names = "<br>".join(f"`{report.name}`" for report in failing) or "**not caught**"
-        laws = "<br>".join(_escaped(report.failures[0]) for report in failing)
+        laws = "<br>".join(escaped(report.failures[0]) for report in failing)
         lines.append(f"| {mistake} | {WHAT[mistake]} | {names} | {laws} |")
     return lines

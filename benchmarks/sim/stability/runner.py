@@ -7,9 +7,11 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 from benchmarks.sim.stability.case import Case, Solver
 from benchmarks.sim.stability.catalogue import BY_NAME
@@ -17,6 +19,9 @@ from benchmarks.sim.stability.laws import Law
 from benchmarks.sim.stability.planted import planted
 from sim.errors import SimulationDiverged
 from sim.progress import duration
+
+Item = TypeVar("Item")
+Outcome = TypeVar("Outcome")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +95,20 @@ def _done(
 ) -> Iterator[Report]:
     """Reports as they come; the longest cases begin first, so that none is left at the end."""
     order = sorted(cases, key=lambda case: -case.seconds)
+    names = [case.name for case in order]
+    return side_by_side(partial(_run_case, device, mistake), names, device, processes)
+
+
+def _run_case(device: str, mistake: str | None, name: str) -> Report:
+    return run_case(name, device, mistake)
+
+
+def side_by_side(
+    run: Callable[[Item], Outcome], items: Iterable[Item], device: str, processes: int
+) -> Iterator[Outcome]:
+    """What `run` gives for each item, as they come, by several processes; begun in their order."""
     if processes == 1:
-        for case in order:
-            yield run_case(case.name, device, mistake)
+        yield from map(run, items)
         return
     # Spawned: Warp's state does not survive a fork.
     executor = ProcessPoolExecutor(
@@ -105,7 +121,7 @@ def _done(
     before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
-        tasks = [executor.submit(run_case, case.name, device, mistake) for case in order]
+        tasks = [executor.submit(run, item) for item in items]
         for task in as_completed(tasks):
             yield task.result()
     finally:

@@ -1,0 +1,406 @@
+"""The referee: laws of mechanics measured on what a result shows, none of them by the solver.
+
+Nothing here reads `Result.quality`. A law that a scene does not fit (a closed loop where there is
+none, a force at rest with inertia) is left out for that scene.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.stability.chance import bounds, overlap
+from benchmarks.sim.stability.chance.footprint import footprint, half_wall, inside_by
+from benchmarks.sim.stability.laws import Law, at_least, at_most
+from sim.result import Result
+from sim.scene import Scene
+
+Array = NDArray[np.float64]
+
+FLOOR = 1e-7
+"""Force that is none, in modulus times thickness squared: 0.2 uN in the paper's gel."""
+TOUCH = 1e-6, 2.5e-4
+"""Overlap with the untouched gel that must be answered by a force [m], and in thicknesses."""
+NOTHING = 1e-3
+"""Share of the largest force that is none."""
+OF_GRID = 0.02
+"""How exact a solid's surface is, in spacings of its grid."""
+SAME = 0.01
+"""Two frames of an elastic gel at one place."""
+DROP = 0.005
+"""Share of the largest force by which a deeper press may give less."""
+RING = 0.02, 0.05
+"""Work that a closed loop may give back or, elastic, take, over the most put in: without friction,
+and with it (the trapezoid rule over a few frames)."""
+SHEAR, NODES = 0.2, 9
+"""Shear over pressure without friction, where so many nodes carry the force: nodal forces gather
+contact points whose normals differ, which a coarse mesh shows as 0.03 to 0.16, and with friction
+as a sum of squares."""
+PULL, TENSION = 0.05, 0.02
+"""Pull in all over the largest force, and nodes that pull over those that push."""
+SUM, LEVER = 0.02, 0.02
+"""Sum of tractions against the force, torque against that of the force: float32 and rounding."""
+BELOW = 1e-3
+"""How far below the base plane the skin may be, in thicknesses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A law by its name, and how it was kept."""
+
+    name: str
+    law: Law
+
+
+def held(result: Result) -> list[Held]:
+    """All laws that fit the result, measured."""
+    if not _finite(result):
+        return [Held("finite", at_most("numbers that are not finite", _not_finite(result), 0))]
+    found = [Held("finite", at_most("numbers that are not finite", 0, 0))]
+    for name, law in LAWS.items():
+        found += [Held(name, one) for one in law(result)]
+    return found
+
+
+def _finite(result: Result) -> bool:
+    return _not_finite(result) == 0
+
+
+def _not_finite(result: Result) -> int:
+    values = result.wrench, result.surface, result.traction
+    return int(sum((~np.isfinite(value)).sum() for value in values))
+
+
+# What a scene is.
+
+
+def elastic(scene: Scene) -> bool:
+    """Whether the gel forgets: no relaxation, no mass."""
+    return scene.effects.viscosity is None and scene.effects.inertia is None
+
+
+def smooth(scene: Scene) -> bool:
+    """Whether there is no friction to speak of."""
+    friction = scene.effects.friction
+    return friction is None or friction.coefficient == 0
+
+
+def weightless(scene: Scene) -> bool:
+    """Whether nothing but the indenter loads the gel."""
+    return scene.effects.gravity is None
+
+
+def floor(scene: Scene) -> float:
+    """Force that is none [N]."""
+    return FLOOR * scene.body.modulus * scene.body.thickness**2
+
+
+def pushes(result: Result) -> Array:
+    """How hard the indenter pushes down, by frame (F,) [N]."""
+    return -result.force[:, 2]
+
+
+def largest(result: Result) -> float:
+    """Size of the largest force [N], or of none."""
+    return max(float(np.linalg.norm(result.force, axis=1).max()), floor(result.scene))
+
+
+def loading(result: Result) -> list[int]:
+    """Frames that are deeper than all before, the tip straight above where it started."""
+    tips = np.asarray(result.scene.motion.tip, float)
+    found, deepest = [], 0.0
+    for frame, tip in enumerate(tips):
+        if np.abs(tip[:2] - tips[0, :2]).max() > 1e-12:
+            break
+        if -tip[2] > deepest:
+            deepest = -tip[2]
+            found.append(frame)
+    return found
+
+
+# The laws.
+
+
+def _above_base(result: Result) -> list[Law]:
+    """The skin stays above the plane that the gel is bonded to."""
+    body = result.scene.body
+    rest = body.heights(result.surface_x, result.surface_y)
+    least = float((rest + result.surface[..., 2]).min()) / body.thickness
+    return [at_least("lowest place of the skin / thickness", least, -1.0 - BELOW)]
+
+
+def _no_pull(result: Result) -> list[Law]:
+    """Contact does not pull; the upper side of a bar that gel has closed over may, a little."""
+    share = float(pushes(result).min()) / largest(result)
+    limit = PULL if smooth(result.scene) else 2 * PULL
+    return [at_least("least push / largest force", share, -limit)]
+
+
+def _lets_go(result: Result) -> list[Law]:
+    """No force where the indenter is clear of the untouched gel."""
+    scene = result.scene
+    if scene.effects.inertia is not None or not weightless(scene):
+        return []
+    clear = 0.0 if elastic(scene) and smooth(scene) else -0.05 * scene.body.thickness
+    if scene.indenter.solid is not None:
+        clear -= OF_GRID * scene.indenter.solid.spacing
+    size = np.linalg.norm(result.force, axis=1)
+    free = [
+        size[frame]
+        for frame, tip in enumerate(bounds.reached(result))
+        if footprint(scene, tip).deepest <= clear
+    ]
+    if not free:
+        return []
+    share = float(max(free)) / largest(result)
+    return [at_most("force where nothing touches / largest", share, NOTHING)]
+
+
+def _touches(result: Result) -> list[Law]:
+    """A force where the indenter overlaps the untouched gel."""
+    scene = result.scene
+    if not (weightless(scene) and scene.effects.inertia is None):
+        return []
+    least = max(TOUCH[0], TOUCH[1] * scene.body.thickness)
+    some = [
+        frame for frame in loading(result)
+        if footprint(scene, bounds.reached(result)[frame]).deepest > least
+        and bounds.least_force(scene, bounds.reached(result)[frame]) > floor(scene)
+    ]  # fmt: skip
+    if not some:
+        return []
+    least_push = float(pushes(result)[some].min()) / floor(scene)
+    return [at_least("push where gel is overlapped / none", least_push, 1.0)]
+
+
+def _within_bounds(result: Result) -> list[Law]:
+    """The push is between what a disc within the indenter and one around it would take."""
+    scene = result.scene
+    if not weightless(scene) or scene.effects.inertia is not None:
+        return []
+    viscosity = scene.effects.viscosity
+    stiffer = 1.0 + (sum(viscosity.ratios) if viscosity else 0.0)
+    low, high = [], []
+    for frame in loading(result):
+        tip = bounds.reached(result)[frame]
+        push = float(pushes(result)[frame])
+        least, most = bounds.least_force(scene, tip), bounds.most_force(scene, tip)
+        if least > floor(scene):
+            low.append(push / least)
+        if most > floor(scene) and half_wall(scene) > 0:
+            high.append(push / (most * stiffer))
+    laws = [at_least("push / lower bound", min(low), bounds.LOWER)] if low else []
+    return laws + ([at_most("push / upper bound", max(high), bounds.UPPER)] if high else [])
+
+
+def _near_layer(result: Result) -> list[Law]:
+    """A shallow press away from the rim takes the force that the spectral layer finds."""
+    scene = result.scene
+    if not (elastic(scene) and weightless(scene)):
+        return []
+    for frame in reversed(loading(result)):
+        tip = bounds.reached(result)[frame]
+        layer = bounds.layer_force(scene, tip)
+        if layer is not None and layer > floor(scene):
+            share = float(pushes(result)[frame]) / layer
+            return [
+                at_least("push / layer's", share, bounds.LAYER_LEAST),
+                at_most("push / layer's, at most", share, bounds.LAYER_MOST),
+            ]
+    return []
+
+
+def _rises(result: Result) -> list[Law]:
+    """A deeper press takes more force: elastic, no friction, away from the rim, up to a third."""
+    scene = result.scene
+    if not (elastic(scene) and smooth(scene) and weightless(scene)):
+        return []
+    tips = bounds.reached(result)
+    some = [
+        frame for frame in loading(result)
+        if -tips[frame][2] <= scene.body.thickness / 3
+        and inside_by(scene, tips[frame], 0.5 * scene.body.thickness)
+    ]  # fmt: skip
+    if len(some) < 2:
+        return []
+    force = pushes(result)[some]
+    top = max(float(np.abs(force).max()), floor(scene))
+    return [at_least("least rise with depth / largest", float(np.diff(force).min()) / top, -DROP)]
+
+
+def _same_place(result: Result) -> list[Law]:
+    """Elastic, no friction: one place of the tip, one force, whatever came between."""
+    scene = result.scene
+    if not (elastic(scene) and smooth(scene)):
+        return []
+    tips = np.asarray(scene.motion.tip, float)
+    pairs = [
+        (one, other) for one, other in combinations(range(len(tips)), 2)
+        if np.abs(tips[one] - tips[other]).max() < 1e-12
+    ]  # fmt: skip
+    if not pairs:
+        return []
+    gap = max(float(np.linalg.norm(result.force[a] - result.force[b])) for a, b in pairs)
+    return [at_most("difference at one place / largest force", gap / largest(result), SAME)]
+
+
+def _closed_loop(result: Result) -> list[Law]:
+    """A way out and back gives back no more work than it took; elastic, just as much."""
+    scene = result.scene
+    tips = np.asarray(scene.motion.tip, float)
+    if scene.effects.inertia is not None:
+        return []
+    for end in range(len(tips), 2, -1):
+        way = tips[:end]
+        if np.abs(way - way[::-1]).max() < 1e-12 and np.abs(way - way[0]).max() > 0:
+            break
+    else:
+        return []
+    force = result.force[:end]
+    parts = np.einsum("ij,ij->i", (force[1:] + force[:-1]) / 2, np.diff(way, axis=0))
+    most = max(float(np.cumsum(parts).max()), floor(scene) * scene.body.thickness)
+    share = float(parts.sum()) / most
+    limit = RING[0] if smooth(scene) else RING[1]
+    laws = [at_least("work in a closed loop / most", share, -limit)]
+    if elastic(scene) and smooth(scene):
+        laws.append(at_most("work in an elastic loop / most", share, limit))
+    return laws
+
+
+def _coulomb(result: Result) -> list[Law]:
+    """Nodal forces, against the indenter's normals there: shear is friction's at most, none pull.
+
+    Only where the mesh shows it: a contact of many nodes with no narrow or sharp part.
+    """
+    scene = result.scene
+    friction = scene.effects.friction
+    coefficient = friction.coefficient if friction else 0.0
+    limit = math.hypot(SHEAR, coefficient)
+    element = max(np.diff(result.surface_x).min(), np.diff(result.surface_y).min())
+    if half_wall(scene) < 2 * element or rounding(scene) < element:
+        return []
+    shears, pulls = [], []
+    for frame, tip in enumerate(bounds.reached(result)):
+        size = float(np.linalg.norm(result.force[frame]))
+        force = result.traction[frame].astype(float) * _areas(result)[..., None]
+        loaded = np.linalg.norm(force, axis=-1)
+        many = (loaded > 0.2 * loaded.max()).sum() >= NODES
+        if size < 0.05 * largest(result) or size <= floor(scene) or not many:
+            continue
+        x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")
+        rest = np.stack([x, y, scene.body.heights(result.surface_x, result.surface_y)], axis=-1)
+        _, normal = scene.indenter.distance(rest + result.surface[frame] - np.asarray(tip))
+        pressure = np.einsum("...i,...i->...", force, normal)
+        shear = np.linalg.norm(force - pressure[..., None] * normal, axis=-1)
+        if pressure.sum() > 0.8 * size / math.hypot(
+            1.0, coefficient
+        ):  # the rest is on the sides, which are not shown
+            shears.append(float(shear.sum() / pressure.sum()))
+            pulls.append(float(-np.minimum(pressure, 0.0).sum() / pressure.sum()))
+    if not shears:
+        return []
+    return [
+        at_most("sum of shear / sum of pressure", max(shears), limit),
+        at_most("sum of tension / sum of pressure", max(pulls), TENSION),
+    ]
+
+
+def rounding(scene: Scene) -> float:
+    """Radius of the indenter's edges [m]; inf where it has none."""
+    indenter = scene.indenter
+    edges = len(indenter.parts) > 1 or any(part.figure == "path" for part in indenter.parts)
+    return indenter.edge_radius if edges or indenter.solid is not None else math.inf
+
+
+def _areas(result: Result) -> Array:
+    """Untouched area around each node, seen from above (X, Y) [m^2]."""
+    sides = [
+        np.convolve(np.diff(places), [0.5, 0.5]) for places in (result.surface_x, result.surface_y)
+    ]
+    return np.outer(*sides)
+
+
+def _sums_up(result: Result) -> list[Law]:
+    """Tractions on the top add up to the force, where the contact is all on the top."""
+    scene = result.scene
+    gaps = []
+    for frame, tip in enumerate(bounds.reached(result)):
+        size = float(np.linalg.norm(result.force[frame]))
+        if scene.body.dome_radius is not None or size < 0.02 * largest(result):
+            continue
+        if not inside_by(scene, tip, 0.5 * scene.body.thickness) or size <= floor(scene):
+            continue
+        total = np.einsum("ijk,ij->k", result.traction[frame].astype(float), _areas(result))
+        gaps.append(float(np.linalg.norm(total - result.force[frame])) / size)
+    return [at_most("|sum of tractions - force| / force", max(gaps), SUM)] if gaps else []
+
+
+def _through_centre(result: Result) -> list[Law]:
+    """Without friction, a sphere's force passes through its centre."""
+    scene = result.scene
+    parts = scene.indenter.parts
+    if not smooth(scene) or len(parts) != 1 or scene.indenter.tilt != (0.0, 0.0):
+        return []
+    (part,) = parts
+    if (part.view, part.figure, part.values[0]) != ("turned", "circle", 0.0) or any(part.axis):
+        return []
+    radius = parts[0].values[2]
+    expected = np.cross([0.0, 0.0, radius], result.force)
+    gap = float(np.linalg.norm(result.wrench[:, 3:] - expected, axis=1).max())
+    share = gap / (radius * largest(result))
+    return [at_most("torque about the centre / force radius", share, LEVER)]
+
+
+def _no_overlap(result: Result) -> list[Law]:
+    """The deformed top is not inside the indenter."""
+    shares = [
+        overlap.overlap(result, frame).normal / overlap.allowed(result, frame)
+        for frame in range(len(result.scene.motion))
+    ]
+    return [at_most("overlap / what a mesh may leave", max(shares), 1.0)]
+
+
+def _not_through(result: Result) -> list[Law]:
+    """Nor does the gel stand above the indenter's lower side, the wall having gone through."""
+    shares = [
+        overlap.overlap(result, frame).upright / -tip[2]
+        for frame, tip in enumerate(bounds.reached(result))
+        if tip[2] < -3 * overlap.SMALL
+    ]
+    if not shares:
+        return []
+    return [at_most("gel above the lower side / depth", max(shares), overlap.THROUGH)]
+
+
+def _no_crossing(result: Result) -> list[Law]:
+    """From frame to frame no skin has gone through a wall from one side to the other."""
+    ways = [overlap.crossed(result, frame) for frame in range(1, len(result.scene.motion))]
+    limit = half_wall(result.scene)
+    if not ways or not math.isfinite(limit):
+        return []
+    return [at_most("way through a wall / half of it", max(ways) / limit, overlap.OF_WALL)]
+
+
+LAWS: dict[str, Callable[[Result], list[Law]]] = {
+    "above-base": _above_base,
+    "no-pull": _no_pull,
+    "lets-go": _lets_go,
+    "touches": _touches,
+    "within-bounds": _within_bounds,
+    "near-layer": _near_layer,
+    "rises": _rises,
+    "same-place": _same_place,
+    "closed-loop": _closed_loop,
+    "coulomb": _coulomb,
+    "sums-up": _sums_up,
+    "through-centre": _through_centre,
+    "no-overlap": _no_overlap,
+    "not-through": _not_through,
+    "no-crossing": _no_crossing,
+}
+"""Laws of one result; those of two results are in `twins`."""

@@ -1,0 +1,104 @@
+"""Draws scenes, has them judged side by side, shrinks what is wrong, and tells of all of it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from benchmarks.sim.stability.chance.scenes import FOLDER, drawn
+from benchmarks.sim.stability.chance.shrink import failure, shrunk, snippet, store
+from benchmarks.sim.stability.chance.verdict import CLASSES, Settings, Verdict, judge
+from benchmarks.sim.stability.planted import planted
+from benchmarks.sim.stability.runner import side_by_side
+from sim.progress import duration
+
+WRONG = frozenset({"silent", "crash"})
+"""Classes that fail a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Which scenes are drawn, and how they are solved."""
+
+    count: int
+    seed: int = 0
+    first: int = 0
+    """Number of the first scene."""
+    settings: Settings = field(default_factory=Settings)
+    folder: Path = FOLDER
+    """Where counter-examples are written."""
+    mistake: str | None = None
+    """Planted in the solver meanwhile."""
+    shrinks: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What came of one drawn scene."""
+
+    name: str
+    what: str
+    verdict: Verdict
+    seconds: float
+    plain: Verdict | None = None
+    """The verdict of the counter-example, made plain."""
+    stored: Path | None = None
+    """Where that is."""
+
+
+def judge_one(plan: Plan, index: int) -> Told:
+    """Draw a scene, solve and judge it here, and shrink it where it is wrong."""
+    began = time.perf_counter()
+    plain: Verdict | None = None
+    path: Path | None = None
+    with planted(plan.mistake):
+        one = drawn(plan.seed, index, plan.folder)
+        verdict = judge(one, plan.settings)
+        if verdict.kind in WRONG and one.scene is not None and plan.shrinks:
+            scene, plain = shrunk(one.scene, verdict, plan.settings)
+            path = plan.folder / f"{one.seed}-{one.index}-{'-'.join(sorted(failure(plain)))}.json"
+            store(path, scene, plain, one.name)
+    return Told(one.name, one.what, verdict, time.perf_counter() - began, plain, path)
+
+
+def judge_all(plan: Plan, *, processes: int = 2, say: Callable[[str], None] = print) -> list[Told]:
+    """What came of all scenes, in their order; each is told when it is done, with the time left."""
+    began = time.perf_counter()
+    indices = range(plan.first, plan.first + plan.count)
+    told: list[Told] = []
+    for one in side_by_side(partial(judge_one, plan), indices, plan.settings.device, processes):
+        told.append(one)
+        left = (time.perf_counter() - began) * (plan.count / len(told) - 1)
+        say(_line(one, len(told), plan.count, left))
+        if one.plain is not None and one.plain.scene is not None:
+            say(f"      {one.stored}\n{_indented(snippet(one.plain.scene))}")
+    return sorted(told, key=lambda one: int(one.name.split("/")[1]))
+
+
+def _line(one: Told, done: int, count: int, left: float) -> str:
+    verdict = one.verdict
+    text = f"[{done:{len(str(count))}}/{count}] {verdict.kind:8} {one.name:<8} {one.what}"
+    text += f"  {one.seconds:.1f} s" + ("" if done == count else f"   {duration(left)} left")
+    return f"{text}\n      {verdict.why}" if verdict.why and not verdict.passed else text
+
+
+def _indented(text: str) -> str:
+    return "\n".join(f"        {line}" for line in text.splitlines())
+
+
+def by_class(told: Sequence[Told]) -> dict[str, int]:
+    """How many scenes ended in each class, every class named."""
+    counts = Counter(one.verdict.kind for one in told)
+    return {kind: counts[kind] for kind in CLASSES}
+
+
+def tell(told: Sequence[Told]) -> bool:
+    """Print the count by class and the last line; whether any scene was wrong."""
+    print(", ".join(f"{count} {kind}" for kind, count in by_class(told).items()))
+    passed = sum(one.verdict.passed for one in told)
+    print(f"{len(told)} cases, {passed} passed")
+    return any(one.verdict.kind in WRONG for one in told)

@@ -1,0 +1,173 @@
+"""Indenters drawn by chance: all that can be built of parts, and solids from STL files."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.stability.chance.dice import Dice, rounded
+from sim.indenters import NAMES, Indenter, Part, from_stl, named, shapes
+
+Array = NDArray[np.float64]
+
+MM = 1e-3
+KINDS: dict[str, float] = {
+    "sphere": 4, "named": 6, "blade": 3, "box": 2, "punch": 2, "cone": 2, "rounded_cone": 1.5,
+    "tube": 1.5, "torus": 1.5, "bar": 2, "needle": 1, "polygon": 1.5, "composed": 2, "stl": 1.5,
+    "plane": 0.3,
+}  # fmt: skip
+"""How often each kind is drawn."""
+CONVEX = {"sphere", "box", "punch", "cone", "rounded_cone", "bar"}
+"""Kinds without a recess, round or blunt enough for a mesh to follow."""
+TILT_MAX = 0.5
+"""[rad], just inside of the 30 degrees that are allowed."""
+
+
+def draw_shape(dice: Dice, unit: float, folder: Path) -> tuple[str, Indenter]:
+    """A kind and an indenter for a body about 4 `unit` [m] thick; STL files go to `folder`."""
+    kind = dice.weighted(KINDS)
+    indenter = _solid(dice, folder) if kind == "stl" else _of_parts(kind, dice, unit)
+    if kind != "plane" and dice.chance(0.25):
+        size = dice.one_of([0.01, 0.1, 0.3, TILT_MAX])
+        turn = dice.even(0.0, math.tau)
+        indenter = indenter.tilted(rounded(size * math.cos(turn)), rounded(size * math.sin(turn)))
+        kind = f"{kind}, tilted"
+    return kind, indenter
+
+
+def _of_parts(kind: str, dice: Dice, unit: float) -> Indenter:
+    if kind == "sphere":
+        return shapes.sphere(unit * dice.scaled(0.5, 8.0))
+    if kind == "named":
+        name = dice.one_of(NAMES)
+        return named(name) if dice.chance(0.85) else named(name, 0.0)
+    if kind == "blade":
+        return blade(dice, unit)
+    if kind == "box":
+        width, length = (unit * dice.even(1.5, 8.0) for _ in range(2))
+        return shapes.box(width, length, _edge(dice, min(width, length) / 2))
+    if kind == "punch":
+        radius = unit * dice.scaled(0.7, 5.0)
+        return shapes.flat_punch(radius, _edge(dice, radius))
+    if kind == "cone":
+        tip = unit * dice.even(0.2, 1.0)
+        half_angle = math.radians(dice.even(10.0, 75.0))
+        sharp = shapes.cone(half_angle, tip)
+        return replace(sharp, edge_radius=_edge(dice, sharp.edge_radius_max))
+    if kind == "rounded_cone":
+        return shapes.rounded_cone(math.radians(dice.even(10.0, 75.0)), unit * dice.scaled(0.2, 2))
+    if kind == "tube":
+        outer = unit * dice.even(1.5, 5.0)
+        wall = unit * dice.even(0.3, 1.4)
+        return shapes.tube(outer, outer - wall, _edge(dice, wall / 2))
+    if kind == "torus":
+        tube = unit * dice.even(0.4, 1.5)
+        return shapes.torus(tube + unit * dice.even(0.2, 3.0), tube)
+    if kind == "bar":
+        radius = unit * dice.scaled(0.6, 4.0)
+        return shapes.bar(radius, unit * dice.even(2.0, 14.0), _edge(dice, radius / 2))
+    if kind == "needle":
+        return shapes.bar(unit * dice.even(0.15, 0.5), unit * dice.even(4.0, 12.0))
+    if kind == "polygon":
+        return _polygon(dice, unit)
+    if kind == "composed":
+        return _composed(dice, unit)
+    return shapes.plane()
+
+
+def blade(dice: Dice, unit: float) -> Indenter:
+    """A narrow box, 0.3 to 1 mm by 6 to 14 mm at a unit of 1 mm, along x or y."""
+    width, length = unit * dice.even(0.3, 1.0), unit * dice.even(6.0, 14.0)
+    edge = rounded(width * dice.one_of([0.1, 0.25, 0.4, 0.48]))
+    if dice.chance(0.5):
+        width, length = length, width
+    return shapes.box(rounded(width), rounded(length), edge, name="blade")
+
+
+def _edge(dice: Dice, most: float) -> float:
+    """An edge radius: mostly a fair share of what there is room for, sometimes none or all."""
+    share = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
+    return float(share * min(most, 1.0))
+
+
+def _polygon(dice: Dice, unit: float) -> Indenter:
+    """A flat punch with 3 to 8 corners around its middle, some sharp, some a bay."""
+    corners = dice.whole(3, 8)
+    values: list[float] = []
+    for corner in range(corners):
+        angle = math.tau * (corner + 0.6 * (dice.even(0.0, 1.0) - 0.5)) / corners
+        radius = unit * dice.even(2.0, 5.0)
+        values += [rounded(radius * math.cos(angle)), rounded(radius * math.sin(angle)), 0.0]
+    sharp = shapes.extruded(values, name="polygon")
+    return replace(sharp, edge_radius=_edge(dice, sharp.edge_radius_max))
+
+
+def _composed(dice: Dice, unit: float) -> Indenter:
+    """Spheres on a plate, a box with a bar across it, or a block with a recess."""
+    which = dice.whole(0, 2)
+    if which == 0:
+        count, ring = dice.whole(2, 5), unit * dice.even(1.5, 4.0)
+        radius = unit * dice.even(0.5, 1.5)
+        dots = tuple(
+            Part(
+                "turned", "circle", (0.0, radius, radius), "union",
+                axis=(
+                    rounded(ring * math.cos(corner * math.tau / count)),
+                    rounded(ring * math.sin(corner * math.tau / count)),
+                ),
+            )
+            for corner in range(count)
+        )  # fmt: skip
+        width = 2 * (ring + radius)
+        plate = Part("side", "half_plane", (0.0, -1.0, -unit * dice.even(0.5, 2.0)))
+        return Indenter("dots", (*shapes.block(width, width), plate, *dots))
+    if which == 1:
+        bar = shapes.bar(unit * dice.even(0.5, 1.5), unit * dice.even(6.0, 12.0))
+        sphere = Part("turned", "circle", (0.0, (size := unit * dice.even(1, 3)), size), "union")
+        return Indenter("cross", (*bar.parts, sphere))
+    size, recess = unit * dice.even(5.0, 9.0), unit * dice.even(1.0, 2.0)
+    hollow = Part("turned", "circle", (0.0, 0.0, recess), "subtract")
+    parts = (*shapes.block(size, size), shapes.TIP_PLANE, hollow)
+    narrowest = size / 2 - recess
+    return Indenter("hollow", parts, rounded(narrowest * dice.even(0.1, 0.4)), narrowest)
+
+
+def _solid(dice: Dice, folder: Path) -> Indenter:
+    """A pyramid frustum or a block, as triangles in a file; SI sizes, files are in millimetres."""
+    below, above = dice.even(2.0, 6.0), dice.even(5.0, 9.0)
+    sides = dice.whole(3, 8)
+    edge = dice.one_of([0.32, 0.5]) * MM
+    data = frustum(sides, below, above, 8.0)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"frustum-{hashlib.sha256(data).hexdigest()[:12]}.stl"
+    if not path.exists():
+        path.write_bytes(data)
+    return from_stl(path, edge_radius=edge, spacing=0.2 * MM, axis="file")
+
+
+def frustum(sides: int, below: float, above: float, height: float) -> bytes:
+    """A binary STL file of a frustum: its radii below and above, and its height, in its unit."""
+    angle = np.arange(sides) / sides * math.tau
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    low = np.column_stack([below * ring, np.zeros(sides)])
+    high = np.column_stack([above * ring, np.full(sides, height)])
+    middle = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height]])
+    vertices = np.concatenate([low, high, middle])
+    faces = []
+    for here in range(sides):
+        there = (here + 1) % sides
+        faces += [
+            (here, there, sides + there),
+            (here, sides + there, sides + here),
+            (2 * sides, there, here),
+            (2 * sides + 1, sides + here, sides + there),
+        ]
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    records = np.zeros(len(faces), record)
+    records["corners"] = vertices[np.array(faces)]
+    return bytes(80) + len(faces).to_bytes(4, "little") + records.tobytes()

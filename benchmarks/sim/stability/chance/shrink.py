@@ -1,0 +1,179 @@
+"""A counter-example made plain: what can be left out of a scene while the same law stays broken."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from benchmarks.sim.stability.chance.dice import rounded
+from benchmarks.sim.stability.chance.verdict import Settings, Verdict, covered, judge_scene
+from sim.effects import Effects
+from sim.errors import SceneError
+from sim.result import scene_from_json, scene_to_json
+from sim.scene import Body, Motion, Scene, through
+
+TRIES, SECONDS = 30, 30.0
+"""Simpler scenes that are tried, and how long that may take [s]."""
+EXACT = frozenset({"cosine", "time", "poisson"})
+"""Fields whose numbers are not rounded: they follow from others, or stand close to a limit."""
+
+Judge = Callable[[Scene], Verdict]
+
+
+def failure(verdict: Verdict) -> frozenset[str]:
+    """What is wrong: the laws that nothing owns up to, or the kind of crash."""
+    if verdict.kind == "crash":
+        return frozenset({verdict.said.split(":")[0]})
+    if verdict.kind != "silent":
+        return frozenset()
+    return frozenset(
+        each.name for each in verdict.broken if not covered(each.name, verdict.warnings)
+    )
+
+
+def shrunk(
+    scene: Scene,
+    verdict: Verdict,
+    settings: Settings,
+    *,
+    seconds: float = SECONDS,
+    judge: Judge | None = None,
+) -> tuple[Scene, Verdict]:
+    """The simplest scene found that fails in one of the same ways, and its verdict."""
+    judging = judge or (lambda simpler: judge_scene(simpler, settings, verdict.twin or None))
+    wanted = failure(verdict)
+    end = time.monotonic() + seconds
+    seen, tries, going = {scene}, 0, True
+    while going:
+        going = False
+        for simpler in simpler_ones(scene):
+            if simpler in seen:
+                continue
+            if tries >= TRIES or time.monotonic() > end:
+                return scene, verdict
+            seen.add(simpler)
+            tries += 1
+            found = judging(simpler)
+            if failure(found) & wanted:
+                scene, verdict, going = simpler, found, True
+                break
+    return scene, verdict
+
+
+def simpler_ones(scene: Scene) -> Iterator[Scene]:
+    """Scenes with a little less in them, the largest cuts first."""
+    for change in (_at_once, _bare, _without_each, _fewer, _centred, _upright, _plain_gel, _round):
+        try:
+            for simpler in change(scene):
+                if simpler != scene:
+                    yield simpler
+        except SceneError:
+            continue
+
+
+def _at_once(scene: Scene) -> Iterator[Scene]:
+    """Straight down to the deepest place."""
+    x, y, z = min(scene.motion.tip, key=lambda tip: tip[2])
+    if z < 0 and len(scene.motion) > 2:
+        yield replace(scene, motion=Motion(((x, y, 0.0), (x, y, z)), (0.0, 1.0)))
+
+
+def _bare(scene: Scene) -> Iterator[Scene]:
+    yield replace(scene, effects=Effects())
+
+
+def _without_each(scene: Scene) -> Iterator[Scene]:
+    for name in scene.effects.key:
+        yield replace(scene, effects=replace(scene.effects, **{name: None}))
+
+
+def _fewer(scene: Scene) -> Iterator[Scene]:
+    """Without the last waypoints, or without one of them."""
+    tip, time_ = scene.motion.tip, scene.motion.time
+    for count in (len(tip) // 2, len(tip) - 1):
+        if count >= 1:
+            yield replace(scene, motion=Motion(tip[:count], time_[:count]))
+    for index in range(1, len(tip) - 1):
+        left = [place for place in range(len(tip)) if place != index]
+        motion = Motion(tuple(tip[i] for i in left), tuple(time_[i] for i in left))
+        yield replace(scene, motion=motion)
+
+
+def _centred(scene: Scene) -> Iterator[Scene]:
+    x, y, _ = scene.motion.tip[0]
+    tips = tuple((a - x, b - y, c) for a, b, c in scene.motion.tip)
+    yield replace(scene, motion=replace(scene.motion, tip=tips))
+
+
+def _upright(scene: Scene) -> Iterator[Scene]:
+    yield replace(scene, indenter=scene.indenter.upright)
+
+
+def _plain_gel(scene: Scene) -> Iterator[Scene]:
+    plain, body = Body(), scene.body
+    yield replace(scene, body=replace(body, dome_radius=None))
+    yield replace(scene, body=replace(body, modulus=plain.modulus, poisson=plain.poisson))
+    yield replace(scene, body=replace(body, size_y=body.size_x))
+
+
+def _round(scene: Scene) -> Iterator[Scene]:
+    """With one or two digits."""
+    if scene.indenter.solid is not None:
+        return
+    for digits in (1, 2):
+        fewer = scene_from_json(_rounded(scene_to_json(scene), digits))
+        apart = all(a != b for a, b in zip(fewer.motion.tip, fewer.motion.tip[1:], strict=False))
+        slow = scene.effects.viscosity is None and scene.effects.inertia is None
+        if apart and slow:
+            fewer = replace(fewer, motion=through(fewer.motion.tip, speed=10e-3))
+        yield fewer
+
+
+def _rounded(value: Any, digits: int) -> Any:
+    if isinstance(value, dict):
+        return {
+            name: item if name in EXACT else _rounded(item, digits) for name, item in value.items()
+        }
+    if isinstance(value, list):
+        return [_rounded(item, digits) for item in value]
+    return rounded(value, digits) if isinstance(value, float) else value
+
+
+# Kept for others: as a file, and as lines to paste.
+
+
+def snippet(scene: Scene) -> str:
+    """Python that solves the scene again."""
+    return "\n".join(
+        [
+            "from math import inf",
+            "from sim import *",
+            "from sim.indenters import Indenter, Part, Solid",
+            f"scene = {scene!r}",
+            "result = simulate(scene)",
+            "print(result.force, result.record['warnings'])",
+        ]
+    )
+
+
+def store(path: Path, scene: Scene, verdict: Verdict, name: str) -> None:
+    """Write the scene as JSON, with the laws that it breaks and where it came from."""
+    kept = {
+        "name": name,
+        "broken": sorted(failure(verdict)),
+        "said": verdict.why,
+        "twin": verdict.twin,
+        "scene": scene_to_json(scene),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+
+
+def load(path: Path) -> tuple[Scene, frozenset[str], str]:
+    """A stored scene, the laws that it broke, and its twin's name or nothing."""
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    return scene_from_json(kept["scene"]), frozenset(kept["broken"]), kept["twin"]

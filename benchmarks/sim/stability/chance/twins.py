@@ -1,0 +1,231 @@
+"""Twins of a scene: turned, larger, stiffer, or taken in other steps; their forces must agree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.stability.chance.referee import Held, elastic, largest, smooth, weightless
+from benchmarks.sim.stability.laws import at_most
+from sim.effects import Effects
+from sim.errors import SceneError
+from sim.indenters import Indenter, Part
+from sim.result import Result
+from sim.scene import Body, Motion, Scene
+
+Array = NDArray[np.float64]
+
+AGREE = 0.02
+"""Difference of forces over the largest: what default meshes leave of a symmetry."""
+AGREE_RUBBING = 0.05
+"""The same with friction, where a point that slips early or late moves others."""
+LARGER = 10.0
+MIRRORS = ("mirror-x", "mirror-y", "swap-xy")
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """Another scene, and what the first one's forces say of its own."""
+
+    name: str
+    scene: Scene
+    forces: Callable[[Array], Array]
+    """Forces (F, 3) [N] of the first scene as those of the twin; NaN for what it does not say."""
+
+
+def agrees(result: Result, twin: Twin, other: Result) -> Held:
+    """The law that both have the same forces."""
+    expected = twin.forces(result.force)
+    scale = largest(result) * _ratio(twin.scene, result.scene)
+    gap = float(np.nanmax(np.linalg.norm(other.force - expected, axis=1))) / scale
+    limit = AGREE if smooth(result.scene) else AGREE_RUBBING
+    return Held(f"twin-{twin.name}", at_most(f"{twin.name}: |difference| / largest", gap, limit))
+
+
+def symmetric(result: Result) -> list[Held]:
+    """The laws of a scene that is its own twin in a mirror: its forces are their own image."""
+    scene = result.scene
+    found = [twin_of(scene, name) for name in MIRRORS]
+    return [
+        Held("symmetric", agrees(result, twin, result).law)
+        for twin in found
+        if twin is not None and twin.scene == scene
+    ]
+
+
+def _ratio(one: Scene, other: Scene) -> float:
+    size = [scene.body.modulus * scene.body.thickness**2 for scene in (one, other)]
+    return size[0] / size[1]
+
+
+def twin_of(scene: Scene, name: str) -> Twin | None:
+    """The twin of that name; None where the scene has no such twin."""
+    try:
+        return KINDS[name](scene)
+    except SceneError:  # beyond a limit
+        return None
+
+
+def _mirrored_x(scene: Scene) -> Twin | None:
+    return _turned(scene, "mirror-x", (-1.0, 1.0), swap=False)
+
+
+def _mirrored_y(scene: Scene) -> Twin | None:
+    return _turned(scene, "mirror-y", (1.0, -1.0), swap=False)
+
+
+def _swapped(scene: Scene) -> Twin | None:
+    return _turned(scene, "swap-xy", (1.0, 1.0), swap=True)
+
+
+def _turned(scene: Scene, name: str, signs: tuple[float, float], *, swap: bool) -> Twin | None:
+    """The scene seen in a mirror that stands upright."""
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        x, y = signs[0] * x, signs[1] * y
+        return (y, x) if swap else (x, y)
+
+    indenter = _indenter(scene.indenter, place, swap=swap)
+    if indenter is None:
+        return None
+    body = scene.body
+    if swap:
+        body = replace(body, size_x=body.size_y, size_y=body.size_x)
+    tips = tuple((*place(x, y), z) for x, y, z in scene.motion.tip)
+    gravity = scene.effects.gravity
+    effects = scene.effects
+    if gravity is not None:
+        pull = gravity.acceleration
+        turned = (*place(pull[0], pull[1]), pull[2])
+        effects = replace(effects, gravity=replace(gravity, acceleration=turned))
+    matrix = np.eye(3)
+    matrix[:2, :2] = np.transpose([place(1.0, 0.0), place(0.0, 1.0)])
+    mirrored = Scene(indenter, replace(scene.motion, tip=tips), body, effects)
+    return Twin(name, mirrored, lambda force: force @ matrix.T)
+
+
+def _indenter(
+    indenter: Indenter, place: Callable[[float, float], tuple[float, float]], *, swap: bool
+) -> Indenter | None:
+    """The mirrored indenter; None where parts cannot say it."""
+    if indenter.solid is not None:
+        return None
+    parts = []
+    for part in indenter.parts:
+        mirrored = _part(part, place, swap=swap)
+        if mirrored is None:
+            return None
+        parts.append(mirrored)
+    x, y = place(*indenter.tilt)
+    # An angle turns the other way round in a mirror: its axis is no arrow.
+    return replace(indenter, parts=tuple(parts), tilt=(-x, -y))
+
+
+def _part(
+    part: Part, place: Callable[[float, float], tuple[float, float]], *, swap: bool
+) -> Part | None:
+    if part.view == "turned":
+        return replace(part, axis=place(*part.axis))
+    values = part.values
+    if part.view == "side":
+        level = part.figure in ("half_plane", "band") and values[0] == 0.0
+        if swap and not level:
+            return None
+        sign = place(1.0, 0.0)[0] if not swap else 1.0
+        return replace(part, values=_figure(part, lambda u, v: (sign * u, v), turns=sign < 0))
+    return replace(part, values=_figure(part, place, turns=True))
+
+
+def _figure(
+    part: Part, place: Callable[[float, float], tuple[float, float]], *, turns: bool
+) -> tuple[float, ...]:
+    if part.figure != "path":
+        turned = place(part.values[0], part.values[1])
+        if part.figure == "band" and turned < (0.0, 0.0):  # one and the same, said the other way
+            return (0.0 - turned[0], 0.0 - turned[1], 0.0 - part.values[2], *part.values[3:])
+        return (*turned, *part.values[2:])
+    corners = [part.values[index : index + 3] for index in range(0, len(part.values), 3)]
+    if not turns:
+        return tuple(value for u, v, turn in corners for value in (*place(u, v), turn))
+    # Backwards, so that the material stays on the left; the arc that led on to a corner now leaves.
+    backwards = [(*place(u, v), corners[index - 1][2]) for index, (u, v, _) in enumerate(corners)]
+    return tuple(value for corner in reversed(backwards) for value in corner)
+
+
+def _larger(scene: Scene) -> Twin | None:
+    """Ten times as large and as stiff: weight over stiffness stays, mass makes it slower."""
+    factor = LARGER
+    if scene.indenter.solid is not None or scene.indenter.name == "plane":
+        return None
+    body = scene.body
+    sizes = (body.size_x, body.size_y, body.thickness)
+    if max(sizes) * factor > 1.0 or body.modulus * factor > 1e9:
+        factor = 1.0 / LARGER
+        if min(sizes) * factor < 1e-4 or body.modulus * factor < 1e2:
+            return None
+    dome = None if body.dome_radius is None else body.dome_radius * factor
+    larger = Body(
+        body.size_x * factor, body.size_y * factor, body.thickness * factor,
+        body.modulus * factor, body.poisson, dome, body.density,
+    )  # fmt: skip
+    slower = math.sqrt(factor) if scene.effects.inertia is not None else 1.0
+    tips = tuple((x * factor, y * factor, z * factor) for x, y, z in scene.motion.tip)
+    motion = Motion(tips, tuple(time * slower for time in scene.motion.time))
+    viscosity = scene.effects.viscosity
+    effects = scene.effects
+    if viscosity is not None:
+        times = tuple(time * slower for time in viscosity.times)
+        effects = replace(effects, viscosity=replace(viscosity, times=times))
+    twin = Scene(_scaled(scene.indenter, factor), motion, larger, effects)
+    return Twin("ten-times", twin, lambda force: force * factor**3)
+
+
+def _scaled(indenter: Indenter, factor: float) -> Indenter:
+    def values(part: Part) -> tuple[float, ...]:
+        first, second, *rest = part.values
+        if part.figure == "circle":
+            return tuple(value * factor for value in part.values)
+        if part.figure == "path":
+            return tuple(
+                value if index % 3 == 2 else value * factor
+                for index, value in enumerate(part.values)
+            )
+        return (first, second, *(value * factor for value in rest))
+
+    parts = tuple(
+        replace(part, values=values(part), axis=(part.axis[0] * factor, part.axis[1] * factor))
+        for part in indenter.parts
+    )
+    return replace(
+        indenter,
+        parts=parts,
+        edge_radius=indenter.edge_radius * factor,
+        narrowest=indenter.narrowest * factor,
+    )
+
+
+def _at_once(scene: Scene) -> Twin | None:
+    """Elastic and without friction: the last frame alone, by the straight way."""
+    motion = scene.motion
+    if not (elastic(scene) and smooth(scene) and weightless(scene)) or len(motion) < 3:
+        return None
+    x, y, z = motion.tip[-1]
+    if z >= 0:
+        return None
+    way = Motion(((x, y, 0.0), (x, y, z)), (0.0, 1.0))
+    twin = Scene(scene.indenter, way, scene.body, Effects())
+    return Twin("at-once", twin, lambda force: np.stack([force[-1] * np.nan, force[-1]]))
+
+
+KINDS: dict[str, Callable[[Scene], Twin | None]] = {
+    "mirror-x": _mirrored_x,
+    "mirror-y": _mirrored_y,
+    "swap-xy": _swapped,
+    "ten-times": _larger,
+    "at-once": _at_once,
+}
+"""How the twin of each name is made."""

@@ -1,0 +1,199 @@
+"""One scene, solved and judged: exactly one class for what became of it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Literal, get_args
+
+from benchmarks.sim.stability.chance.dice import Dice
+from benchmarks.sim.stability.chance.referee import Held, held
+from benchmarks.sim.stability.chance.scenes import Drawn
+from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, symmetric, twin_of
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem.numerics import Numerics
+from sim.result import Outcome, Result
+from sim.scene import Scene
+from sim.tiers import simulate_many
+
+Class = Literal["right", "refused", "diverged", "warned", "silent", "crash", "timeout"]
+CLASSES: tuple[Class, ...] = get_args(Class)
+PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
+"""What a user can live with: an answer, or a word that there is none."""
+SECONDS = 60.0
+"""Longest that one solve may take, unless told otherwise."""
+TWINNED = 0.35
+"""Share of the scenes that are solved once more as a twin."""
+
+AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"
+COVERS: tuple[tuple[str, str], ...] = (
+    (r"edge radius .* below the element", AMOUNTS),
+    (
+        r"overlap|penetrat|passe?[sd]? through|inside the (indenter|gel|body)",
+        r"no-overlap|no-crossing|not-through",
+    ),
+    (r"overlap|passe?[sd]? through|wall|narrow|too coarse", rf"{AMOUNTS}|touches|within-bounds"),
+    (r"too coarse|too small|few elements|not resolved", rf"{AMOUNTS}|touches|within-bounds"),
+    (r"base plane|below the base", r"above-base"),
+    (r"touch|light|round-off", r"touches|lets-go|same-place|within-bounds"),
+)
+"""Words of a warning, and the laws that it owns up to: that a force depends on the mesh does not
+say that the indenter went through the gel, or that there is no force at all."""
+
+
+class OutOfTime(Exception):
+    """A solve took longer than it may."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How scenes are solved; `numerics` is the default of `simulate_many` but for precision."""
+
+    device: str = "cpu"
+    precision: Literal["auto", "float32", "float64"] = "auto"
+    seconds: float = SECONDS
+
+    def solve(self, scene: Scene) -> Outcome:
+        """What becomes of a scene.
+
+        Raises:
+            OutOfTime: It took too long.
+            SceneError: It is refused.
+        """
+        numerics = None if self.precision == "auto" else Numerics(precision=self.precision)
+        with time_limit(self.seconds):
+            (outcome,) = simulate_many([scene], numerics=numerics, device=self.device)
+        return outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of a scene."""
+
+    kind: Class
+    said: str = ""
+    """What the solver or Python said."""
+    broken: tuple[Held, ...] = ()
+    """Laws that do not hold."""
+    warnings: tuple[str, ...] = ()
+    twin: str = ""
+    """The twin that it was compared with."""
+    laws: tuple[str, ...] = ()
+    """Names of all laws that were measured."""
+    scene: Scene | None = field(default=None, compare=False)
+
+    @property
+    def passed(self) -> bool:
+        """Whether a user can live with it."""
+        return self.kind in PASSED
+
+    @property
+    def why(self) -> str:
+        """In a line: laws that do not hold, or what was said."""
+        return "; ".join(f"{each.name}: {each.law}" for each in self.broken) or self.said
+
+
+def judge(drawn: Drawn, settings: Settings) -> Verdict:
+    """Solve a drawn scene, one in three a second time as a twin, and name its class."""
+    if drawn.scene is None:
+        return _unsolved(drawn.refusal or RuntimeError("neither a scene nor a refusal"))
+    dice = Dice(drawn.seed, -1 - drawn.index)
+    twin = None
+    if dice.chance(TWINNED):
+        twin = dice.one_of(sorted(KINDS))
+    return judge_scene(drawn.scene, settings, twin)
+
+
+def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> Verdict:
+    """Solve a scene, and its twin of that name where it has one, and name the class."""
+    try:
+        outcome = settings.solve(scene)
+        if isinstance(outcome, SimulationDiverged):
+            return _unsolved(outcome, scene)
+        found = held(outcome)
+        if found[0].law.holds:
+            found += symmetric(outcome)
+        other = twin_of(scene, twin) if twin else None
+        if other is not None:
+            found += _compared(outcome, other, settings)
+    except Exception as error:
+        return _unsolved(error, scene)
+    return of_laws(outcome, found, other.name if other else "")
+
+
+def _compared(result: Result, twin: Twin, settings: Settings) -> list[Held]:
+    other = settings.solve(twin.scene)
+    if isinstance(other, SimulationDiverged):
+        _forget(other)
+        return []  # it says so itself
+    return [agrees(result, twin, other)]
+
+
+def of_laws(result: Result, found: Sequence[Held], twin: str = "") -> Verdict:
+    """The class of a result by its laws and its own warnings."""
+    warnings = tuple(str(each) for each in result.record.get("warnings", []))
+    broken = tuple(each for each in found if not each.law.holds)
+    kind: Class = "right"
+    if broken:
+        kind = "warned" if all(covered(each.name, warnings) for each in broken) else "silent"
+    names = tuple(dict.fromkeys(each.name for each in found))
+    return Verdict(kind, "", broken, warnings, twin, names, result.scene)
+
+
+def covered(law: str, warnings: Sequence[str]) -> bool:
+    """Whether any warning owns up to breaking this law."""
+    return any(
+        re.search(words, warning, re.IGNORECASE) and re.fullmatch(laws, law)
+        for warning in warnings
+        for words, laws in COVERS
+    )
+
+
+def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
+    """The class of what was raised: it must say what is wrong and what is allowed, or where."""
+    said = str(error)
+    kind: Class = "crash"
+    if isinstance(error, OutOfTime):
+        kind = "timeout"
+    elif isinstance(error, SceneError) and "allowed" in said:
+        kind = "refused"
+    elif isinstance(error, SimulationDiverged):
+        _forget(error)
+        kind = "diverged" if error.tried and "waypoint" in said else "crash"
+    if kind == "crash":
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
+        said = f"{type(error).__name__}: {said}{where}"
+    return Verdict(kind, said, scene=scene)
+
+
+def _forget(diverged: SimulationDiverged) -> None:
+    """Remove the dump."""
+    if diverged.dump is not None:
+        shutil.rmtree(diverged.dump.parent, ignore_errors=True)
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise `OutOfTime` in this thread, the process's main one, when it takes longer."""
+    began = time.perf_counter()
+
+    def ring(_number: int, _frame: FrameType | None) -> None:
+        raise OutOfTime(f"no answer within {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-3))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    if time.perf_counter() - began > 2 * seconds:
+        raise OutOfTime(f"no answer within {seconds:g} s")

@@ -1,0 +1,364 @@
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.sim.stability.chance import bounds
+from benchmarks.sim.stability.chance.footprint import footprint, half_wall
+from benchmarks.sim.stability.chance.page import page
+from benchmarks.sim.stability.chance.referee import LAWS, held, loading
+from benchmarks.sim.stability.chance.run import Plan, Told, tell
+from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
+from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
+from benchmarks.sim.stability.chance.twins import KINDS, symmetric, twin_of
+from benchmarks.sim.stability.chance.verdict import (
+    OutOfTime,
+    Settings,
+    Verdict,
+    covered,
+    judge,
+    of_laws,
+    time_limit,
+)
+from sim.effects import Effects, Friction
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem.mesh import meshes_of
+from sim.fem.numerics import Numerics
+from sim.indenters import shapes
+from sim.result import Quality, Result, scene_to_json
+from sim.scene import Body, Motion, Scene, press
+
+MM = 1e-3
+BALL = Scene(shapes.sphere(4 * MM), press([0.2 * MM, 0.4 * MM]))
+
+
+def _made_up(scene: Scene) -> Result:
+    """A gel that gives way exactly where the indenter is, with a force of mechanics' size."""
+    frames, nodes = len(scene.motion), 41
+    x = np.linspace(-scene.body.size_x / 2, scene.body.size_x / 2, nodes)
+    surface = np.zeros((frames, nodes, nodes, 3), np.float32)
+    traction = np.zeros_like(surface)
+    wrench = np.zeros((frames, 6))
+    area = np.outer(*[np.convolve(np.diff(x), [0.5, 0.5])] * 2)
+    for frame, tip in enumerate(scene.motion.tip):
+        height = scene.indenter.heights((x - tip[0])[:, None], (x - tip[1])[None])
+        deep = np.maximum(-tip[2] - height, 0.0)
+        surface[frame, ..., 2] = -deep
+        push = bounds.layer_force(scene, tip) or 0.0
+        wrench[frame, 2] = -push
+        if deep.any():
+            place = np.stack([*np.meshgrid(x, x, indexing="ij"), -deep], axis=-1) - np.array(tip)
+            _, normal = scene.indenter.distance(place)
+            share = deep / -(deep * area * normal[..., 2]).sum()
+            traction[frame] = push * share[..., None] * normal
+    none = np.full(frames, np.nan)
+    quality = Quality(*[none] * 6, *[np.zeros(frames, np.int64)] * 3)
+    return Result(scene, "fem", wrench, x, x, surface, traction, quality, {"warnings": []})
+
+
+@pytest.fixture(scope="module")
+def good() -> Result:
+    return _made_up(BALL)
+
+
+def _broken(result: Result) -> set[str]:
+    return {each.name for each in held(result) if not each.law.holds}
+
+
+def test_a_made_up_answer_of_the_right_size_keeps_all_laws(good: Result) -> None:
+    verdict = of_laws(good, held(good))
+    assert verdict.kind == "right", verdict.why
+    assert {"near-layer", "within-bounds", "sums-up", "no-overlap"} <= set(verdict.laws)
+
+
+@pytest.mark.parametrize(
+    ("factor", "laws"),
+    [
+        (-1.0, {"no-pull", "touches", "within-bounds", "near-layer"}),
+        (0.0, {"touches", "within-bounds", "near-layer"}),
+        (5.0, {"near-layer"}),
+        (30.0, {"within-bounds", "near-layer"}),
+        (math.nan, {"finite"}),
+    ],
+)
+def test_a_doctored_force_is_caught(good: Result, factor: float, laws: set[str]) -> None:
+    assert laws <= _broken(replace(good, wrench=good.wrench * factor))
+
+
+def test_a_force_at_first_touch_is_caught(good: Result) -> None:
+    wrench = good.wrench.copy()
+    wrench[0, 2] = wrench[-1, 2] / 2
+    assert "lets-go" in _broken(replace(good, wrench=wrench))
+
+
+def test_a_force_aside_that_passes_by_the_centre_is_caught(good: Result) -> None:
+    wrench = good.wrench.copy()
+    wrench[:, 0] = wrench[:, 2] / 5
+    assert "through-centre" in _broken(replace(good, wrench=wrench))
+
+
+def test_an_indenter_that_went_through_is_caught(good: Result) -> None:
+    untouched = replace(good, surface=np.zeros_like(good.surface))
+    assert {"no-overlap", "not-through"} <= _broken(untouched)
+
+
+def test_a_skin_below_the_base_is_caught(good: Result) -> None:
+    surface = good.surface.copy()
+    surface[-1, 0, 0, 2] = -4.1 * MM
+    assert _broken(replace(good, surface=surface)) == {"above-base"}
+
+
+def test_a_blade_between_two_rows_of_nodes_is_seen() -> None:
+    scene = Scene(shapes.box(0.3 * MM, 12 * MM, 0.1 * MM), press([1 * MM], at=(0.25 * MM, 0.0)))
+    result = _made_up(scene)
+    assert result.surface[-1].min() == 0.0  # no node is under it
+    assert {"no-overlap", "not-through"} <= _broken(result)
+
+
+def test_skin_that_went_through_a_wall_sideways_is_caught() -> None:
+    scene = Scene(shapes.box(0.6 * MM, 12 * MM, 0.1 * MM), press([0.5 * MM, 1.0 * MM]))
+    result = _made_up(scene)
+    rest = np.broadcast_to(result.surface_x[:, None], result.surface.shape[1:3])
+    beside = np.abs(rest) < 1.0 * MM
+    surface = result.surface.copy()
+    for frame, side in ((1, -1.0), (2, 1.0)):
+        surface[frame, ..., 0] = np.where(beside, side * 0.5 * MM - rest, 0.0)
+        surface[frame, ..., 2] = 0.0
+    assert "no-crossing" in _broken(replace(result, surface=surface))
+
+
+def test_work_from_nowhere_and_a_force_that_depends_on_the_way_are_caught() -> None:
+    way = Motion(tuple((0.0, 0.0, -z * MM) for z in (0.0, 0.3, 0.5, 0.3, 0.0)), (0, 1, 2, 3, 4))
+    result = _made_up(replace(BALL, motion=way))
+    assert _broken(result) == set()
+    wrench = result.wrench.copy()
+    wrench[3] *= 1.5
+    assert {"closed-loop", "same-place"} <= _broken(replace(result, wrench=wrench))
+
+
+def test_shear_beyond_friction_is_caught() -> None:
+    scene = replace(BALL, indenter=shapes.sphere(8 * MM), effects=Effects(friction=Friction(0.2)))
+    result = _made_up(scene)
+    assert "coulomb" not in _broken(result)
+    traction = result.traction.copy()
+    traction[..., 0] = traction[..., 2] / 2
+    assert "coulomb" in _broken(replace(result, traction=traction))
+
+
+def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
+    edge = "edge radius 0.2 mm is below the element's 0.6 mm: the force depends on the mesh"
+    assert covered("near-layer", [edge])
+    assert covered("twin-mirror-x", [edge])
+    assert not covered("not-through", [edge])
+    assert not covered("touches", [edge])
+    assert covered("not-through", ["the skin overlaps the indenter by 0.3 mm"])
+    less = replace(good, wrench=good.wrench * 0.45, traction=good.traction * np.float32(0.45))
+    said = replace(less, record={"warnings": [edge]})
+    assert of_laws(said, held(said)).kind == "warned"
+    silent = replace(said, record={"warnings": []})
+    assert of_laws(silent, held(silent)).kind == "silent"
+
+
+# What is drawn.
+
+
+def test_a_scene_is_the_same_alone_and_among_others(tmp_path: Path) -> None:
+    among = [drawn(7, index, tmp_path) for index in range(12)]
+    alone = drawn(7, 11, tmp_path)
+    assert alone.scene == among[11].scene
+    assert alone.what == among[11].what
+    assert len({repr(one.scene) for one in among}) > 6
+    assert drawn(8, 11, tmp_path) != alone
+
+
+def test_scene_17_of_seed_0_is_what_it_was(tmp_path: Path) -> None:
+    one = drawn(0, 17, tmp_path)
+    assert one.what == "trap, far aside"
+    assert one.scene is not None
+    # Where this changes, every counter-example's name means another scene.
+    assert one.scene.motion.tip[1:3] == ((0.0, 0.0, -0.000584), (0.00146, 0.0, -0.000584))
+
+
+def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Path) -> None:
+    some = [drawn(1, index, tmp_path) for index in range(40)]
+    for one in some:
+        assert (one.scene is None) == (one.refusal is not None)
+        assert one.refusal is None or isinstance(one.refusal, SceneError), one
+    families = [one.what.split(", ")[0] for one in some]
+    assert families.count("sensible") > 20
+    assert {"trap", "absurd"} < set(families)
+    assert sum(one.scene is None for one in some) < 15
+    for one in some[:20]:
+        if one.scene is not None and one.scene.indenter.solid is None:
+            (mesh,) = meshes_of([one.scene], Numerics())
+            assert len(mesh.elements) <= ELEMENTS_MAX
+
+
+# Twins, bounds and footprints.
+
+
+def test_twins_are_mirrored_in_geometry_too() -> None:
+    scene = Scene(shapes.named("triangle").tilted(0.1, 0.2), press([0.5 * MM], at=(1 * MM, 2 * MM)))
+    places = np.random.default_rng(0).uniform(-4 * MM, 4 * MM, (200, 3)) + np.array([0, 0, 4 * MM])
+    known = {name: twin for name in KINDS if (twin := twin_of(scene, name)) is not None}
+    gap, _ = scene.indenter.distance(places)
+    for name, turned in (
+        ("mirror-x", places * [-1, 1, 1]),
+        ("mirror-y", places * [1, -1, 1]),
+        ("swap-xy", places[:, [1, 0, 2]]),
+    ):
+        other, _ = known[name].scene.indenter.distance(turned)
+        assert other == pytest.approx(gap, abs=1e-8), name
+    larger, _ = known["ten-times"].scene.indenter.distance(places * 10)
+    assert larger == pytest.approx(gap * 10, abs=1e-7)
+    assert known["mirror-x"].scene.motion.tip[-1] == (-1 * MM, 2 * MM, -0.5 * MM)
+
+
+def test_a_scene_that_is_its_own_image_has_forces_that_are(good: Result) -> None:
+    assert len(symmetric(good)) == 3
+    assert all(each.law.holds for each in symmetric(good))
+    wrench = good.wrench.copy()
+    wrench[-1, 0] = wrench[-1, 2] / 20
+    broken = [each.law.holds for each in symmetric(replace(good, wrench=wrench))]
+    assert broken == [False, True, False]
+    aside = _made_up(Scene(shapes.box(2 * MM, 3 * MM), press([0.4 * MM], at=(1 * MM, 0.0))))
+    assert len(symmetric(aside)) == 1
+
+
+def test_a_bar_has_a_twin_in_a_mirror_but_none_across() -> None:
+    scene = Scene(shapes.bar(2 * MM, 8 * MM), press([0.5 * MM]))
+    assert twin_of(scene, "mirror-x") is not None
+    assert twin_of(scene, "swap-xy") is None
+
+
+def test_a_footprint_is_as_wide_as_the_sphere_there() -> None:
+    found = footprint(BALL, (0.0, 0.0, -0.4 * MM))
+    assert found.deepest == pytest.approx(0.4 * MM, rel=1e-3)
+    assert found.width == pytest.approx(2 * math.sqrt(2 * 4 * 0.4 - 0.4**2) * MM, rel=0.05)
+    assert half_wall(Scene(shapes.box(0.5 * MM, 12 * MM), press([MM]))) == 0.25 * MM
+
+
+def test_the_layer_lies_between_the_bounds() -> None:
+    tip = (0.0, 0.0, -0.4 * MM)
+    layer = bounds.layer_force(BALL, tip)
+    assert layer is not None
+    assert bounds.least_force(BALL, tip) < layer < bounds.most_force(BALL, tip)
+
+
+def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
+    assert loading(good) == [1, 2]
+
+
+# Classes, shrinking and the verb.
+
+
+def _of(error: Exception | None, scene: Scene | None = None) -> Verdict:
+    return judge(Drawn(0, 0, "x", scene, error), Settings())
+
+
+def test_every_exception_has_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _of(SceneError("body.modulus: 0; allowed: 1")).kind == "refused"
+    assert _of(SceneError("no")).kind == "crash"
+    assert _of(ZeroDivisionError("1/0")).kind == "crash"
+    assert "ZeroDivisionError: 1/0" in _of(ZeroDivisionError("1/0")).said
+    assert _of(SimulationDiverged("on the way to waypoint 2", ("a",))).kind == "diverged"
+    assert _of(SimulationDiverged("no")).kind == "crash"
+    assert _of(OutOfTime("1 s")).kind == "timeout"
+
+
+def test_a_solve_that_takes_too_long_is_ended() -> None:
+    began = time.perf_counter()
+    with pytest.raises(OutOfTime, match=r"within 0.05 s"), time_limit(0.05):
+        time.sleep(5)
+    assert time.perf_counter() < began + 2
+
+
+def test_a_counter_example_is_made_plain_while_the_same_law_stays_broken(
+    good: Result, tmp_path: Path
+) -> None:
+    bad = held(replace(good, wrench=-good.wrench))
+    scene = Scene(
+        shapes.sphere(4.321 * MM).tilted(0.1, 0.0),
+        press([0.2 * MM, 0.4 * MM], at=(1 * MM, 0.0)),
+        Body(size_x=15 * MM, modulus=12345.0),
+        Effects(friction=Friction(0.3)),
+    )
+
+    def pulls(simpler: Scene) -> Verdict:
+        """As if friction had to do with it, and nothing else."""
+        if simpler.effects.friction is None:
+            return Verdict("right", scene=simpler)
+        return replace(of_laws(good, bad), kind="silent", scene=simpler)
+
+    plain, verdict = shrunk(scene, pulls(scene), Settings(), judge=pulls)
+    assert plain.effects == Effects(friction=Friction(0.3))
+    assert plain.motion.tip == ((0.0, 0.0, 0.0),)
+    assert plain.indenter.tilt == (0.0, 0.0)
+    assert plain.body.modulus == pytest.approx(0.145e6, rel=0.4)
+    store(tmp_path / "found.json", plain, verdict, "0/1")
+    assert load(tmp_path / "found.json") == (plain, failure(verdict), "")
+    lines = snippet(plain).splitlines()
+    made: dict[str, Scene] = {}
+    exec("\n".join(lines[:4]), made)
+    assert made["scene"] == plain
+
+
+def test_the_page_counts_by_class_and_by_law(good: Result) -> None:
+    silent = of_laws(good, held(replace(good, wrench=-good.wrench)))
+    right = of_laws(good, held(good))
+    told = [Told("0/0", "sensible, x", right, 1.0), Told("0/1", "trap, y|z", silent, 2.0)]
+    text = page(told, Plan(2))
+    assert "| right | all laws hold | 1 |" in text
+    assert "| no-pull | Contact does not pull;" in text
+    assert "| 0/1 | silent | trap, y\\|z |" in text
+
+
+def test_the_last_line_counts_what_passed(good: Result, capsys: pytest.CaptureFixture[str]) -> None:
+    right = of_laws(good, held(good))
+    late = Verdict("timeout", "no answer")
+    assert not tell([Told("0/0", "x", right, 1.0), Told("0/1", "y", late, 2.0)])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "2 cases, 1 passed"
+    assert lines[-2].startswith("1 right, 0 refused, 0 diverged, 0 warned, 0 silent, 0 crash")
+    assert tell([Told("0/1", "y", Verdict("crash", "x"), 2.0)])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [["--random", "0"], ["--random", "1", "--scene", "-1"], ["--random", "1", "--only", "rim-*"]],
+)
+def test_the_verb_refuses_wrong_options(
+    wrong: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hard-cases", *wrong]) == 2
+    assert "allowed" in capsys.readouterr().err
+
+
+def test_the_verb_judges_one_scene_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [
+        "--random",
+        "1",
+        "--scene",
+        "3",
+        "--found",
+        str(tmp_path),
+        "--out",
+        str(tmp_path / "p"),
+    ]
+    assert main(["hard-cases", *given]) == 0
+    assert "1 refused" in capsys.readouterr().out
+    assert "| refused | a SceneError names" in (tmp_path / "p").read_text()
+
+
+def test_laws_have_words_for_the_page() -> None:
+    assert all((law.__doc__ or "").strip() for law in LAWS.values())
+    assert json.dumps(scene_to_json(BALL))
