@@ -31,8 +31,9 @@ POINTS = 4
 """Gauss points along each element edge of the top."""
 CONVERGED, ITERATIONS = 1e-7, 15
 """Out-of-balance force over contact force that ends Newton's method, and its limit."""
-AUGMENTATIONS, STANDS_STILL = 8, 5e-5
-"""How often `carried` is brought up to date at most, and the change of force that ends it."""
+AUGMENTATIONS, STANDS_STILL, NEARLY = 14, 5e-5, 5e-4
+"""How often `carried` is brought up to date at most, the change of force that ends it, and the
+one that will do after so many."""
 DET_MIN = 0.02
 """Determinant of the deformation gradient below which a Newton step is cut."""
 FAILURES = 40
@@ -175,16 +176,21 @@ class Press:
 
     def _settled(self, state: State) -> State:
         """The state with its pressure carried, so that no penetration is left."""
-        force = self._tractions(state, state.u, state.tip).force
+        force, before = self._tractions(state, state.u, state.tip).force, math.inf
+        share, done = 1.0, False
         for _ in range(AUGMENTATIONS):
             pressure = self._tractions(state, state.u, state.tip).pressure
-            found = self._balanced(replace(state, carried=pressure), state.tip)
+            carried = state.carried + share * (pressure - state.carried)
+            found = self._balanced(replace(state, carried=carried), state.tip)
             if found is None:
-                raise NotSolved(f"while {-state.tip * 1e3:.4g} mm deep")
-            state, before = found, force
-            force = self._tractions(state, state.u, state.tip).force
-            if abs(force - before) < STANDS_STILL * abs(force):
+                share /= 2
+                continue
+            before, force = force, self._tractions(found, found.u, found.tip).force
+            state, done = found, abs(force - before) < STANDS_STILL * share * abs(force)
+            if done:
                 break
+        if not done and abs(force - before) > NEARLY * share * abs(force):
+            raise NotSolved(f"while {-state.tip * 1e3:.4g} mm deep")
         return state
 
     def _balanced(self, old: State, tip: float) -> State | None:
