@@ -41,9 +41,7 @@ def add_to(verbs: Verbs) -> None:
     )
     parser.add_argument("--tolerance", metavar="ERROR", help='ask `sim` for it: "1 %%"')
     parser.add_argument("--tier", choices=("layer", "fem", "mpm"), help="the tier of `sim`")
-    parser.add_argument(
-        "--processes", type=int, default=1, help="cases side by side (%(default)s)"
-    )
+    parser.add_argument("--processes", type=int, default=1, help="cases side by side (%(default)s)")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows there too")
     parser.add_argument(
         "--make",
@@ -66,11 +64,11 @@ def run(options: argparse.Namespace) -> int:
         HEAD,
         Settings,
         all_compared,
+        foreign_tasks,
         line,
         round_tasks,
         summary,
     )
-    from benchmarks.sim.independent.foreign import foreign_tasks
 
     if options.tier and options.tolerance:
         raise SceneError(f"--tier: {options.tier!r} with --tolerance; allowed: either")
@@ -102,8 +100,10 @@ def _make(options: argparse.Namespace) -> int:
         from benchmarks.sim.independent.truth import make
     else:
         from benchmarks.sim.independent.foreign import make
-
-    return int(bool(make(options.only)))
+    failed = make(options.only)
+    if failed:
+        print(f"not solved: {'; '.join(failed)}")
+    return int(bool(failed))
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:

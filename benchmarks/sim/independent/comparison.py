@@ -7,13 +7,26 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 
+from benchmarks.sim.independent import foreign, foreign_cases
 from benchmarks.sim.independent.cases import CASES, MM, Case
+from benchmarks.sim.independent.foreign_cases import ForeignCase
 from benchmarks.sim.independent.truth import load
 from recorder.processes import Workers
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
-from sim.indenters import Indenter, flat_punch, rounded_cone, sphere, torus, tube
-from sim.scene import Body, Scene, press
+from sim.indenters import (
+    Indenter,
+    bar,
+    box,
+    extruded,
+    flat_punch,
+    rounded_cone,
+    sphere,
+    torus,
+    tube,
+)
+from sim.indenters.outline import Part
+from sim.scene import Body, Scene, press, through
 from sim.simulate import simulate
 from sim.tiers import Tier
 
@@ -79,9 +92,7 @@ def scene_of(case: Case) -> Scene:
             indenter = torus(*measures)
         case "tube":
             indenter = tube(*measures)
-    body = Body(
-        case.size * MM, case.size * MM, case.thickness * MM, case.modulus, case.poisson
-    )
+    body = Body(case.size * MM, case.size * MM, case.thickness * MM, case.modulus, case.poisson)
     effects = Effects(friction=Friction(case.friction)) if case.friction else Effects()
     return Scene(indenter, press([depth * MM for depth in case.depths]), body, effects)
 
@@ -106,6 +117,58 @@ def round_tasks(only: Sequence[str] = ()) -> list[Task]:
     return tasks
 
 
+def foreign_scene(case: ForeignCase) -> Scene:
+    """The case as a scene of `sim`."""
+    measures = [measure * MM for measure in case.measures]
+    indenter: Indenter
+    match case.shape:
+        case "spheres":
+            radius = measures[0]
+            each = [
+                Part("turned", "circle", (0.0, radius, radius), "union", axis=(middle, 0.0))
+                for middle in measures[1:] or (0.0,)
+            ]
+            indenter = Indenter("spheres", tuple(each))
+        case "punch":
+            indenter = flat_punch(*measures)
+        case "bar":
+            indenter = bar(*measures)
+        case "box":
+            indenter = box(*measures)
+        case "triangle":
+            corners = [(*measures[index : index + 2], 0.0) for index in (0, 2, 4)]
+            indenter = extruded([value for corner in corners for value in corner], measures[-1])
+    if any(case.tilt):
+        indenter = indenter.tilted(*map(math.radians, case.tilt))
+    dome = case.dome * MM if case.dome else None
+    size_x, size_y, thickness = (length * MM for length in case.size)
+    body = Body(size_x, size_y, thickness, case.modulus, case.poisson, dome)
+    effects = Effects(friction=Friction(case.friction)) if case.friction else Effects()
+    x, y, _ = case.path[0]
+    points = [(x * MM, y * MM, 0.0)] + [(x * MM, y * MM, -z * MM) for x, y, z in case.path]
+    return Scene(indenter, through(points, speed=10e-3), body, effects)
+
+
+def foreign_tasks(only: Sequence[str] = ()) -> list[Task]:
+    """Cases of `foreign.csv` whose name has one of the words; all without words."""
+    rows = foreign.load()
+    tasks = []
+    for case in foreign_cases.CASES:
+        mine = [row for row in rows if row.case == case.name]
+        if not mine or (only and not any(word in case.name for word in only)):
+            continue
+        tasks.append(
+            Task(
+                case.name,
+                foreign_scene(case),
+                tuple(row.point + 1 for row in mine),
+                tuple((row.force_x_n, row.force_y_n, row.force_z_n) for row in mine),
+                tuple(row.error_percent for row in mine),
+            )
+        )
+    return tasks
+
+
 def compared(task: Task, settings: Settings) -> list[Row]:
     """Solve a task and compare; a scene that `sim` cannot solve gives rows that say why."""
     from time import perf_counter
@@ -121,7 +184,7 @@ def compared(task: Task, settings: Settings) -> list[Row]:
         said = str(error)
     seconds = perf_counter() - start
     rows = []
-    for frame, force, truth, bar in zip(
+    for frame, force, truth, truth_error in zip(
         task.frames, forces, task.truths, task.errors, strict=True
     ):
         known = [index for index in range(3) if not math.isnan(truth[index])]
@@ -131,7 +194,7 @@ def compared(task: Task, settings: Settings) -> list[Row]:
         if len(known) == 1:
             off = ours / right - 1
         depth = -task.scene.motion.tip[frame][2] / MM
-        rows.append(Row(task.name, depth, right, ours, 100 * off, bar, own, seconds, said))
+        rows.append(Row(task.name, depth, right, ours, 100 * off, truth_error, own, seconds, said))
     return rows
 
 
@@ -201,5 +264,3 @@ def line(row: Row) -> str:
         f"{row.case:<44} {row.depth_mm:8.4g} {row.truth_n:10.4g} {row.ours_n:10.4g} "
         f"{row.error_percent:+8.2f} {own:>7}"
     )
-
-

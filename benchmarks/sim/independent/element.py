@@ -118,7 +118,7 @@ class Elastic:
 
     def gradients(self, u: Array) -> Array:
         """F at the points of the elements, (E, P, 5), from displacements (2 N,) [m]."""
-        f = np.matmul(self.operator, u[self.unknowns][:, None, :, None])[..., 0]
+        f: Array = np.matmul(self.operator, u[self.unknowns][:, None, :, None])[..., 0]
         f[:, :, [0, 3, 4]] += 1
         return f
 
@@ -139,8 +139,26 @@ class Elastic:
         density += self.bulk / 2 * ((theta**2 - 1) / 2 - np.log(theta))
         return float(np.sum(density * self.volume))
 
-    def force_and_tangent(self, u: Array) -> tuple[Array, csc_matrix]:
-        """First derivative of the energy (2 N,) [N] and the second (2 N, 2 N) [N/m]."""
+    def force(self, u: Array) -> Array:
+        """First derivative of the energy (2 N,) [N]."""
+        f = self.gradients(u)
+        j = _determinant(f)
+        theta = self._projected(j)
+        cofactor = _cofactor(f)
+        square = np.sum(f * f, axis=-1)
+        stress = (self.shear * j ** (-2 / 3))[..., None] * (
+            f - (square / 3 / j)[..., None] * cofactor
+        )
+        # Pressure: the projection of dU/dtheta, which works on J itself.
+        pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
+        stress += pressure[..., None] * cofactor
+        weighted = (stress * self.volume[..., None]).reshape(len(f), 1, -1)
+        nodal = np.matmul(weighted, self.operator.reshape(len(f), -1, 18))
+        whole: Array = np.bincount(self.unknowns.ravel(), nodal.ravel(), self.count)
+        return whole
+
+    def tangent(self, u: Array) -> csc_matrix:
+        """Second derivative of the energy (2 N, 2 N) [N/m]."""
         f = self.gradients(u)
         j = _determinant(f)
         theta = self._projected(j)
@@ -148,10 +166,7 @@ class Elastic:
         square = np.sum(f * f, axis=-1)
         log_slope = cofactor / j[..., None]
         scale = self.shear * j ** (-2 / 3)
-        # Pressure: the projection of dU/dtheta, which works on J itself.
         pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
-        stress = scale[..., None] * (f - square[..., None] / 3 * log_slope)
-        stress += pressure[..., None] * cofactor
         mixed = f[..., :, None] * log_slope[..., None, :]
         stiff = np.eye(5) - 2 / 3 * (mixed + np.swapaxes(mixed, -1, -2))
         stiff += (5 / 9 * square)[..., None, None] * (
@@ -159,7 +174,6 @@ class Elastic:
         )
         stiff -= (square / 3 / j)[..., None, None] * second
         stiff = scale[..., None, None] * stiff + pressure[..., None, None] * second
-        force = np.einsum("epi,epik,ep->ek", stress, self.operator, self.volume, optimize=True)
         weighted = np.matmul(stiff * self.volume[..., None, None], self.operator)
         count = len(f)
         tangent = np.matmul(
@@ -173,11 +187,9 @@ class Elastic:
         bend = self.bulk / 2 * (1 + theta**-2) * self.volume
         curve = np.einsum("ep,pa,pb->eab", bend, self.linear, self.linear, optimize=True)
         tangent += np.matmul(np.swapaxes(moved, 1, 2), np.matmul(curve, moved))
-        whole = np.bincount(self.unknowns.ravel(), force.ravel(), self.count)
-        matrix = csc_matrix(
+        return csc_matrix(
             (tangent.ravel(), (self._rows, self._columns)), shape=(self.count, self.count)
         )
-        return whole, matrix
 
     def _projected(self, values: Array) -> Array:
         """`values` (E, P) replaced by the linear function nearest to them in each element."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from itertools import pairwise
 from typing import Any
 
 import getfem
@@ -37,9 +38,7 @@ BASE, TOP = 1, 2
 STIFFNESS = 300.0
 """Of contact, in modulus per millimetre of contact radius."""
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
-LAW = (
-    "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
-)
+LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 """First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements."""
 
 
@@ -60,9 +59,9 @@ def mesh_of(case: ForeignCase, scale: float) -> Any:
         return getfem.Mesh("cartesian", x, y, z)
     mesh = getfem.Mesh("empty", 3)
     half = np.array([0.0, 0.5, 1.0])
-    for x0, x1 in zip(x[:-1], x[1:]):
-        for y0, y1 in zip(y[:-1], y[1:]):
-            for z0, z1 in zip(z[:-1], z[1:]):
+    for x0, x1 in pairwise(x):
+        for y0, y1 in pairwise(y):
+            for z0, z1 in pairwise(z):
                 place = np.stack(
                     np.meshgrid(
                         z0 + half * (z1 - z0),
@@ -147,9 +146,7 @@ def _triangle(measures: tuple[float, ...], edge: float) -> str:
         sides.append(f"({float(v)!r}*{x}-({float(u)!r})*{y})")
         far = f"({float(u)!r}*{x}+({float(v)!r})*{y})"
         share = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
-        near.append(
-            f"(sqr({x}-({float(u)!r})*{share})+sqr({y}-({float(v)!r})*{share}))"
-        )
+        near.append(f"(sqr({x}-({float(u)!r})*{share})+sqr({y}-({float(v)!r})*{share}))")
     outside = f"(1-step(-{sides[0]})*step(-{sides[1]})*step(-{sides[2]}))"
     out = f"{outside}*{_least(near[0], _least(near[1], near[2]))}"
     return f"sqrt({out}+sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
@@ -162,7 +159,7 @@ class Solver:
         self.case = case
         mesh = mesh_of(case, scale)
         self.elements = int(mesh.nbcvs())
-        size_x, size_y, thick = case.size
+        thick = case.size[2]
         mesh.set_region(BASE, mesh.outer_faces_with_direction([0, 0, -1], 0.01))
         mesh.set_region(TOP, mesh.outer_faces_with_direction([0, 0, 1], 0.6))
         self.field = getfem.MeshFem(mesh, 3)
@@ -263,9 +260,7 @@ class Solver:
 
     def _remember(self) -> None:
         if self.case.friction:
-            self.model.set_variable(
-                "shear", self.model.interpolation("rub", self.vector, TOP)
-            )
+            self.model.set_variable("shear", self.model.interpolation("rub", self.vector, TOP))
 
     def _solve(self, right: Array) -> Array:
         tangent = self.model.tangent_matrix()
