@@ -87,7 +87,12 @@ class Case:
         low, high = self.touched(max(self.depths))
         if self.kind in ("sphere", "cone", "torus"):
             wide = (high - low) / (2 if self.kind == "torus" else 1)
-            return [Fine(low * MM, high * MM, wide / elements * MM)]
+            zones = [Fine(low * MM, high * MM, wide / elements * MM)]
+            if low == 0:
+                # A contact that is small yet has half as many elements along its radius.
+                small = self.touched(min(self.depths))[1]
+                zones.append(Fine(0.0, small * MM, small / elements * 2 * MM))
+            return zones
         edge = self.measures[-1]
         # An edge of which only a little touches wants elements for that little.
         held = math.sqrt(edge**2 - max(0.0, edge - max(self.depths)) ** 2)
@@ -144,13 +149,13 @@ CASES: tuple[Case, ...] = (
     Case("sphere", (20,), 4, (0.005, 0.02)),
     Case("sphere", (20,), 10, (0.1, 1, 3), 0.3),
     # Punches.
-    Case("punch", (3, 0.5), 4, (0.1, 0.5, 1.5), 0.3),
+    Case("punch", (3, 0.5), 4, (0.1, 0.5, 1), 0.3),
     Case("punch", (3, 0.2), 4, (0.1, 0.5, 1), 1),
     Case("punch", (3, 0.2), 4, (0.005, 0.05), poisson=0.3),
     Case("punch", (3, 0.2), 1, (0.05, 0.1, 0.2), 0.3),
     Case("punch", (3, 0.5), 10, (0.2, 1, 2), 1),
     Case("punch", (1, 0.2), 4, (0.1, 0.4)),
-    Case("punch", (1, 0.2), 2, (0.1, 0.4, 0.8), 0.3),
+    Case("punch", (1, 0.2), 2, (0.1, 0.3, 0.5), 0.3),
     Case("punch", (1, 0.5), 20, (0.1, 0.5), 0.3),
     Case("punch", (1, 0.5), 0.5, (0.05, 0.2)),
     # Cones.

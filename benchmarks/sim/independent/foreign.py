@@ -22,7 +22,7 @@ PYTHON = "FOREIGN_PYTHON"
 """Environment variable with the interpreter that has GetFEM."""
 SYSTEM = "/usr/bin/python3"
 """Where Debian and Ubuntu put `python3-getfem`."""
-FINE, COARSE = 1.0, 1.5
+FINE, COARSE = 1.3, 2.0
 """What the sizes of elements are multiplied by."""
 
 
