@@ -220,6 +220,7 @@ def all_compared(tasks: Sequence[Task], settings: Settings, processes: int) -> I
         WorkerLost: A worker process was killed.
     """
     if processes == 1:
+        _ready()
         for task in tasks:
             yield compared(task, settings)
         return
@@ -230,6 +231,7 @@ def all_compared(tasks: Sequence[Task], settings: Settings, processes: int) -> I
 
 
 def _ready() -> None:
+    """Start Warp without a banner of its own."""
     from sim.device import ready_device
 
     ready_device("cpu")
