@@ -84,6 +84,7 @@ def test_small_presses_follow_the_integral_equation(case: Case, force: float) ->
     assert solved(case, case.size / 2 * MM, COARSE)[0].force == pytest.approx(force, rel=4e-3)
 
 
+@pytest.mark.slow
 def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
     """Its edge takes from the radius about as much as the part of it that does not touch."""
     depth = 2e-3
@@ -103,6 +104,7 @@ def test_the_bench_sphere_has_its_known_forces() -> None:
     assert found == pytest.approx([0.2662, 0.9267, 1.977], rel=1.5e-3)
 
 
+@pytest.mark.slow
 def test_friction_that_never_slips_is_the_limit_of_much_friction() -> None:
     layer = Layer(8 * MM, 2 * MM)
     case = Case("sphere", (2,), 2, (0.4,))
