@@ -154,9 +154,8 @@ class Elastic:
         stress += pressure[..., None] * cofactor
         weighted = (stress * self.volume[..., None]).reshape(len(f), 1, -1)
         nodal = np.matmul(weighted, self.operator.reshape(len(f), -1, 18))
-        whole: Array = np.zeros(self.count)
-        np.add.at(whole, self.unknowns.ravel(), nodal.ravel())
-        return whole
+        whole = np.bincount(self.unknowns.ravel(), nodal.ravel(), self.count)
+        return np.asarray(whole, np.float64)
 
     def tangent(self, u: Array) -> csc_matrix:
         """Second derivative of the energy (2 N, 2 N) [N/m]."""

@@ -103,17 +103,17 @@ def distance(case: ForeignCase) -> str:
     edge = measures[-1]
     if case.shape == "box":
         out = "+".join(
-            f"sqr_pos_part({_abs(axis)}-{length / 2 - edge!r})"
+            f"2*half_sqr_pos_part({_abs(axis)}-{length / 2 - edge!r})"
             for axis, length in ((1, measures[0]), (2, measures[1]))
         )
-        return f"sqrt({out}+sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
+        return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
     if case.shape == "punch":
-        out = f"sqr_pos_part((sqrt(sqr(q(1))+sqr(q(2))+1e-20)-{measures[0] - edge!r}))"
-        return f"sqrt({out}+sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
+        out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(2))+1e-20)-{measures[0] - edge!r}))"
+        return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
     if case.shape == "bar":
         radius = measures[0]
-        out = f"sqr_pos_part((sqrt(sqr(q(1))+sqr(q(3)-{radius!r})+1e-20)-{radius - edge!r}))"
-        end = f"sqr_pos_part({_abs(2)}-{measures[1] / 2 - edge!r})"
+        out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(3)-{radius!r})+1e-20)-{radius - edge!r}))"
+        end = f"2*half_sqr_pos_part({_abs(2)}-{measures[1] / 2 - edge!r})"
         return f"sqrt({out}+{end}+1e-30)-{edge!r}"
     return _triangle(measures, edge)
 
@@ -149,7 +149,7 @@ def _triangle(measures: tuple[float, ...], edge: float) -> str:
         near.append(f"(sqr({x}-({float(u)!r})*{share})+sqr({y}-({float(v)!r})*{share}))")
     outside = f"(1-step(-{sides[0]})*step(-{sides[1]})*step(-{sides[2]}))"
     out = f"{outside}*{_least(near[0], _least(near[1], near[2]))}"
-    return f"sqrt({out}+sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
+    return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
 
 
 class Solver:
