@@ -55,7 +55,8 @@ def run(options: argparse.Namespace) -> int:
     """Compare, or make truths; the exit code.
 
     Raises:
-        SceneError: No such case; a tier and a tolerance; a number of processes below 1.
+        SceneError: No such case; a tier and a tolerance; a number of processes below 1; truths to
+            be made by GetFEM, which is not there.
         WorkerLost: A worker process was killed.
     """
     if options.make:
@@ -96,11 +97,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make(options: argparse.Namespace) -> int:
-    if options.make == "axisymmetric":
-        from benchmarks.sim.independent.truth import make
-    else:
-        from benchmarks.sim.independent.foreign import make
-    failed = make(options.only)
+    from benchmarks.sim.independent import foreign, truth
+
+    try:
+        made = truth if options.make == "axisymmetric" else foreign
+        failed = made.make(options.only)
+    except foreign.MissingProgram as error:
+        raise SceneError(str(error)) from error
     if failed:
         print(f"not solved: {'; '.join(failed)}")
     return int(bool(failed))

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sim.independent.foreign_cases import CASES, ForeignCase
-from sim.errors import SceneError
 
 FILE = Path(__file__).with_name("foreign.csv")
 ROOT = Path(__file__).parents[3]
@@ -24,6 +23,10 @@ SYSTEM = "/usr/bin/python3"
 """Where Debian and Ubuntu put `python3-getfem`."""
 FINE, COARSE = 1.3, 2.0
 """What the sizes of elements are multiplied by."""
+
+
+class MissingProgram(Exception):
+    """No interpreter has GetFEM."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ def interpreter() -> str:
     """An interpreter that imports GetFEM.
 
     Raises:
-        SceneError: There is none.
+        MissingProgram: There is none.
     """
     tried = [found for found in (os.environ.get(PYTHON), sys.executable, SYSTEM) if found]
     for candidate in tried:
@@ -63,7 +66,7 @@ def interpreter() -> str:
         done = subprocess.run([candidate, "-c", "import getfem"], capture_output=True, check=False)
         if done.returncode == 0:
             return candidate
-    raise SceneError(
+    raise MissingProgram(
         f"getfem: missing in {', '.join(tried)}; allowed: an interpreter that has it, in "
         f"{PYTHON} (Debian: apt-get install python3-getfem)"
     )
@@ -83,7 +86,7 @@ def make(
     """Solve what the file lacks, case by case, and write it after each; what was not solved.
 
     Raises:
-        SceneError: No interpreter has GetFEM.
+        MissingProgram: No interpreter has GetFEM.
     """
     from time import perf_counter
 
