@@ -47,6 +47,9 @@ BENCHMARKS = {
     ),
     "layer": Benchmark("benchmarks.sim.tiers.layer", "sim", "the `layer` tier, error and time"),
     "mpm": Benchmark("benchmarks.sim.tiers.mpm", "sim", "the `mpm` tier beside `fem`"),
+    "independent": Benchmark(
+        "benchmarks.sim.independent.command", "sim", "forces beside other programs of mechanics"
+    ),
     "render-check": Benchmark(
         "benchmarks.sim.render.check", "sim", "marker images against ray casting"
     ),

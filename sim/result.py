@@ -129,9 +129,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
         record={
             **whole.record,
             "stages": [*whole.record.get("stages", []), stage],
-            "warnings": list(
-                dict.fromkeys(whole.record["warnings"] + beginning.record["warnings"])
-            ),
+            "warnings": list(dict.fromkeys([*whole.record["warnings"], *said])),
         },
     )
 

@@ -110,7 +110,8 @@ class Numerics:
             )
         for name in ("graded", "one_topology"):
             check_kind(f"numerics.{name}", getattr(self, name), bool, "True or False")
-        check_kind("numerics.grading", self.grading, Grading, "a Grading")
+        if self.grading is not None:
+            check_kind("numerics.grading", self.grading, Grading, "a Grading or None")
         for name in ("augmentations", "contact_points", "newton_max", "cg_max", "halvings"):
             check_kind(f"numerics.{name}", getattr(self, name), int, "a whole number")
         for name in ("spacing", "step_travel"):

@@ -1,0 +1,225 @@
+"""Axisymmetric finite elements for a compressible neo-Hookean body, of second order.
+
+Nine-node quadrilaterals, and a dilatation that is linear over each of them (Q2/P1, stable however
+nearly incompressible the material is: Boffi, Brezzi & Fortin, Mixed Finite Element Methods and
+Applications, 2013, section 8.6). The energy is
+
+    W = G/2 (J^(-2/3) |F|^2 - 3) + K/2 ((theta^2 - 1)/2 - ln theta),
+
+theta the projection of J = det F onto 1, r, z in each element, weighted by the untouched volume:
+the three-field principle of Simo, Taylor & Pister (Comput. Methods Appl. Mech. Eng. 51 (1985) 177)
+with pressure and dilatation eliminated, so displacements alone are unknown. F = (F_rr, F_rz, F_zr,
+F_zz, F_hoop) has five entries that are not 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+POINTS = 3
+"""Gauss points along each edge of an element."""
+
+
+def quadratic(place: Array) -> tuple[Array, Array]:
+    """Three quadratic shape functions at `place` (P,) in -1..1 and their slopes, (P, 3) each."""
+    value = np.stack([place * (place - 1) / 2, 1 - place**2, place * (place + 1) / 2], axis=-1)
+    slope = np.stack([place - 0.5, -2 * place, place + 0.5], axis=-1)
+    return value, slope
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Rectangular elements between lines of r and of z; a node also halfway between lines."""
+
+    r: Array
+    """Lines of r [m], rising from 0 (or from an inner radius)."""
+    z: Array
+    """Lines of z [m], rising from the base to the top."""
+
+    @property
+    def nodes(self) -> Array:
+        """Places (N, 2) of the nodes [m], r slowest."""
+        r, z = _with_middles(self.r), _with_middles(self.z)
+        return np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    @property
+    def rows(self) -> int:
+        """Nodes in a column along z."""
+        return 2 * len(self.z) - 1
+
+    @property
+    def elements(self) -> Index:
+        """Node numbers (E, 9) of the elements, r slowest."""
+        first = np.add.outer(
+            2 * np.arange(len(self.r) - 1) * self.rows, 2 * np.arange(len(self.z) - 1)
+        )
+        patch = np.add.outer(np.arange(3) * self.rows, np.arange(3)).ravel()
+        return np.add.outer(first.ravel(), patch)
+
+    @property
+    def top(self) -> Index:
+        """Node numbers (S, 3) of the element edges along the top."""
+        first = 2 * np.arange(len(self.r) - 1) * self.rows + self.rows - 1
+        return np.add.outer(first, np.arange(3) * self.rows)
+
+
+def _with_middles(lines: Array) -> Array:
+    both = np.empty(2 * len(lines) - 1)
+    both[::2], both[1::2] = lines, (lines[1:] + lines[:-1]) / 2
+    return both
+
+
+class Elastic:
+    """Stored energy of a grid of elements as a function of its nodal displacements.
+
+    Args:
+        grid: The untouched body.
+        shear: G [Pa].
+        bulk: K [Pa].
+    """
+
+    def __init__(self, grid: Grid, shear: float, bulk: float) -> None:
+        self.shear, self.bulk = shear, bulk
+        nodes, elements = grid.nodes, grid.elements
+        self.count = 2 * len(nodes)
+        self.unknowns = (2 * elements[:, :, None] + np.arange(2)).reshape(len(elements), 18)
+        place, weight = np.polynomial.legendre.leggauss(POINTS)
+        value, slope = quadratic(place)
+        shape = np.einsum("pi,qj->pqij", value, value).reshape(-1, 9)
+        along_r = np.einsum("pi,qj->pqij", slope, value).reshape(-1, 9)
+        along_z = np.einsum("pi,qj->pqij", value, slope).reshape(-1, 9)
+        low, high = nodes[elements[:, 0]], nodes[elements[:, 8]]
+        half = (high - low) / 2
+        r = np.einsum("pn,en->ep", shape, nodes[elements, 0])
+        flat = np.outer(weight, weight).ravel()
+        self.volume: Array = 2 * math.pi * r * flat * (half[:, 0] * half[:, 1])[:, None]
+        # How the five entries of F follow from the 18 displacements, (E, P, 5, 18).
+        self.operator = np.zeros((*r.shape, 5, 18))
+        self.operator[:, :, 0, 0::2] = along_r / half[:, 0, None, None]
+        self.operator[:, :, 1, 0::2] = along_z / half[:, 1, None, None]
+        self.operator[:, :, 2, 1::2] = along_r / half[:, 0, None, None]
+        self.operator[:, :, 3, 1::2] = along_z / half[:, 1, None, None]
+        self.operator[:, :, 4, 0::2] = shape / r[:, :, None]
+        # Projection onto 1, r, z of each element: from values at points to coefficients.
+        first, second = np.repeat(place, POINTS), np.tile(place, POINTS)
+        self.linear = np.stack([np.ones_like(first), first, second], axis=1)
+        mass = np.einsum("ep,pa,pb->eab", self.volume, self.linear, self.linear)
+        self.inverse = np.linalg.inv(mass)
+        self._rows = np.repeat(self.unknowns, 18, axis=1).ravel()
+        self._columns = np.tile(self.unknowns, (1, 18)).ravel()
+
+    def gradients(self, u: Array) -> Array:
+        """F at the points of the elements, (E, P, 5), from displacements (2 N,) [m]."""
+        f: Array = np.matmul(self.operator, u[self.unknowns][:, None, :, None])[..., 0]
+        f[:, :, [0, 3, 4]] += 1
+        return f
+
+    def dilatation(self, u: Array) -> tuple[Array, Array]:
+        """J at the points and its projection theta, (E, P) each."""
+        f = self.gradients(u)
+        j = _determinant(f)
+        return j, self._projected(j)
+
+    def energy(self, u: Array) -> float:
+        """Stored energy [J]; inf where an element is turned inside out."""
+        f = self.gradients(u)
+        j = _determinant(f)
+        theta = self._projected(j)
+        if min(j.min(), theta.min()) <= 0:
+            return math.inf
+        density = self.shear / 2 * (j ** (-2 / 3) * np.sum(f * f, axis=-1) - 3)
+        density += self.bulk / 2 * ((theta**2 - 1) / 2 - np.log(theta))
+        return float(np.sum(density * self.volume))
+
+    def force(self, u: Array) -> Array:
+        """First derivative of the energy (2 N,) [N]."""
+        f = self.gradients(u)
+        j = _determinant(f)
+        theta = self._projected(j)
+        cofactor = _cofactor(f)
+        square = np.sum(f * f, axis=-1)
+        stress = (self.shear * j ** (-2 / 3))[..., None] * (
+            f - (square / 3 / j)[..., None] * cofactor
+        )
+        # Pressure: the projection of dU/dtheta, which works on J itself.
+        pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
+        stress += pressure[..., None] * cofactor
+        weighted = (stress * self.volume[..., None]).reshape(len(f), 1, -1)
+        nodal = np.matmul(weighted, self.operator.reshape(len(f), -1, 18))
+        whole = np.bincount(self.unknowns.ravel(), nodal.ravel(), self.count)
+        return np.asarray(whole, np.float64)
+
+    def tangent(self, u: Array) -> csc_matrix:
+        """Second derivative of the energy (2 N, 2 N) [N/m]."""
+        f = self.gradients(u)
+        j = _determinant(f)
+        theta = self._projected(j)
+        cofactor, second = _cofactor(f), _second(f)
+        square = np.sum(f * f, axis=-1)
+        log_slope = cofactor / j[..., None]
+        scale = self.shear * j ** (-2 / 3)
+        pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
+        mixed = f[..., :, None] * log_slope[..., None, :]
+        stiff = np.eye(5) - 2 / 3 * (mixed + np.swapaxes(mixed, -1, -2))
+        stiff += (5 / 9 * square)[..., None, None] * (
+            log_slope[..., :, None] * log_slope[..., None, :]
+        )
+        stiff -= (square / 3 / j)[..., None, None] * second
+        stiff = scale[..., None, None] * stiff + pressure[..., None, None] * second
+        weighted = np.matmul(stiff * self.volume[..., None, None], self.operator)
+        count = len(f)
+        tangent = np.matmul(
+            np.swapaxes(self.operator.reshape(count, -1, 18), 1, 2),
+            weighted.reshape(count, -1, 18),
+        )
+        # Derivative of the coefficients of theta, (E, 3, 18), and how U bends along them.
+        change = np.einsum("epi,epik->epk", cofactor, self.operator, optimize=True)
+        moved = np.einsum("ep,pa,epk->eak", self.volume, self.linear, change, optimize=True)
+        moved = np.matmul(self.inverse, moved)
+        bend = self.bulk / 2 * (1 + theta**-2) * self.volume
+        curve = np.einsum("ep,pa,pb->eab", bend, self.linear, self.linear, optimize=True)
+        tangent += np.matmul(np.swapaxes(moved, 1, 2), np.matmul(curve, moved))
+        return csc_matrix(
+            (tangent.ravel(), (self._rows, self._columns)), shape=(self.count, self.count)
+        )
+
+    def _projected(self, values: Array) -> Array:
+        """`values` (E, P) replaced by the linear function nearest to them in each element."""
+        moments = (values * self.volume) @ self.linear
+        projected: Array = np.einsum("eab,eb->ea", self.inverse, moments) @ self.linear.T
+        return projected
+
+
+def _determinant(f: Array) -> Array:
+    det: Array = (f[..., 0] * f[..., 3] - f[..., 1] * f[..., 2]) * f[..., 4]
+    return det
+
+
+def _cofactor(f: Array) -> Array:
+    """Derivative of the determinant, (..., 5)."""
+    rr, rz, zr, zz, hoop = np.moveaxis(f, -1, 0)
+    return np.stack([zz * hoop, -zr * hoop, -rz * hoop, rr * hoop, rr * zz - rz * zr], axis=-1)
+
+
+def _second(f: Array) -> Array:
+    """Second derivative of the determinant, (..., 5, 5)."""
+    rr, rz, zr, zz, hoop = np.moveaxis(f, -1, 0)
+    second = np.zeros((*f.shape, 5))
+    for first, other, value in (
+        (0, 3, hoop),
+        (1, 2, -hoop),
+        (0, 4, zz),
+        (1, 4, -zr),
+        (2, 4, -rz),
+        (3, 4, rr),
+    ):
+        second[..., first, other] = second[..., other, first] = value
+    return second

@@ -1,0 +1,323 @@
+"""A press solved by GetFEM, a program of others: run by an interpreter that has it.
+
+    python3 -m benchmarks.sim.independent.getfem_press NAME SCALE
+
+prints one line of JSON per point of the path: force on the body [N] and how many elements. SCALE
+multiplies the size of every element. GetFEM (getfem.org; Debian: python3-getfem) assembles the weak
+form written below and differentiates it; the mesh, Newton's method and the steps are ours. Elements
+of second order (20 nodes), millimetres and newtons. Contact by the augmented Lagrangian of a signed
+distance that is written as an expression of GetFEM's language; every indenter is a core grown by
+its edge radius. Equations are solved by pypardiso where it is there, else by GetFEM's MUMPS.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from itertools import pairwise
+from typing import Any
+
+import getfem
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from benchmarks.sim.independent.foreign_cases import CASES, ForeignCase
+from benchmarks.sim.independent.mesh import Fine, graded
+
+try:
+    import pypardiso
+except ImportError:
+    pypardiso = None
+
+Array = NDArray[np.float64]
+
+BASE, TOP = 1, 2
+"""Numbers of regions."""
+STIFFNESS = 300.0
+"""Of contact, in modulus per millimetre of contact radius."""
+GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
+LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
+"""First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements."""
+
+
+def lines(low: float, high: float, zones: Any, scale: float, coarsest: float) -> Array:
+    """Lines between elements along one axis [mm]."""
+    places = [Fine(start, end, size * scale) for start, end, size in zones]
+    return graded(low, high, places, GROWTH, coarsest * scale)
+
+
+def mesh_of(case: ForeignCase, scale: float) -> Any:
+    """Hexahedra between lines; with a dome, stretched along z to meet it, of second order."""
+    size_x, size_y, thick = case.size
+    x = lines(0.0 if "x" in case.mirrors else -size_x / 2, size_x / 2, case.x_zones, scale, 3.0)
+    y = lines(0.0 if "y" in case.mirrors else -size_y / 2, size_y / 2, case.y_zones, scale, 3.0)
+    finest = max(min(zone[2] for zone in case.x_zones), min(zone[2] for zone in case.y_zones))
+    z = -lines(0.0, thick, [(0.0, 0.0, finest)], scale, thick / 3.5)[::-1]
+    if case.dome is None:
+        return getfem.Mesh("cartesian", x, y, z)
+    mesh = getfem.Mesh("empty", 3)
+    half = np.array([0.0, 0.5, 1.0])
+    for x0, x1 in pairwise(x):
+        for y0, y1 in pairwise(y):
+            for z0, z1 in pairwise(z):
+                place = np.stack(
+                    np.meshgrid(
+                        z0 + half * (z1 - z0),
+                        y0 + half * (y1 - y0),
+                        x0 + half * (x1 - x0),
+                        indexing="ij",
+                    )
+                )[::-1].reshape(3, -1)
+                top = np.sqrt(case.dome**2 - place[0] ** 2 - place[1] ** 2) - case.dome
+                place[2] = -thick + (place[2] + thick) * (thick + top) / thick
+                mesh.add_convex(getfem.GeoTrans("GT_QK(3,2)"), place)
+    return mesh
+
+
+def turned(case: ForeignCase) -> tuple[Array, float]:
+    """Rotation of the indenter, and how far it is raised so that its tip is lowest [mm]."""
+    about = np.radians(np.array([*case.tilt, 0.0]))
+    angle = float(np.linalg.norm(about))
+    if angle == 0:
+        return np.eye(3), 0.0
+    x, y, _ = about / angle
+    across = np.array([[0, 0, y], [0, 0, -x], [-y, x, 0]])
+    turn = np.eye(3) + math.sin(angle) * across + (1 - math.cos(angle)) * across @ across
+    edge = case.measures[-1]
+    far = case.measures[0] - edge if case.shape == "punch" else case.measures[1] / 2 - edge
+    return turn, far * math.sin(angle) + edge * (1 - math.cos(angle))
+
+
+def distance(case: ForeignCase) -> str:
+    """Signed distance as an expression of the place q in the indenter's own frame."""
+    measures = case.measures
+    if case.shape == "spheres":
+        radius = measures[0]
+        each = [
+            f"(sqrt(sqr(q(1)-({middle!r}))+sqr(q(2))+sqr(q(3)-{radius!r}))-{radius!r})"
+            for middle in measures[1:] or (0.0,)
+        ]
+        return each[0] if len(each) == 1 else _least(*each)
+    edge = measures[-1]
+    if case.shape == "box":
+        out = "+".join(
+            f"2*half_sqr_pos_part({_abs(axis)}-{length / 2 - edge!r})"
+            for axis, length in ((1, measures[0]), (2, measures[1]))
+        )
+        return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
+    if case.shape == "punch":
+        out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(2))+1e-20)-{measures[0] - edge!r}))"
+        return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
+    if case.shape == "bar":
+        radius = measures[0]
+        out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(3)-{radius!r})+1e-20)-{radius - edge!r}))"
+        end = f"2*half_sqr_pos_part({_abs(2)}-{measures[1] / 2 - edge!r})"
+        return f"sqrt({out}+{end}+1e-30)-{edge!r}"
+    return _triangle(measures, edge)
+
+
+def _abs(axis: int) -> str:
+    return f"(q({axis})*(2*step(q({axis}))-1))"
+
+
+def _least(one: str, other: str) -> str:
+    return f"({one}+({other}-{one})*step({one}-{other}))"
+
+
+def _triangle(measures: tuple[float, ...], edge: float) -> str:
+    corners = np.array(measures[:6]).reshape(3, 2)
+    along = np.roll(corners, -1, axis=0) - corners
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    # The core: every side moved inwards by the edge radius.
+    offset = np.sum(normal * corners, axis=1) - edge
+    core = [
+        np.linalg.solve(np.stack([normal[index - 1], normal[index]]), offset[[index - 1, index]])
+        for index in range(3)
+    ]
+    sides, near = [], []
+    for index in range(3):
+        start, end = core[index], core[(index + 1) % 3]
+        length = float(np.linalg.norm(end - start))
+        u, v = (end - start) / length
+        x, y = f"(q(1)-({float(start[0])!r}))", f"(q(2)-({float(start[1])!r}))"
+        sides.append(f"({float(v)!r}*{x}-({float(u)!r})*{y})")
+        far = f"({float(u)!r}*{x}+({float(v)!r})*{y})"
+        share = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
+        near.append(f"(sqr({x}-({float(u)!r})*{share})+sqr({y}-({float(v)!r})*{share}))")
+    outside = f"(1-step(-{sides[0]})*step(-{sides[1]})*step(-{sides[2]}))"
+    out = f"{outside}*{_least(near[0], _least(near[1], near[2]))}"
+    return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
+
+
+class Solver:
+    """GetFEM's model of a case, and Newton's method on it."""
+
+    def __init__(self, case: ForeignCase, scale: float) -> None:
+        self.case = case
+        mesh = mesh_of(case, scale)
+        self.elements = int(mesh.nbcvs())
+        thick = case.size[2]
+        mesh.set_region(BASE, mesh.outer_faces_with_direction([0, 0, -1], 0.01))
+        mesh.set_region(TOP, mesh.outer_faces_with_direction([0, 0, 1], 0.6))
+        self.field = getfem.MeshFem(mesh, 3)
+        self.field.set_fem(getfem.Fem("FEM_Q2_INCOMPLETE(3)"))
+        volume = getfem.MeshIm(mesh, getfem.Integ("IM_GAUSS_PARALLELEPIPED(3,4)"))
+        self.surface = getfem.MeshIm(mesh, getfem.Integ("IM_GAUSS_PARALLELEPIPED(3,6)"))
+        self.number = getfem.MeshImData(self.surface, TOP, 1)
+        self.vector = getfem.MeshImData(self.surface, TOP, 3)
+        self.free = self._free(thick)
+        self.model = self._model(volume)
+
+    def _free(self, thick: float) -> NDArray[np.int64]:
+        places = self.field.basic_dof_nodes()
+        axis = np.arange(places.shape[1]) % 3
+        held = np.abs(places[2] + thick) < 1e-9
+        for index, name in enumerate("xy"):
+            if name in self.case.mirrors:
+                held |= (np.abs(places[index]) < 1e-9) & (axis == index)
+        return np.flatnonzero(~held)
+
+    def _model(self, volume: Any) -> Any:
+        case, model = self.case, getfem.Model("real")
+        # Heaviside(t), but with a derivative, 0, so that what it chooses can be differentiated.
+        getfem.asm_define_function("step", 1, "Heaviside(t)", "0*t")
+        modulus = case.modulus * 1e-6
+        model.add_fem_variable("u", self.field)
+        model.add_initialized_data("G", modulus / (2 * (1 + case.poisson)))
+        model.add_initialized_data("K", modulus / (3 * (1 - 2 * case.poisson)))
+        model.add_macro("F", "(Id(3)+Grad_u)")
+        model.add_nonlinear_term(volume, LAW)
+        model.add_initialized_data("eps", STIFFNESS * modulus / 2.0)
+        model.add_initialized_data("tip", np.zeros(3))
+        turn, raised = turned(case)
+        rows = ";".join(",".join(repr(float(value)) for value in row) for row in turn.T)
+        model.add_initialized_data("lift", np.array([0.0, 0.0, raised]))
+        model.add_im_data("carried", self.number)
+        model.set_variable("carried", np.zeros(self.number.nbpts()))
+        model.add_macro("q", f"([{rows}]*(X+u-tip-lift))" if raised else "(X+u-tip)")
+        model.add_macro("push", f"pos_part(carried-eps*({distance(case)}))")
+        if case.friction:
+            self._rub(model)
+        else:
+            self.contact = f"half_sqr_pos_part(carried-eps*({distance(case)}))/eps"
+        model.add_nonlinear_term(self.surface, self.contact, TOP)
+        return model
+
+    def _rub(self, model: Any) -> None:
+        """Coulomb's friction by return mapping, for one sphere."""
+        radius = self.case.measures[0]
+        model.add_initialized_data("mu", self.case.friction)
+        model.add_initialized_data("lower", np.array([0.0, 0.0, radius]))
+        model.add_initialized_data("travel", np.zeros(3))
+        model.add_fem_data("old", self.field)
+        model.add_im_data("shear", self.vector)
+        model.set_variable("shear", np.zeros(3 * self.vector.nbpts()))
+        model.add_macro("n", "Normalized(X+u-tip-lower)")
+        model.add_macro("trial", "(shear-eps*(u-old-travel))")
+        model.add_macro("rub", "Ball_projection(trial-(trial.n)*n,mu*push)")
+        self.contact = "-(push*n+rub).Test_u"
+
+    def force(self) -> Array:
+        """Force of the indenter on the whole body (3,) [N]."""
+        nodal = getfem.asm_generic(self.surface, 1, self.contact, TOP, self.model)
+        sums = -np.asarray(nodal).reshape(-1, 3)[: self.field.nbdof() // 3].sum(axis=0)
+        copies = 2.0 ** len(self.case.mirrors)
+        for index, name in enumerate("xy"):
+            if name in self.case.mirrors:
+                sums[index] = 0.0
+        return np.asarray(copies * sums)
+
+    def move(self, tip: Array) -> bool:
+        """Newton's method to a tip at `tip`; whether it balances."""
+        model, before = self.model, self.model.variable("u")
+        travel = tip - model.variable("tip")
+        if self.case.friction:
+            model.set_variable("old", before)
+            model.set_variable("travel", travel)
+        was = model.variable("tip")
+        model.set_variable("tip", tip)
+        first = math.inf
+        for _ in range(ITERATIONS):
+            model.assembly("build_all")
+            right = np.asarray(model.rhs())[self.free]
+            norm = float(np.linalg.norm(right))
+            if not math.isfinite(norm) or norm > 1e4 * first:
+                break
+            first = min(first, norm)
+            push = max(float(np.linalg.norm(self.force())), 1e-9)
+            if norm < CONVERGED * push:
+                self._remember()
+                return True
+            change = np.zeros(self.field.nbdof())
+            change[self.free] = self._solve(right)
+            model.set_variable("u", model.variable("u") + change)
+        model.set_variable("u", before)
+        model.set_variable("tip", was)
+        return False
+
+    def _remember(self) -> None:
+        if self.case.friction:
+            self.model.set_variable("shear", self.model.interpolation("rub", self.vector, TOP))
+
+    def _solve(self, right: Array) -> Array:
+        tangent = self.model.tangent_matrix()
+        starts, rows = tangent.csc_ind()
+        size = self.field.nbdof()
+        matrix = sparse.csc_matrix((tangent.csc_val(), rows, starts), shape=(size, size))
+        matrix = matrix[self.free][:, self.free].tocsr()
+        if pypardiso is None:
+            return np.ravel(getfem.linsolve_mumps(getfem.Spmat("copy", matrix.tocsc()), right))
+        kind = 11 if self.case.friction else -2
+        if kind == -2:
+            matrix = sparse.triu(matrix).tocsr()
+        matrix.sort_indices()
+        solver = pypardiso.PyPardisoSolver(mtype=kind)
+        solver.factorize(matrix)
+        solution = solver.solve(matrix, right)
+        solver.free_memory(everything=True)
+        return np.asarray(solution)
+
+    def settle(self) -> None:
+        """Bring the carried pressure up to date, so that no penetration is left."""
+        for _ in range(AUGMENTATIONS):
+            before = self.model.variable("carried")
+            force = self.force()
+            self.model.set_variable("carried", self.model.interpolation("push", self.number, TOP))
+            if not self.move(self.model.variable("tip")):
+                self.model.set_variable("carried", before)
+                return
+            if np.linalg.norm(self.force() - force) < 2e-4 * np.linalg.norm(force):
+                return
+
+
+def main(name: str, scale: float) -> int:
+    """Solve a case; print each of its forces."""
+    case = next(case for case in CASES if case.name == name)
+    solver = Solver(case, scale)
+    tip = np.array([case.path[0][0], case.path[0][1], 0.0])
+    for x, y, depth in case.path:
+        aim = np.array([x, y, -depth])
+        parts = 6 if case.friction else 3
+        share, step = 0.0, 1.0 / parts
+        start = tip
+        while share < 1 - 1e-9:
+            ahead = min(1.0, share + step)
+            if solver.move(start + ahead * (aim - start)):
+                share = ahead
+            else:
+                step /= 2
+                if step < 1e-3:
+                    print(f"{name}: no balance", file=sys.stderr)
+                    return 1
+        solver.settle()
+        tip = aim
+        force = [float(value) for value in solver.force()]
+        print(json.dumps({"force": force, "elements": solver.elements}), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1], float(sys.argv[2])))

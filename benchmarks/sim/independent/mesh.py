@@ -1,0 +1,73 @@
+"""Meshes graded to the contact: fine where the indenter comes, growing outwards and downwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.independent.element import Grid
+
+Array = NDArray[np.float64]
+
+SAMPLES = 20_000
+"""Places at which the wanted size of an element is summed."""
+
+
+@dataclass(frozen=True)
+class Fine:
+    """An interval of r with elements of a size, and how they grow beside it."""
+
+    low: float
+    """[m]."""
+    high: float
+    """[m]."""
+    size: float
+    """Side of an element [m]."""
+
+
+def graded(
+    low: float, high: float, places: Sequence[Fine], growth: float, coarsest: float
+) -> Array:
+    """Lines from `low` to `high` [m] between elements of the sizes that `places` ask for.
+
+    Args:
+        low: First line [m].
+        high: Last line [m].
+        places: Where elements are how fine.
+        growth: How much longer an element is than the fine ones, per distance from them.
+        coarsest: Longest element [m].
+    """
+
+    def size(x: Array) -> Array:
+        wanted = np.full_like(x, coarsest)
+        for place in places:
+            away = np.maximum(np.maximum(place.low - x, x - place.high), 0.0)
+            wanted = np.minimum(wanted, place.size + growth * away)
+        return wanted
+
+    return _lines(low, high, size)
+
+
+def _lines(low: float, high: float, size: Callable[[Array], Array]) -> Array:
+    # Half of the samples lie densely at either end, where elements may be 1e-4 of the whole.
+    share = np.linspace(0, 1, SAMPLES) ** 3
+    x = np.unique(np.concatenate([low + (high - low) * share, high - (high - low) * share]))
+    middle = (x[1:] + x[:-1]) / 2
+    count = np.concatenate([[0.0], np.cumsum(np.diff(x) / size(middle))])
+    whole = max(2, int(np.ceil(count[-1])))
+    lines: Array = np.interp(np.linspace(0, count[-1], whole + 1), count, x)
+    return lines
+
+
+def layer_grid(
+    radius: float, thickness: float, places: Sequence[Fine], growth: float = 0.3
+) -> Grid:
+    """Mesh of a layer [m] whose elements at the top have the sizes that `places` ask for."""
+    finest = min(place.size for place in places)
+    r = graded(0.0, radius, places, growth, thickness / 2)
+    top = Fine(0.0, 0.0, finest)
+    z = -graded(0.0, thickness, [top], growth, thickness / 5)[::-1]
+    return Grid(r, z)

@@ -1,0 +1,82 @@
+"""Outlines of round indenters: signed distance in the half-plane (r, z), tip at z = 0.
+
+Every outline is a core that is grown by `rounding` on all sides: a point (sphere, ring), an upright
+strip (punch, flat tube) or an upright cone (cone with a round tip). Distance, normal and curvature
+of such a body are exact wherever a point is no deeper in it than `rounding`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Kind = Literal["sphere", "torus", "punch", "tube", "cone"]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One outline; build it by the functions below."""
+
+    kind: Kind
+    inner: float
+    """Least r of the core [m]."""
+    outer: float
+    """Largest r of the core [m]; of a cone, of its apex: 0."""
+    rounding: float
+    """How far the body reaches beyond the core [m]."""
+    half_angle: float = 0.0
+    """From the axis to the side of a cone [rad]."""
+
+    def distance(self, r: Array, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Signed distance [m], its gradient in r and in z, and its curvature [1/m]."""
+        if self.kind == "cone":
+            return self._from_cone(r, z)
+        near_r = np.clip(r, self.inner, self.outer)
+        top = self.rounding if self.kind in ("sphere", "torus") else np.inf
+        near_z = np.clip(z, self.rounding, top)
+        length = np.maximum(np.hypot(r - near_r, z - near_z), 1e-300)
+        corner = (near_r != r) & (near_z != z)
+        if self.kind in ("sphere", "torus"):
+            corner = np.ones_like(corner)
+        bend = np.where(corner, 1 / length, 0.0)
+        return length - self.rounding, (r - near_r) / length, (z - near_z) / length, bend
+
+    def _from_cone(self, r: Array, z: Array) -> tuple[Array, Array, Array, Array]:
+        cosine, sine = math.cos(self.half_angle), math.sin(self.half_angle)
+        up = z - self.rounding
+        tip = r * sine + up * cosine <= 0
+        length = np.maximum(np.hypot(r, up), 1e-300)
+        gap = np.where(tip, length, r * cosine - up * sine) - self.rounding
+        normal_r = np.where(tip, r / length, cosine)
+        normal_z = np.where(tip, up / length, -sine)
+        return gap, normal_r, normal_z, np.where(tip, 1 / length, 0.0)
+
+
+def sphere(radius: float) -> Profile:
+    """A sphere [m]."""
+    return Profile("sphere", 0.0, 0.0, radius)
+
+
+def torus(ring_radius: float, tube_radius: float) -> Profile:
+    """A ring lying flat: radius of its middle line and of its round section [m]."""
+    return Profile("torus", ring_radius, ring_radius, tube_radius)
+
+
+def punch(radius: float, edge_radius: float) -> Profile:
+    """A flat round punch with a rounded edge [m]."""
+    return Profile("punch", 0.0, radius - edge_radius, edge_radius)
+
+
+def tube(outer_radius: float, inner_radius: float, edge_radius: float) -> Profile:
+    """A flat ring with rounded edges [m]."""
+    return Profile("tube", inner_radius + edge_radius, outer_radius - edge_radius, edge_radius)
+
+
+def cone(half_angle: float, tip_radius: float) -> Profile:
+    """A cone [rad] on a tangent spherical tip [m]."""
+    return Profile("cone", 0.0, 0.0, tip_radius, half_angle)

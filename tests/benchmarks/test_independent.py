@@ -1,0 +1,170 @@
+"""The solver of round presses against closed forms, an integral equation and known forces."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from benchmarks.sim.independent.axisymmetric import Layer, Press
+from benchmarks.sim.independent.cases import CASES, Case
+from benchmarks.sim.independent.comparison import foreign_scene, own_error, scene_of
+from benchmarks.sim.independent.element import Elastic, Grid
+from benchmarks.sim.independent.foreign_cases import CASES as FOREIGN
+from benchmarks.sim.independent.mesh import layer_grid
+from benchmarks.sim.independent.profile import Profile, cone, punch, sphere, torus, tube
+from benchmarks.sim.independent.truth import COARSE, load, solved
+from benchmarks.sim.reference_solutions import layer_punch, layer_sphere
+
+MM = 1e-3
+MODULUS, POISSON = 0.145e6, 0.45
+
+
+def test_the_tangent_is_the_derivative_of_the_force_and_that_of_the_energy() -> None:
+    elastic = Elastic(Grid(np.linspace(0, 2, 4), np.linspace(-1, 0, 3)), 1.0, 5.0)
+    rng = np.random.default_rng(0)
+    u, along = 0.02 * rng.normal(size=(2, elastic.count))
+    step = 1e-4
+    ahead, back = u + step * along, u - step * along
+    slope = (elastic.energy(ahead) - elastic.energy(back)) / (2 * step)
+    assert slope == pytest.approx(float(elastic.force(u) @ along), rel=1e-7)
+    change = (elastic.force(ahead) - elastic.force(back)) / (2 * step)
+    scale = np.abs(change).max()
+    np.testing.assert_allclose(elastic.tangent(u) @ along, change, rtol=0, atol=1e-6 * scale)
+
+
+def test_a_uniform_strain_is_met_by_any_mesh() -> None:
+    """Patch test: forces of a uniform state stand at the rim alone."""
+    grid = Grid(np.array([0, 0.3, 0.35, 1.0]), np.array([-1, -0.4, 0.0]))
+    elastic = Elastic(grid, 1.0, 50.0)
+    u = (grid.nodes * [0.1, -0.2]).ravel()
+    inside = (grid.nodes[:, 0] < 0.99) & (np.abs(grid.nodes[:, 1] + 0.5) < 0.49)
+    np.testing.assert_allclose(elastic.force(u).reshape(-1, 2)[inside], 0, atol=1e-13)
+    j, theta = elastic.dilatation(u)
+    np.testing.assert_allclose([j, theta], 1.1**2 * 0.8, rtol=1e-13)
+
+
+def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
+    layer = Layer(3 * MM, 2 * MM, MODULUS, POISSON, base="sliding")
+    grid = Grid(np.linspace(0, 3 * MM, 4), np.linspace(-2 * MM, 0, 3))
+    press = Press(layer, punch(1.0, 0.1), grid, 0.0, 3 * MM)
+    found = press.run([0.4 * MM], [0.2 * MM])[0]
+
+    def stress(across: float) -> tuple[float, float]:
+        stretch = 0.8
+        j, square = across**2 * stretch, 2 * across**2 + stretch**2
+        pressure = layer.bulk / 2 * (j - 1 / j) * j
+        scale = layer.shear * j ** (-2 / 3)
+        side = scale * (across**2 - square / 3) + pressure
+        return side, (scale * (stretch**2 - square / 3) + pressure) / stretch
+
+    across = brentq(lambda value: stress(value)[0], 1.0, 1.3, xtol=1e-14)
+    expected = -stress(across)[1] * math.pi * (3 * MM) ** 2
+    assert found.force == pytest.approx(expected, rel=1e-4)
+    assert found.balance < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("case", "force"),
+    [
+        (
+            Case("sphere", (4,), 4, (0.02,)),
+            layer_sphere(0.02 * MM, 4 * MM, 4 * MM, MODULUS, POISSON).force,
+        ),
+        (
+            Case("sphere", (10,), 1, (0.02,)),
+            layer_sphere(0.02 * MM, 10 * MM, 1 * MM, MODULUS, POISSON).force,
+        ),
+    ],
+    ids=lambda value: value.name if isinstance(value, Case) else "",
+)
+def test_small_presses_follow_the_integral_equation(case: Case, force: float) -> None:
+    assert solved(case, case.size / 2 * MM, COARSE)[0].force == pytest.approx(force, rel=4e-3)
+
+
+@pytest.mark.slow
+def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
+    """Its edge takes from the radius about as much as the part of it that does not touch."""
+    depth = 2e-3
+    forces = {}
+    for edge in (0.2, 0.1):
+        case = Case("punch", (3, edge), 4, (depth,))
+        forces[edge] = solved(case, case.size / 2 * MM, COARSE)[0].force
+    sharp = layer_punch(depth * MM, 3 * MM, 4 * MM, MODULUS, POISSON).force
+    assert forces[0.2] < forces[0.1] < sharp
+    within = layer_punch(depth * MM, 2.8 * MM, 4 * MM, MODULUS, POISSON).force
+    assert within < forces[0.2]
+
+
+def test_the_bench_sphere_has_its_known_forces() -> None:
+    case = Case("sphere", (4,), 4, (0.5, 1, 1.5))
+    found = [answer.force for answer in solved(case, case.size / 2 * MM, COARSE)]
+    assert found == pytest.approx([0.2662, 0.9267, 1.977], rel=1.5e-3)
+
+
+@pytest.mark.slow
+def test_friction_that_never_slips_is_the_limit_of_much_friction() -> None:
+    layer = Layer(8 * MM, 2 * MM)
+    case = Case("sphere", (2,), 2, (0.4,))
+    grid = layer_grid(layer.radius, layer.thickness, case.places(10))
+    force = [
+        Press(layer, sphere(2 * MM), grid, friction, MM).run([0.4 * MM], case.path(10))[0].force
+        for friction in (0.0, 0.5, 5.0, 50.0)
+    ]
+    assert force[0] < force[1]
+    assert force[2] == pytest.approx(force[3], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [sphere(2.0), torus(3.0, 1.0), punch(3.0, 0.5), tube(3.0, 2.0, 0.2), cone(0.8, 0.5)],
+    ids=lambda profile: profile.kind,
+)
+def test_gradient_and_curvature_are_derivatives_of_the_distance(profile: Profile) -> None:
+    rng = np.random.default_rng(1)
+    r, z = rng.uniform(0.1, 4, 200), rng.uniform(-1, 0.1, 200)
+    step = 1e-6
+
+    def gap(shift_r: float, shift_z: float) -> np.ndarray:
+        return profile.distance(r + shift_r, z + shift_z)[0]
+
+    _, normal_r, normal_z, bend = profile.distance(r, z)
+    np.testing.assert_allclose((gap(step, 0) - gap(-step, 0)) / (2 * step), normal_r, atol=1e-6)
+    np.testing.assert_allclose((gap(0, step) - gap(0, -step)) / (2 * step), normal_z, atol=1e-6)
+    ahead = profile.distance(r + step * normal_z, z - step * normal_r)
+    turn = (ahead[1] - normal_r) / step * normal_z - (ahead[2] - normal_z) / step * normal_r
+    smooth = np.abs(turn - bend) < 1e-3
+    assert smooth.mean() > 0.97
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_the_outline_is_that_of_the_indenter_of_sim(case: Case) -> None:
+    indenter = scene_of(case).indenter
+    r = np.linspace(0, 1.1 * case.touched(max(case.depths))[1], 60) * MM
+    z = np.linspace(-0.3, 0.05, 60) * MM
+    expected, _ = indenter.distance(np.stack([r, 0 * r, z], axis=1))
+    found = case.profile.distance(r, z)[0]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_all_scenes_can_be_built_and_have_different_names() -> None:
+    assert all(foreign_scene(case).motion.depth_max > 0 for case in FOREIGN)
+    names = [case.name for case in CASES] + [case.name for case in FOREIGN]
+    assert len(set(names)) == len(names)
+
+
+def test_the_stored_truths_are_of_these_cases_and_good_enough() -> None:
+    rows = load()
+    assert len({row.case for row in rows}) >= 36
+    for row in rows:
+        case = next(case for case in CASES if case.name == row.case)
+        assert row.depth_mm in case.depths
+        assert row.error_percent < 0.6, row
+
+
+def test_what_a_result_says_of_its_error_is_read() -> None:
+    assert own_error({"error": 0.02}) == pytest.approx(2)
+    assert own_error({"error": {"force": [0.01, 0.03]}}) == pytest.approx(3)
+    assert math.isnan(own_error({}))
