@@ -411,7 +411,7 @@ TOO_COARSE = 1.6
 WEAK, FAINT = 0.1, 0.02
 """Frames of less than this share of the largest force are not asked; in a frame, tractions of less
 than this share of its largest do not count as contact."""
-OVERLAP_GOOD, OVERLAP_MOST = 0.02, 0.2
+OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
 """Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
 there, or a warning says so; above the second there is no result."""
 BELOW_GOOD = 0.01
