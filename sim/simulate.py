@@ -33,9 +33,11 @@ def simulate(
         tier: `fem` unless given. `layer`: spectral bonded layer, small strain, no free sides;
             `fem`: finite elements, large strain; `mpm`: explicit material points.
         numerics: `Numerics` of `fem`, `MpmNumerics` of `mpm`; `layer` has none to choose.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: the cheapest
-            way to it, told in `record["plan"]` (docs/results/cost-table.md).
-        error_bar: Solve a coarser mesh as well, and add `record["error_bar"]`.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: meshes finer
+            and finer until the error that two of them tell is below (`sim.tolerance`), told in
+            `record["error"]` and `record["plan"]`.
+        error_bar: Solve a coarser mesh as well: `record["error"]` is measured then, and
+            `record["error_bar"]` has it too. With a tolerance it is measured anyway.
         extrapolate: Solve a coarser mesh as well, and give the forces that both lead to
             (`sim.extrapolation`); of `fem`.
         device: Where `fem` and `mpm` run, `cpu` or `cuda:0` and the like; `layer` runs on the CPU.
@@ -55,11 +57,9 @@ def simulate(
                 f"tolerance: {tolerance!r} with a tier or numerics; allowed: either the one or the "
                 "other"
             )
-        from sim.planner import simulate_within
+        from sim.tolerance import simulate_within
 
-        return simulate_within(
-            scene, tolerance, device=device, error_bar=error_bar, progress=progress
-        )
+        return simulate_within(scene, tolerance, device=device, progress=progress)
     outcome = simulate_one(
         scene, "fem" if tier is None else tier, numerics=numerics, device=device, progress=progress
     )
@@ -69,6 +69,10 @@ def simulate(
 
         if not (numerics is None or isinstance(numerics, Numerics)):
             raise unfit(numerics, "fem", "Numerics, for an error bar")
+        if outcome.tier == "fem" and (numerics or Numerics()).follows:
+            from sim.tolerance import with_measured_error
+
+            return with_measured_error(outcome, numerics or Numerics(), device=device)
         return with_error_bar(outcome, device=device, numerics=numerics)
     return outcome
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
 from typing import TYPE_CHECKING, Literal
 
+from sim.error_estimate import with_estimate
 from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.result import Outcome, Result
 from sim.scene import Scene
@@ -59,6 +60,21 @@ def simulate_many(
         SceneError: As `simulate`; processes below 1, or several on a GPU.
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
+    outcomes = _by_tier(
+        scenes, tier, numerics=numerics, device=device, processes=processes, progress=progress
+    )
+    return [with_estimate(one) if isinstance(one, Result) else one for one in outcomes]
+
+
+def _by_tier(
+    scenes: Sequence[Scene],
+    tier: Tier,
+    *,
+    numerics: Numerics | MpmNumerics | None,
+    device: str,
+    processes: int,
+    progress: Callable[[float], None] | None,
+) -> list[Outcome]:
     if tier not in TIERS:
         raise SceneError(f"tier: {tier!r}; allowed: {', '.join(TIERS)}")
     for scene in scenes:

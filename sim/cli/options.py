@@ -365,12 +365,12 @@ def numerics_of(options: argparse.Namespace) -> Numerics | None:
                     f"--{name}: {getattr(options, name)!r} with --tier layer; allowed: --tier fem"
                 )
         return None
-    from sim.fem.numerics import FOR_EDGES, Grading, Numerics
+    from sim.fem.numerics import FOR_EDGES, Numerics
 
     if options.mesh is not None and not options.mesh > 0:
         raise SceneError(f"--mesh: {options.mesh!r} mm; allowed: above 0")
     spacing = None if options.mesh is None else metres(options.mesh)
-    grading = FOR_EDGES if options.extrapolate else Grading()
+    grading = FOR_EDGES if options.extrapolate else None
     return Numerics(spacing=spacing, precision=options.precision, grading=grading)
 
 

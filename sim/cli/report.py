@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cli.options import body_of, effects_of, indenter_of, numerics_of
+from sim.error_estimate import said as error_said
 from sim.errors import SceneError
 from sim.progress import Progress
 from sim.result import Quality, Result
@@ -66,6 +67,7 @@ def as_json(
         "precision": result.record["precision"],
         "device": result.record["device"],
         "plan": result.record.get("plan"),
+        "error": result.record.get("error"),
         "error_bar": result.record.get("error_bar"),
         "extrapolated": result.record.get("extrapolated"),
         "seconds_by_stage": result.record["seconds"],
@@ -160,6 +162,8 @@ def notes(result: Result) -> list[str]:
                 f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "
                 f"{size * 1e3:.3g} mm: the force still depends on --mesh"
             )
+    if "error" in result.record:
+        said.append(error_said(result.record["error"]))
     if "plan" in result.record:
         said += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
     if "error_bar" in result.record:

@@ -74,6 +74,11 @@ class Mesh:
         return float(max(np.diff(self.x).min(), np.diff(self.y).min()))
 
     @property
+    def topmost(self) -> float:
+        """Height of the topmost elements, in thicknesses."""
+        return float(self.nodes[self.cells[2], 2] - self.nodes[self.cells[2] - 1, 2])
+
+    @property
     def top(self) -> NDArray[np.int64]:
         """Node numbers of the top (X, Y)."""
         nx, ny, nz = self.cells

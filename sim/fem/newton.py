@@ -247,7 +247,7 @@ GROWTH = 1.5
 RELAXATION_STEPS = 4
 """Steps within the shortest relaxation time, but at most `STEPS_MAX` in a segment."""
 STEPS_MAX = 16
-FINE_STEPS, DEPTH_STEPS = 4.0, 8.0
+FINE_STEPS, DEPTH_STEPS = 1.0, 10.0
 """Sides of the smallest elements that a step may go where the mesh follows the contact, and the
 steps in the depth that it need not fall below: longer steps bring so many elements into contact at
 once that Newton's method takes several times the iterations."""

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sim.contact_size import half_width, pixel_edges
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
@@ -96,13 +97,13 @@ def sizes_of(
     """
     if not touched.any():
         return NOTHING
-    edges_x, edges_y = _between(x), _between(y)
+    edges_x, edges_y = pixel_edges(x), pixel_edges(y)
     pieces, count = ndimage.label(touched, structure=np.ones((3, 3)))
     spans: tuple[list[Span], list[Span]] = ([], [])
     top = math.inf
     for piece in range(1, count + 1):
         mask = pieces == piece
-        size = min(2 * _half_width(mask, edges_x, edges_y) / ACROSS, LAYER_SHARE * thickness)
+        size = min(2 * half_width(mask, edges_x, edges_y) / ACROSS, LAYER_SHARE * thickness)
         normal = _normals(mask)
         edge = max(EDGE_SHARE * edge_radius, EDGE_LEAST * size)
         for axis, (part, edges) in enumerate(((mask, edges_x), (mask.T, edges_y))):
@@ -113,42 +114,6 @@ def sizes_of(
             size = min(size, edge / OVER_DEPTH)
         top = min(top, OVER_DEPTH * size)
     return Sizes(_least(spans[0]), _least(spans[1]), top)
-
-
-def width_of(touched: Mask, x: Array, y: Array) -> float:
-    """Diameter of the largest disc within what touches (X, Y); 0 where nothing does.
-
-    Nodes that touch stand for half of the way to the next ones.
-    """
-    if not touched.any():
-        return 0.0
-    return 2 * _half_width(touched, _between(x), _between(y))
-
-
-def _between(places: Array) -> Array:
-    """Edges of the pixels around places (N,): half-way between them (N + 1,)."""
-    middle = (places[1:] + places[:-1]) / 2
-    first, last = places[0] - (middle[0] - places[0]), places[-1] + (places[-1] - middle[-1])
-    return np.concatenate([[first], middle, [last]])
-
-
-def _half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
-    """Radius of the largest disc that fits into a piece.
-
-    Pixels may differ in width: they are drawn anew, evenly.
-    """
-    even, steps = [], []
-    for axis, edges in ((0, edges_x), (1, edges_y)):
-        used = np.flatnonzero(mask.any(axis=1 - axis))
-        low, high = edges[used[0]], edges[used[-1] + 1]
-        finest = float(np.diff(edges[used[0] : used[-1] + 2]).min())
-        count = int(np.clip(np.ceil(2 * (high - low) / finest), 8, 192))
-        steps.append(float(high - low) / count)
-        even.append(np.searchsorted(edges, low + steps[-1] * (np.arange(count) + 0.5)) - 1)
-    inner = np.pad(mask[np.ix_(*even)], 1)
-    reach = float(ndimage.distance_transform_edt(inner, sampling=steps).max())
-    # A distance is to the middle of the nearest pixel outside; the outline is half a pixel nearer.
-    return max(reach - min(steps) / 2, min(steps) / 2)
 
 
 def _normals(mask: Mask) -> Array:

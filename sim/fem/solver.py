@@ -14,6 +14,7 @@ from pathlib import Path as File
 import numpy as np
 import warp as wp
 
+from sim.contact_size import width_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
@@ -25,7 +26,6 @@ from sim.fem.sizing import (
     finer_at,
     sizes_of,
     stages_of,
-    width_of,
 )
 from sim.indenters.device import traits_of
 from sim.result import Outcome, Quality, Result, with_beginning
@@ -759,11 +759,12 @@ class _Batch:
 
     def _of_one(self, env: int) -> dict:
         """What the record says of one environment alone."""
-        mesh, collector, unit = self._meshes[env], self._collectors[env], self._scenes[env].body
+        mesh, collector, body = self._meshes[env], self._collectors[env], self._scenes[env].body
         shape = self._record()["mesh"]
+        shape["finest"] = mesh.finest * body.thickness
+        shape["topmost"] = mesh.topmost * body.thickness
         if self._numerics.follows:
             shape["fineness"] = round(mesh.fineness, 4)
-            shape["finest"] = mesh.finest * unit.thickness
         return {
             "mesh": shape,
             "overlap": {

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.contact_size import width_of
 from sim.effects import Viscosity
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.sizing import width_of
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
 from sim.layer.spectral import Convolutions, Grid
 from sim.result import Quality, Result

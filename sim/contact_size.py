@@ -1,0 +1,46 @@
+"""How wide what touches is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def width_of(touched: Mask, x: Array, y: Array) -> float:
+    """Diameter of the largest disc within what touches (X, Y); 0 where nothing does.
+
+    Nodes that touch stand for half of the way to the next ones.
+    """
+    if not touched.any():
+        return 0.0
+    return 2 * half_width(touched, pixel_edges(x), pixel_edges(y))
+
+
+def pixel_edges(places: Array) -> Array:
+    """Edges of the pixels around places (N,): half-way between them (N + 1,)."""
+    middle = (places[1:] + places[:-1]) / 2
+    first, last = places[0] - (middle[0] - places[0]), places[-1] + (places[-1] - middle[-1])
+    return np.concatenate([[first], middle, [last]])
+
+
+def half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
+    """Radius of the largest disc that fits into a piece.
+
+    Pixels may differ in width: they are drawn anew, evenly.
+    """
+    even, steps = [], []
+    for axis, edges in ((0, edges_x), (1, edges_y)):
+        used = np.flatnonzero(mask.any(axis=1 - axis))
+        low, high = edges[used[0]], edges[used[-1] + 1]
+        finest = float(np.diff(edges[used[0] : used[-1] + 2]).min())
+        count = int(np.clip(np.ceil(2 * (high - low) / finest), 8, 192))
+        steps.append(float(high - low) / count)
+        even.append(np.searchsorted(edges, low + steps[-1] * (np.arange(count) + 0.5)) - 1)
+    inner = np.pad(mask[np.ix_(*even)], 1)
+    reach = float(ndimage.distance_transform_edt(inner, sampling=steps).max())
+    # A distance is to the middle of the nearest pixel outside; the outline is half a pixel nearer.
+    return max(reach - min(steps) / 2, min(steps) / 2)

@@ -1,0 +1,162 @@
+"""What a result says of its own error, and how it knows.
+
+`record["error"]` of every result has a `status`: `measured` (a second mesh was solved), `estimated`
+(from how finely the contact is resolved, by rules that were held against solutions by other means:
+`python -m benchmarks independent`), or `none`. `force` is the error of the force, frame by frame,
+over the force of the frame or a tenth of the largest one; `percent` is the largest of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.result import Result
+
+Array = NDArray[np.float64]
+
+PER_SQUARE = 0.012
+"""Error of the force with a fineness of 1 (12 elements across the contact): it falls with the
+square of the elements' size. Covers 95 % of the round presses of `benchmarks independent`."""
+RESOLVED = 0.5
+"""Fineness below which the error grows with the elements' size itself."""
+PER_EDGE = 0.03
+"""Error of the force where the smallest elements are as long as an edge's radius, which falls with
+the square too."""
+EDGE_MOST = 0.2
+"""Most that an edge which no element resolves is worth: of a sharp punch, a fifth of the force."""
+LAYER_PER_DEPTH = 0.25
+"""Error of `layer` over depth over thickness: it knows small strains alone."""
+LAYER_LEAST = 0.003
+"""Error of `layer` in shallow presses, by its pixels."""
+RIM = 1.0
+"""Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
+no sides."""
+WEAK = 0.1
+"""Share of the largest force below which a frame's error is no longer divided by its own force."""
+FAINT = 0.02
+"""Share of the largest traction of a frame below which it does not count as contact."""
+
+
+def with_estimate(result: Result) -> Result:
+    """The result with `record["error"]`, estimated from what it shows; unchanged if it has one."""
+    if "error" in result.record:
+        return result
+    if result.tier == "fem":
+        error = _of_elements(result)
+    elif result.tier == "layer":
+        error = _of_layer(result)
+    else:
+        error = {"status": "none", "why": f"nothing is known of the error of {result.tier!r}"}
+    return replace(result, record={**result.record, "error": error})
+
+
+def measured(share: Array, by: str, **more: Any) -> dict[str, Any]:
+    """What `record["error"]` is where a second mesh was solved.
+
+    Args:
+        share: Error of the force of each frame (F,), over the force.
+        by: What it was measured with, in words.
+        more: Further entries.
+    """
+    return {**_told("measured", share), "by": by, **more}
+
+
+def fineness_of(result: Result) -> Array:
+    """How finely each frame of a `fem` result resolves its own contact (F,).
+
+    1 are 12 elements from one side of the contact to the other; inf without contact.
+    """
+    from sim.fem.sizing import coarser_than_asked, sizes_of
+
+    thickness = result.scene.body.thickness
+    found = np.full(len(result.wrench), np.inf)
+    for frame in range(len(found)):
+        size = np.linalg.norm(result.traction[frame], axis=-1)
+        if not size.any():
+            continue
+        touched = size > FAINT * size.max()
+        x, y = result.surface_x, result.surface_y
+        asked = sizes_of(touched, x, y, thickness)
+        coarser = coarser_than_asked(asked, x, y)
+        height = result.record["mesh"].get("topmost", 0.0) / asked.top
+        found[frame] = 1.0 / max(coarser, height, 1e-6)
+    return found
+
+
+def _of_elements(result: Result) -> dict[str, Any]:
+    stages = result.record.get("stages", [])
+    fineness = fineness_of(result)
+    for stage in stages:  # meshes of their own, which follow contacts as small as theirs
+        fineness[: stage["waypoints"]] = stage["mesh"]["fineness"]
+    # Quadratic where the contact is resolved, linear where it hardly is.
+    share = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
+    edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
+    if edge < finest:
+        share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
+    pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
+    error = _told("estimated", _weighed(result, share))
+    missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
+    if missed.any():
+        error["force"] = [
+            1.0 if one else share
+            for one, share in zip(missed.tolist(), error["force"], strict=True)
+        ]
+        error["percent"] = 100.0
+    return error
+
+
+def _of_layer(result: Result) -> dict[str, Any]:
+    body = result.scene.body
+    deep = np.maximum(-np.array(result.scene.motion.tip)[:, 2], 0.0) / body.thickness
+    share = LAYER_LEAST + LAYER_PER_DEPTH * deep
+    width = np.maximum(result.quality.contact_width, 1e-12)
+    pixel = float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
+    share = share + np.where(result.force.any(axis=1), np.square(pixel / width), 0.0)
+    error = _told("estimated", _weighed(result, share))
+    touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
+    if touched.any():
+        x, y = np.abs(result.surface_x), np.abs(result.surface_y)
+        side = min(
+            body.size_x / 2 - x[touched.any(axis=1)].max(),
+            body.size_y / 2 - y[touched.any(axis=0)].max(),
+        )
+        if side < RIM * body.thickness:
+            return {
+                "status": "none",
+                "why": f"the contact is {side * 1e3:.3g} mm from a side of the body, of which "
+                "'layer' knows nothing (allowed: 'fem')",
+            }
+    return error
+
+
+def _weighed(result: Result, share: Array) -> Array:
+    """Shares of each frame's force as shares of it or of `WEAK` of the largest one."""
+    force = np.linalg.norm(result.force, axis=1)
+    least = WEAK * float(force.max(initial=0.0))
+    if least <= 0:
+        return np.where(np.isfinite(share), share, 0.0)
+    found = np.where(np.isfinite(share), share, 0.0)
+    return np.where(force >= least, found, found * np.maximum(force, 1e-3 * least) / least)
+
+
+def _told(status: str, share: Array) -> dict[str, Any]:
+    share = np.minimum(share, 1.0)
+    return {
+        "status": status,
+        "percent": float(100 * share.max(initial=0.0)),
+        "force": [float(f"{one:.4g}") for one in share],
+    }
+
+
+def said(error: dict[str, Any]) -> str:
+    """An error in words, for a person."""
+    if error["status"] == "none":
+        return f"error of the force: not known; {error['why']}"
+    percent = error["percent"]
+    number = f"{percent:.2g}" if percent < 9.95 else f"{percent:.0f}"
+    how = error.get("by", "from how finely the contact is resolved")
+    return f"error of the force: {number} % ({error['status']}: {how})"
