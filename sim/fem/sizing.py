@@ -47,6 +47,8 @@ EDGE_SHARE, EDGE_LEAST = 0.5, 0.25
 the force of a punch is 4 % too large where elements are as long as the radius."""
 STEEP = 1.5
 """Slope of an indenter's lower surface from which it is a wall."""
+LONG = 3.0
+"""Length of a run of touched pixels, in widths of its piece, from which its middle is coarser."""
 SITES = 2001
 """Places along an axis at which sizes are told, and about as many more in the contacts."""
 
@@ -103,13 +105,14 @@ def sizes_of(
     top = math.inf
     for piece in range(1, count + 1):
         mask = pieces == piece
-        size = min(2 * half_width(mask, edges_x, edges_y) / ACROSS, LAYER_SHARE * thickness)
+        width = 2 * half_width(mask, edges_x, edges_y)
+        size = min(width / ACROSS, LAYER_SHARE * thickness)
         normal = _normals(mask)
         edge = max(EDGE_SHARE * edge_radius, EDGE_LEAST * size)
         for axis, (part, edges) in enumerate(((mask, edges_x), (mask.T, edges_y))):
             across = np.maximum(np.abs(normal[axis] if not axis else normal[axis].T), OBLIQUE)
             walls = None if steep is None else (steep if not axis else steep.T)
-            spans[axis].extend(_runs(part, edges, across, size, walls, min(edge, size)))
+            spans[axis].extend(_runs(part, edges, across, (width, size, min(edge, size)), walls))
         if steep is not None and (mask & steep).any():
             size = min(size, edge / OVER_DEPTH)
         top = min(top, OVER_DEPTH * size)
@@ -125,7 +128,11 @@ def _normals(mask: Mask) -> Array:
 
 
 def _runs(
-    mask: Mask, edges: Array, across: Array, size: float, steep: Mask | None, edge: float
+    mask: Mask,
+    edges: Array,
+    across: Array,
+    asked: tuple[float, float, float],
+    steep: Mask | None,
 ) -> Iterable[Span]:
     """Spans of the runs of touched pixels along the first axis, and of the edges they end at.
 
@@ -133,10 +140,11 @@ def _runs(
         mask: What touches (X, Y).
         edges: Between the pixels (X + 1,).
         across: Cosine between the first axis and the outline's normal (X, Y).
-        size: Asked for from one side to the other, across the outline.
+        asked: Width of the piece, size from one side of it to the other, and at edges. A run much
+            longer than the piece is wide is as fine as that at its ends alone.
         steep: Where a run ends at an edge of the indenter (X, Y).
-        edge: Asked for there.
     """
+    width, size, edge = asked
     padded = np.pad(mask, ((1, 1), (0, 0)))
     change = np.diff(padded.astype(np.int8), axis=0)
     for column in np.flatnonzero(mask.any(axis=0)):
@@ -144,7 +152,12 @@ def _runs(
         ends = np.flatnonzero(change[:, column] == -1)
         for first, past in zip(begins.tolist(), ends.tolist(), strict=True):
             most = max(float(across[first, column]), float(across[past - 1, column]))
-            yield Span(float(edges[first]), float(edges[past]), size / most)
+            low, high = float(edges[first]), float(edges[past])
+            if high - low > LONG * width:
+                yield Span(low, low + width, size / most)
+                yield Span(high - width, high, size / most)
+            else:
+                yield Span(low, high, size / most)
             for pixel, place in ((first, edges[first]), (past - 1, edges[past])):
                 if steep is not None and steep[pixel, column] and edge < size:
                     fine = edge / float(across[pixel, column])

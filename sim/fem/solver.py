@@ -414,6 +414,9 @@ than this share of its largest do not count as contact."""
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
 """Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
 there, or a warning says so; above the second there is no result."""
+PASSED = 0.1
+"""Overlap over the side of the smallest elements below which nothing has passed through: a touch on
+elements that are far too large for it."""
 BELOW_GOOD = 0.01
 """Depth of the skin below the base plane, over the thickness, that is not worth a warning."""
 
@@ -467,7 +470,7 @@ def _judged(outcome: Outcome) -> Outcome:
         f"the skin that lay at ({x:.3g}, {y:.3g}) mm stands {deepest * 1e6:.3g} um inside the "
         f"indenter at waypoint {worst}, {100 * shares[worst]:.3g} % of the contact's width or depth"
     )
-    if shares[worst] > OVERLAP_MOST:
+    if shares[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
         return SimulationDiverged(
             f"the indenter passes through the skin: {where}; the mesh does not resolve the contact "
             "(allowed: finer elements, a rounder edge)",

@@ -13,7 +13,7 @@ from support import stl_files as files
 
 from sim import Body, Effects, Friction, Result, Scene, press, simulate, simulate_many
 from sim.__main__ import main
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import FOR_EDGES, Numerics
 from sim.indenters import Indenter, box, from_stl, named, sphere
 from sim.mpm import MpmNumerics
 from sim.planner.features import probe
@@ -22,6 +22,7 @@ from sim.store import load_result, save_results
 
 TILT = math.radians(6), math.radians(-4)
 COARSE = Numerics(spacing=1.3e-3)
+EDGED = Numerics(spacing=1e-3, grading=FOR_EDGES)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def test_a_prism_from_a_file_presses_like_the_one_by_name(
     body = files.rounded_block(5, 7, 8, drawn, count) if drawn else sharp
     indenter = from_stl(files.write_binary(tmp_path / "prism.stl", body), edge_radius=declared)
     expected = named("prism", max(drawn * 1e-3, declared))
-    tiers: tuple[tuple[Tier, Numerics | None], ...] = (("fem", COARSE), ("layer", None))
+    tiers: tuple[tuple[Tier, Numerics | None], ...] = (("fem", EDGED), ("layer", None))
     for tier, numerics in tiers:
         found, by_name = (
             simulate(Scene(one, press([0.5e-3])), tier, numerics=numerics).force[-1, 2]
