@@ -95,8 +95,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     # Quadratic where the contact is resolved, linear where it hardly is.
     share = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
-    if edge < finest:
-        share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
+    share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
     error = _told("estimated", _weighed(result, share))
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)

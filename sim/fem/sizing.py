@@ -42,11 +42,10 @@ DEEPEST = 1 / 3
 OBLIQUE = 0.2
 """Least cosine between an axis and the outline's normal that counts: an outline along an axis asks
 for nothing along it."""
-EDGE_SHARE, EDGE_LEAST = 0.5, 0.25
-"""Size at the rounded edges of an indenter over their radius; its least over that of the contact:
-the force of a punch is 4 % too large where elements are as long as the radius."""
-STEEP = 1.5
-"""Slope of an indenter's lower surface from which it is a wall."""
+EDGE_SHARE, EDGE_LEAST = 0.4, 0.25
+"""Size at the outline of a contact over the smallest radius of the indenter's surface, which may
+bound it; its least over the size within: the force of a punch is 4 % too large where elements are
+as long as the radius of its edge."""
 LONG = 3.0
 """Length of a run of touched pixels, in widths of its piece, from which its middle is coarser."""
 SITES = 2001
@@ -84,7 +83,6 @@ def sizes_of(
     x: Array,
     y: Array,
     thickness: float,
-    steep: Mask | None = None,
     edge_radius: float = math.inf,
 ) -> Sizes:
     """What one contact asks for.
@@ -94,8 +92,7 @@ def sizes_of(
         x: Where they stand (X,), rising, evenly or not.
         y: The same along y (Y,).
         thickness: Of the body.
-        steep: Beside which of them the indenter rises like a wall (X, Y); None: nowhere.
-        edge_radius: Of the edges there.
+        edge_radius: Smallest radius of the indenter's surface, which may bound what touches.
     """
     if not touched.any():
         return NOTHING
@@ -108,14 +105,11 @@ def sizes_of(
         width = 2 * half_width(mask, edges_x, edges_y)
         size = min(width / ACROSS, LAYER_SHARE * thickness)
         normal = _normals(mask)
-        edge = max(EDGE_SHARE * edge_radius, EDGE_LEAST * size)
+        edge = min(size, max(EDGE_SHARE * edge_radius, EDGE_LEAST * size))
         for axis, (part, edges) in enumerate(((mask, edges_x), (mask.T, edges_y))):
             across = np.maximum(np.abs(normal[axis] if not axis else normal[axis].T), OBLIQUE)
-            walls = None if steep is None else (steep if not axis else steep.T)
-            spans[axis].extend(_runs(part, edges, across, (width, size, min(edge, size)), walls))
-        if steep is not None and (mask & steep).any():
-            size = min(size, edge / OVER_DEPTH)
-        top = min(top, OVER_DEPTH * size)
+            spans[axis].extend(_runs(part, edges, across, (width, size, edge)))
+        top = min(top, OVER_DEPTH * size, edge)
     return Sizes(_least(spans[0]), _least(spans[1]), top)
 
 
@@ -132,7 +126,6 @@ def _runs(
     edges: Array,
     across: Array,
     asked: tuple[float, float, float],
-    steep: Mask | None,
 ) -> Iterable[Span]:
     """Spans of the runs of touched pixels along the first axis, and of the edges they end at.
 
@@ -140,9 +133,8 @@ def _runs(
         mask: What touches (X, Y).
         edges: Between the pixels (X + 1,).
         across: Cosine between the first axis and the outline's normal (X, Y).
-        asked: Width of the piece, size from one side of it to the other, and at edges. A run much
-            longer than the piece is wide is as fine as that at its ends alone.
-        steep: Where a run ends at an edge of the indenter (X, Y).
+        asked: Width of the piece, size from one side of it to the other, and at its outline. A run
+            much longer than the piece is wide is as fine as that at its ends alone.
     """
     width, size, edge = asked
     padded = np.pad(mask, ((1, 1), (0, 0)))
@@ -159,7 +151,7 @@ def _runs(
             else:
                 yield Span(low, high, size / most)
             for pixel, place in ((first, edges[first]), (past - 1, edges[past])):
-                if steep is not None and steep[pixel, column] and edge < size:
+                if edge < size:
                     fine = edge / float(across[pixel, column])
                     yield Span(float(place) - edge, float(place) + edge, fine)
 
@@ -402,26 +394,7 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     layer = Convolutions(grid, np.float32).within(grid.shape)
     start = np.zeros((3, *grid.shape), np.float32)
     contact = solve_frictionless(layer, gap.astype(np.float32), start, tolerance=RESIDUAL)
-    touched = contact.traction[2] < 0
-    return sizes_of(
-        touched, x, y, body.thickness, _beside_walls(height, grid.pixel), indenter.sharpest
-    )
-
-
-def _beside_walls(height: Array, pixel: tuple[float, float]) -> Mask:
-    """Pixels from which an indenter of this `height` (X, Y) rises like a wall within two pixels."""
-    walls = np.zeros(height.shape, bool)
-    for axis in (0, 1):
-        for way in (-1, 1):
-            step = np.full(height.shape, np.inf)
-            part = [slice(None), slice(None)]
-            part[axis] = slice(2, None) if way > 0 else slice(None, -2)
-            other = [slice(None), slice(None)]
-            other[axis] = slice(None, -2) if way > 0 else slice(2, None)
-            with np.errstate(invalid="ignore"):
-                step[tuple(other)] = height[tuple(part)] - height[tuple(other)]
-            walls |= step > STEEP * 2 * pixel[axis]
-    return walls
+    return sizes_of(contact.traction[2] < 0, x, y, body.thickness, indenter.sharpest)
 
 
 def _heights(body: Body, x: Array, y: Array) -> Array:
