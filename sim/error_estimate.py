@@ -18,7 +18,7 @@ from sim.result import Result
 
 Array = NDArray[np.float64]
 
-PER_SQUARE = 0.012
+PER_SQUARE = 0.016
 """Error of the force with a fineness of 1 (12 elements across the contact): it falls with the
 square of the elements' size. Covers 95 % of the round presses of `benchmarks independent`."""
 RESOLVED = 0.5

@@ -33,13 +33,13 @@ Progress = Callable[[float], None]
 
 COMPANION = 1.6
 """Sides of the coarser mesh's elements over those of the finer one."""
-EXPECTED = 0.006
+EXPECTED = 0.009
 """Error of an extrapolated force with a fineness of 1, where the search begins."""
 FIRST_LEAST, FIRST_MOST = 0.6, 1.5
 """Fineness that the search begins with."""
-LEFT = 0.8
+LEFT = 1.0
 """Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
-leaves 0.86 of it, of 3 half of it."""
+leaves 0.86 of it, of 3 half of it; the rest is for chance."""
 FLOOR = 1e-3
 """Least error that two meshes can tell of a force, over the force: what states are solved to."""
 WHOLE = 1.5

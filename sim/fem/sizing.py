@@ -42,7 +42,7 @@ DEEPEST = 1 / 3
 OBLIQUE = 0.2
 """Least cosine between an axis and the outline's normal that counts: an outline along an axis asks
 for nothing along it."""
-EDGE_SHARE, EDGE_LEAST = 0.4, 0.25
+EDGE_SHARE, EDGE_LEAST = 0.35, 0.25
 """Size at the outline of a contact over the smallest radius of the indenter's surface, which may
 bound it; its least over the size within: the force of a punch is 4 % too large where elements are
 as long as the radius of its edge."""

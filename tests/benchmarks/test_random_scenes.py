@@ -59,7 +59,7 @@ def _made_up(scene: Scene) -> Result:
             share = deep / -(deep * area * normal[..., 2]).sum()
             traction[frame] = push * share[..., None] * normal
     none = np.full(frames, np.nan)
-    quality = Quality(*[none] * 6, *[np.zeros(frames, np.int64)] * 3)
+    quality = Quality(*[none] * 10, *[np.zeros(frames, np.int64)] * 3)
     return Result(scene, "fem", wrench, x, x, surface, traction, quality, {"warnings": []})
 
 

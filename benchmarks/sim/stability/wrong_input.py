@@ -128,8 +128,8 @@ def phases_without_time(solver: Solver) -> list[Law]:
     """Phases of zero length (no shear, the same depth twice, no ramp) are refused: no time."""
     del solver
     fields: list[tuple[str, Make]] = [
-        ("time", lambda value: press_shear_return(1 * MM, value)),
-        ("time", lambda value: press([1 * MM, 1 * MM + value])),
+        ("shear", lambda value: press_shear_return(1 * MM, value)),
+        ("depths", lambda value: press([1 * MM, 1 * MM + value])),
         ("time", lambda value: ramp_hold(1 * MM, ramp=value, hold=1.0)),
         ("time", lambda value: ramp_hold(1 * MM, ramp=1.0, hold=value)),
         ("time", lambda value: Motion(tip=((value, value, value),) * 2, time=(0.0, value))),
