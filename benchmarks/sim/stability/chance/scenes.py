@@ -12,7 +12,7 @@ from benchmarks.sim.stability.chance.shapes import blade, draw_shape
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem.mesh import meshes_of
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Grading, Numerics
 from sim.indenters import Indenter, shapes
 from sim.scene import Body, Motion, Scene, through
 
@@ -62,10 +62,10 @@ def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
 
 
 def within_budget(scene: Scene) -> Scene:
-    """The scene on a gel so small that it has at most `ELEMENTS_MAX` elements."""
+    """The scene on a gel so small that it has at most `ELEMENTS_MAX` elements of a sixth of it."""
     for _ in range(16):
         try:
-            (mesh,) = meshes_of([scene], Numerics())
+            (mesh,) = meshes_of([scene], Numerics(grading=Grading()))
         except SceneError:
             return scene  # the solver will say the same
         if len(mesh.elements) <= ELEMENTS_MAX:

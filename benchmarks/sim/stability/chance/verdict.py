@@ -29,6 +29,8 @@ PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
 """What a user can live with: an answer, or a word that there is none."""
 SECONDS = 60.0
 """Longest that one solve may take, unless told otherwise."""
+SOLVED_MAX = 12_000
+"""Elements of a scene at most, so that it takes seconds; coarser meshes say so."""
 TWINNED = 0.35
 """Share of the scenes that are solved once more as a twin."""
 
@@ -67,7 +69,7 @@ class Settings:
             OutOfTime: It took too long.
             SceneError: It is refused.
         """
-        numerics = None if self.precision == "auto" else Numerics(precision=self.precision)
+        numerics = Numerics(precision=self.precision, elements_max=SOLVED_MAX)
         with time_limit(self.seconds):
             (outcome,) = simulate_many([scene], numerics=numerics, device=self.device)
         return outcome
