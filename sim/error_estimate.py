@@ -23,6 +23,9 @@ PER_SQUARE = 0.016
 square of the elements' size. Covers 95 % of the round presses of `benchmarks independent`."""
 RESOLVED = 0.5
 """Fineness below which the error grows with the elements' size itself."""
+FLATTER = 2.5
+"""Height of the topmost elements over that of a mesh that follows the contact, at which it costs as
+much as their sides: forces hang on it much less."""
 PER_EDGE = 0.03
 """Error of the force where the smallest elements are as long as an edge's radius, which falls with
 the square too."""
@@ -82,7 +85,7 @@ def fineness_of(result: Result) -> Array:
         x, y = result.surface_x, result.surface_y
         asked = sizes_of(touched, x, y, thickness)
         coarser = coarser_than_asked(asked, x, y)
-        height = result.record["mesh"].get("topmost", 0.0) / asked.top
+        height = result.record["mesh"].get("topmost", 0.0) / (FLATTER * asked.top)
         found[frame] = 1.0 / max(coarser, height, 1e-6)
     return found
 

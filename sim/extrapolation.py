@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim.error_estimate import WEAK, measured
 from sim.errors import SceneError, SimulationDiverged
 from sim.result import Outcome, Result
 from sim.scene import Scene
@@ -99,8 +100,13 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
     more = (fine.wrench - coarse.wrench) * left_of_difference(cells[1] / cells[0])
     largest = float(np.linalg.norm(fine.force, axis=1).max())
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
+    size = np.linalg.norm(fine.force + more[:, :3], axis=1)
+    scale = np.maximum(size, max(WEAK * float(size.max()), np.finfo(float).tiny))
+    error = measured(np.abs(more[:, :3]).max(axis=1) / scale, "two meshes, extrapolated")
     how = {"order": ORDER, "cells": cells, "force_share": share}
-    return replace(fine, wrench=fine.wrench + more, record={**fine.record, "extrapolated": how})
+    return replace(
+        fine, wrench=fine.wrench + more, record={**fine.record, "extrapolated": how, "error": error}
+    )
 
 
 def left_of_difference(ratio: float) -> float:

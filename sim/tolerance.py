@@ -46,6 +46,8 @@ WHOLE = 1.5
 """Error of a force that is not extrapolated, over the step that extrapolation would go."""
 MARKERS = 1.5
 """Error of markers over what is left of the difference of both meshes."""
+HOPELESS = 8.0
+"""Elements that a tolerance would take, over those that it may, from which it is not tried."""
 ROUNDS = 4
 """Meshes that are tried."""
 FINER_LEAST, FINER_MOST = 1.25, 2.0
@@ -78,6 +80,10 @@ def simulate_within(
     from sim.fem.numerics import Numerics
 
     wanted = tolerance_of(tolerance)
+    if wanted.kind == "share" and wanted.value < FLOOR:
+        raise SceneError(
+            f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more, all that two meshes tell"
+        )
     most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
     share = wanted.value if wanted.kind == "share" else 0.01
     fineness = float(np.clip((EXPECTED / share) ** 0.5, FIRST_LEAST, FIRST_MOST))
@@ -102,9 +108,9 @@ def simulate_within(
         limited = pair[1].record["mesh"]["fineness"] < 0.97 * fineness
         if error <= wanted.value:
             return _with_plan(found, wanted, tried)
-        if limited:
-            break
         finer = (error / wanted.value) ** 0.5 * 1.05
+        if limited or pair[1].record["mesh"]["elements"] * finer**3 > HOPELESS * most:
+            break
         fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
     assert best is not None
     raise SceneError(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from benchmarks.sim.stability.chance.run import Plan, judge_one
+from benchmarks.sim.stability.chance import run
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.chance.shrink import failure
 from benchmarks.sim.stability.chance.verdict import Settings, Verdict, judge_scene
@@ -50,8 +52,26 @@ def test_every_mistake_is_tried() -> None:
     assert set(CAUGHT) == set(MISTAKES)
 
 
-def test_a_mistake_is_planted_while_a_scene_is_judged(tmp_path: Path) -> None:
-    plan = Plan(1, 0, 0, mistake="nodal-contact", folder=tmp_path, shrinks=False)
-    told = judge_one(plan, 0)
+def test_a_mistake_is_planted_while_a_scene_is_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    active: list[str | None] = []
+    judged: list[list[str | None]] = []
+
+    @contextmanager
+    def recorded(mistake: str | None) -> Iterator[None]:
+        active.append(mistake)
+        yield
+        active.pop()
+
+    def judge(*_scene: object, **_given: object) -> Verdict:
+        judged.append(list(active))
+        return Verdict("right", "")
+
+    monkeypatch.setattr(run, "planted", recorded)
+    monkeypatch.setattr(run, "judge", judge)
+    told = run.judge_one(
+        run.Plan(1, 0, 0, mistake="nodal-contact", folder=tmp_path, shrinks=False), 0
+    )
     assert told.name == "0/0"
-    assert "no-overlap" in failure(told.verdict)
+    assert judged == [["nodal-contact"]]
