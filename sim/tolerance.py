@@ -82,7 +82,7 @@ def simulate_within(
     wanted = tolerance_of(tolerance)
     if wanted.kind == "share" and wanted.value < FLOOR:
         raise SceneError(
-            f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more, all that two meshes tell"
+            f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more: meshes tell no less"
         )
     most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
     share = wanted.value if wanted.kind == "share" else 0.01
