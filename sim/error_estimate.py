@@ -65,7 +65,7 @@ def measured(share: Array, by: str, **more: Any) -> dict[str, Any]:
         by: What it was measured with, in words.
         more: Further entries.
     """
-    return {**_told("measured", share), "by": by, **more}
+    return {**_told("measured", share, by), **more}
 
 
 def fineness_of(result: Result) -> Array:
@@ -100,7 +100,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
-    error = _told("estimated", _weighed(result, share))
+    error = _told("estimated", _weighed(result, share), "how finely the contact is meshed")
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
     if missed.any():
         error["force"] = [
@@ -118,7 +118,7 @@ def _of_layer(result: Result) -> dict[str, Any]:
     width = np.maximum(result.quality.contact_width, 1e-12)
     pixel = float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
     share = share + np.where(result.force.any(axis=1), np.square(pixel / width), 0.0)
-    error = _told("estimated", _weighed(result, share))
+    error = _told("estimated", _weighed(result, share), "depth over thickness, and pixels")
     touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
     if touched.any():
         x, y = np.abs(result.surface_x), np.abs(result.surface_y)
@@ -145,10 +145,11 @@ def _weighed(result: Result, share: Array) -> Array:
     return np.where(force >= least, found, found * np.maximum(force, 1e-3 * least) / least)
 
 
-def _told(status: str, share: Array) -> dict[str, Any]:
+def _told(status: str, share: Array, by: str) -> dict[str, Any]:
     share = np.minimum(share, 1.0)
     return {
         "status": status,
+        "by": by,
         "percent": float(100 * share.max(initial=0.0)),
         "force": [float(f"{one:.4g}") for one in share],
     }
@@ -160,5 +161,4 @@ def said(error: dict[str, Any]) -> str:
         return f"error of the force: not known; {error['why']}"
     percent = error["percent"]
     number = f"{percent:.2g}" if percent < 9.95 else f"{percent:.0f}"
-    how = error.get("by", "from how finely the contact is resolved")
-    return f"error of the force: {number} % ({error['status']}: {how})"
+    return f"error of the force: {number} % ({error['status']}: {error['by']})"

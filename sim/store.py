@@ -116,6 +116,10 @@ def result_count(path: Path) -> int:
     return int(count)
 
 
+LENGTHS = ("overlap", "overlap_bound", "overlap_path", "contact_width")
+"""Entries of `Quality` in metres; the others have no unit."""
+
+
 def _write(root: zarr.Group, name: str, result: Result) -> None:
     group = root.create_group(
         name,
@@ -132,7 +136,8 @@ def _write(root: zarr.Group, name: str, result: Result) -> None:
         _array(group, array, values, unit, dimensions, meaning)
     quality = group.create_group("quality")
     for one in fields(Quality):
-        _array(quality, one.name, getattr(result.quality, one.name), "1", ("frame",), "")
+        unit = "m" if one.name in LENGTHS else "1"
+        _array(quality, one.name, getattr(result.quality, one.name), unit, ("frame",), "")
 
 
 def _array(
