@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+FAINT = 0.02
+"""Share of the largest traction of a frame below which it does not count as contact."""
+
+
+def touched_by(traction: NDArray[np.floating[Any]]) -> Mask:
+    """What a traction (X, Y, 3) touches (X, Y)."""
+    size = np.linalg.norm(traction, axis=-1)
+    return np.asarray(size > FAINT * size.max())
 
 
 def width_of(touched: Mask, x: Array, y: Array) -> float:

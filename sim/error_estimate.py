@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.contact_size import touched_by
+from sim.metrics import WEAK
 from sim.result import Result
 
 Array = NDArray[np.float64]
 
 PER_SQUARE = 0.016
 """Error of the force with a fineness of 1 (12 elements across the contact): it falls with the
-square of the elements' size. Covers 95 % of the round presses of `benchmarks independent`."""
+square of the elements' size. 0.012 covered 110 of the 133 forces of `benchmarks independent`."""
 RESOLVED = 0.5
 """Fineness below which the error grows with the elements' size itself."""
 FLATTER = 2.5
@@ -38,10 +40,6 @@ LAYER_LEAST = 0.003
 RIM = 1.0
 """Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
 no sides."""
-WEAK = 0.1
-"""Share of the largest force below which a frame's error is no longer divided by its own force."""
-FAINT = 0.02
-"""Share of the largest traction of a frame below which it does not count as contact."""
 
 
 def with_estimate(result: Result) -> Result:
@@ -78,10 +76,9 @@ def fineness_of(result: Result) -> Array:
     thickness = result.scene.body.thickness
     found = np.full(len(result.wrench), np.inf)
     for frame in range(len(found)):
-        size = np.linalg.norm(result.traction[frame], axis=-1)
-        if not size.any():
+        touched = touched_by(result.traction[frame])
+        if not touched.any():
             continue
-        touched = size > FAINT * size.max()
         x, y = result.surface_x, result.surface_y
         asked = sizes_of(touched, x, y, thickness)
         coarser = coarser_than_asked(asked, x, y)

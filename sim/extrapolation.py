@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.error_estimate import WEAK, measured
+from sim.error_estimate import measured
 from sim.errors import SceneError, SimulationDiverged
+from sim.metrics import force_scale
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import part_of, simulate_many
@@ -100,8 +101,7 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
     more = (fine.wrench - coarse.wrench) * left_of_difference(cells[1] / cells[0])
     largest = float(np.linalg.norm(fine.force, axis=1).max())
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
-    size = np.linalg.norm(fine.force + more[:, :3], axis=1)
-    scale = np.maximum(size, max(WEAK * float(size.max()), np.finfo(float).tiny))
+    scale = force_scale(fine.force + more[:, :3])
     error = measured(np.abs(more[:, :3]).max(axis=1) / scale, "two meshes, extrapolated")
     how = {"order": ORDER, "cells": cells, "force_share": share}
     return replace(

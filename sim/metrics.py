@@ -183,9 +183,14 @@ def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
 def force_errors(outcome: Outcome, reference: Outcome) -> tuple[Array, Array]:
     """`Errors.force` (F, 3) [N] and `Errors.force_share` (F, 3)."""
     force = np.abs(outcome.force - reference.force)
-    size = np.linalg.norm(reference.force, axis=1)
-    scale = np.maximum(size, max(WEAK * float(size.max()), np.finfo(float).tiny))
-    return force, force / scale[:, None]
+    return force, force / force_scale(reference.force)[:, None]
+
+
+def force_scale(force: Array) -> Array:
+    """The larger of each force's length (F, 3) and `WEAK` of the largest (F,): errors over it."""
+    size = np.linalg.norm(force, axis=1)
+    least = max(WEAK * float(size.max(initial=0.0)), float(np.finfo(float).tiny))
+    return np.asarray(np.maximum(size, least))
 
 
 def marker_errors(outcome: Outcome, reference: Outcome, body: Body) -> Array:

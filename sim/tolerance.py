@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sim.error_estimate import measured
 from sim.errors import SceneError
 from sim.extrapolation import left_of_difference
-from sim.metrics import WEAK, marker_errors, outcome_of, worst_errors
+from sim.metrics import force_scale, marker_errors, outcome_of, worst_errors
 from sim.planner.features import Tolerance, said, tolerance_of
 from sim.result import Result
 from sim.scene import Scene
@@ -126,7 +126,7 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, f
     step = (fine.wrench - coarse.wrench) * left
     force = fine.wrench + step
     size = np.linalg.norm(force[:, :3], axis=1)
-    scale = np.maximum(size, max(WEAK * float(size.max(initial=0.0)), np.finfo(float).tiny))
+    scale = force_scale(force[:, :3])
     newton = LEFT * np.abs(step[:, :3]).max(axis=1)
     share = np.maximum(newton / scale, FLOOR * (size > 0))
     apart = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
@@ -161,7 +161,7 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     apart = worst_errors(outcome_of(second), outcome_of(result), result.scene.body)
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
     size = np.linalg.norm(result.force, axis=1)
-    scale = np.maximum(size, max(WEAK * float(size.max(initial=0.0)), np.finfo(float).tiny))
+    scale = force_scale(result.force)
     share = np.maximum(left * difference / scale, FLOOR * (size > 0))
     error = measured(share, "a coarser mesh", second_mesh=dict(second.record["mesh"]))
     bar = {

@@ -134,9 +134,7 @@ def axis(
     away = np.maximum(np.maximum(window[0] - place, place - window[1]), 0.0)
     density = 1.0 / np.minimum(spacing + growth * away, max(coarsest, spacing))
     count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
-    multiple = MULTIPLE if count[-1] <= MANY else 2 * MULTIPLE
-    cells = max(at_least, multiple * max(1, int(np.ceil(count[-1] / multiple - 1e-6))))
-    return np.asarray(np.interp(np.linspace(0.0, count[-1], cells + 1), count, place))
+    return _in_buckets(count, place, at_least=at_least)
 
 
 def axes(

@@ -4,7 +4,7 @@ A contact is looked at before anything is solved, by a linear layer on a window 
 (milliseconds), and again on the solution. What touches is a set of pixels; its connected pieces
 have a width each, and elements are a share of that width from one side of a piece to the other.
 From there they grow outwards and downwards. So neither the body's size nor its thickness decides
-how finely a contact is resolved, and a motion that begins with a small contact has a fine middle.
+how finely a contact is resolved.
 
 Lengths in metres, in the contact frame.
 """

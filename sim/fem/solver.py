@@ -14,7 +14,7 @@ from pathlib import Path as File
 import numpy as np
 import warp as wp
 
-from sim.contact_size import width_of
+from sim.contact_size import touched_by, width_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
@@ -28,6 +28,7 @@ from sim.fem.sizing import (
     stages_of,
 )
 from sim.indenters.device import traits_of
+from sim.metrics import WEAK
 from sim.result import Outcome, Quality, Result, with_beginning
 from sim.scene import Motion, Scene
 
@@ -408,9 +409,6 @@ REMESHED = 2
 """How often a mesh is made anew where the solution shows that it was too coarse."""
 TOO_COARSE = 1.6
 """Elements this many times as long as the solution's own contact asks for are too long."""
-WEAK, FAINT = 0.1, 0.02
-"""Frames of less than this share of the largest force are not asked; in a frame, tractions of less
-than this share of its largest do not count as contact."""
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
 """Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
 there, or a warning says so; above the second there is no result."""
@@ -439,8 +437,8 @@ def more_wanted(result: Result) -> Sizes | None:
     force = np.linalg.norm(result.force, axis=1)
     found = Sizes((), (), np.inf)
     for frame in np.flatnonzero((force >= WEAK * force.max()) & (force > 0)).tolist():
-        size = np.linalg.norm(result.traction[frame], axis=-1)
-        found = found.joined(sizes_of(size > FAINT * size.max(), x, y, thickness))
+        touched = touched_by(result.traction[frame])
+        found = found.joined(sizes_of(touched, x, y, thickness))
     wanted = None
     if coarser_than_asked(found, x, y, fineness) > TOO_COARSE:
         wanted = found
