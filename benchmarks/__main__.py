@@ -50,6 +50,9 @@ BENCHMARKS = {
     "independent": Benchmark(
         "benchmarks.sim.independent.command", "sim", "forces beside other programs of mechanics"
     ),
+    "tolerance": Benchmark(
+        "benchmarks.sim.tolerance_kept", "sim", "whether tolerances are kept on random scenes"
+    ),
     "render-check": Benchmark(
         "benchmarks.sim.render.check", "sim", "marker images against ray casting"
     ),

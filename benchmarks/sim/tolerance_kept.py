@@ -1,0 +1,211 @@
+"""Whether tolerances are kept on scenes drawn by chance: `python -m benchmarks tolerance`.
+
+The truth is a mesh with elements `FINER` times as short as those of the answer, and what both lead
+to (Richardson 1911, order 2): it is the same solver, so this tells of meshes alone. What else may
+be wrong with a solver is what `hard-cases --random` and `independent` look for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from benchmarks.sim.stability.chance.scenes import Drawn, drawn
+from benchmarks.sim.stability.chance.verdict import OutOfTime, time_limit
+from benchmarks.sim.stability.runner import side_by_side
+from sim.errors import SceneError, SimulationDiverged
+from sim.extrapolation import left_of_difference
+from sim.fem.numerics import Numerics
+from sim.metrics import force_scale
+from sim.planner import tolerance_of
+from sim.progress import duration
+from sim.result import Result
+from sim.scene import Scene
+from sim.simulate import simulate
+from sim.tiers import simulate_one
+
+if TYPE_CHECKING:
+    from sim.cli.options import Verbs
+
+FINER = 1.6
+"""Sides of the answer's elements over those of the truth's."""
+COARSEST = 0.75
+"""Fineness of the coarser mesh of a truth at least."""
+TRUTH_ELEMENTS_MAX = 600_000
+"""Elements of a truth at most."""
+FAMILY = "sensible"
+"""Which of the drawn scenes: those that a bench does."""
+
+Kind = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What came of one scene."""
+
+    name: str
+    """Seed and number of the scene."""
+    what: str
+    kind: Kind
+    error_percent: float = math.nan
+    """Largest difference from the truth over frames, as a tolerance counts it."""
+    own_percent: float = math.nan
+    """What the result says of it."""
+    truth_percent: float = math.nan
+    """Half of the step that extrapolation of the truth went."""
+    tier: str = ""
+    seconds: float = math.nan
+    truth_seconds: float = math.nan
+    said: str = ""
+
+
+def scenes(count: int, seed: int) -> list[Drawn]:
+    """The first `count` sensible scenes of a seed that press at all."""
+    found: list[Drawn] = []
+    index = 0
+    while len(found) < count:
+        one = drawn(seed, index)
+        index += 1
+        if one.what.split(",")[0] != FAMILY or one.scene is None:
+            continue
+        if one.scene.motion.depth_max > 0:
+            found.append(one)
+    return found
+
+
+def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
+    """Solve a scene within a tolerance, and once more finely, and compare."""
+    assert one.scene is not None
+    row = partial(Row, one.name, one.what)
+    began = time.perf_counter()
+    try:
+        with time_limit(seconds):
+            result = simulate(one.scene, tolerance=tolerance, device=device)
+    except SceneError as error:
+        return row("refused", seconds=time.perf_counter() - began, said=str(error))
+    except SimulationDiverged as error:
+        return row("diverged", seconds=time.perf_counter() - began, said=str(error))
+    except OutOfTime as error:
+        return row("timeout", seconds=time.perf_counter() - began, said=str(error))
+    took = time.perf_counter() - began
+    own = float(result.record["error"]["percent"])
+    began = time.perf_counter()
+    try:
+        with time_limit(4 * seconds):
+            force, unsure = _truth(one.scene, result, device)
+    except (SceneError, SimulationDiverged, OutOfTime) as error:
+        return row("no truth", own_percent=own, tier=result.tier, seconds=took, said=str(error))
+    scale = np.maximum(force_scale(force), 1e-12)
+    off = 100 * float((np.abs(result.force - force).max(axis=1) / scale).max())
+    kind: Kind = "kept" if off <= 100 * tolerance_of(tolerance).value else "missed"
+    truth_percent = 100 * float((unsure / scale).max())
+    spent = time.perf_counter() - began
+    return row(kind, off, own, truth_percent, result.tier, took, spent)
+
+
+def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.ndarray]:
+    """The force (F, 3) [N] of meshes of no size, and how unsure it is (F,) [N]."""
+    fineness = result.record["mesh"].get("fineness", COARSEST)
+    finest, middle = (
+        simulate_one(
+            scene,
+            numerics=Numerics(fineness=one, elements_max=TRUTH_ELEMENTS_MAX),
+            device=device,
+        )
+        for one in (max(COARSEST, fineness) * FINER, max(COARSEST, fineness))
+    )
+    counts = [np.array(each.record["mesh"]["cells"], float) for each in (middle, finest)]
+    ratio = float(max(1.2, np.exp(np.mean(np.log(counts[1] / counts[0])))))
+    step = (finest.force - middle.force) * left_of_difference(ratio)
+    return finest.force + step, np.abs(step).max(axis=1) / 2
+
+
+def _one(tolerance: str, device: str, seconds: float, one: Drawn) -> Row:
+    return judged(one, tolerance, device, seconds)
+
+
+def summary(rows: Sequence[Row], tolerance: str) -> str:
+    """How many were kept, missed and refused."""
+    counts = {kind: sum(row.kind == kind for row in rows) for kind in Kind.__args__}  # type: ignore[attr-defined]
+    given = counts["kept"] + counts["missed"]
+    none = counts["refused"] + counts["diverged"] + counts["timeout"]
+    share = 100 * counts["kept"] / max(given, 1)
+    median = float(np.median([row.seconds for row in rows]))
+    return (
+        f"{len(rows)} scenes within {tolerance}: kept {counts['kept']} of {given} whose truth is "
+        f"known ({share:.1f} %), no answer {none} ({100 * none / len(rows):.1f} %: "
+        f"{counts['refused']} refused, {counts['diverged']} diverged, {counts['timeout']} out of "
+        f"time), no truth {counts['no truth']}; median {median:.2g} s"
+    )
+
+
+def line(row: Row) -> str:
+    """A row of the table."""
+    text = f"{row.kind:8} {row.name:<8} {row.what:<60} {row.seconds:6.1f} s {row.tier:5}"
+    if row.said:
+        return f"{text}  {row.said[:200]}"
+    return (
+        f"{text} error {row.error_percent:.2f} %, own {row.own_percent:.2f} %, "
+        f"truth {row.truth_percent:.2f} %"
+    )
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "tolerance",
+        help="whether tolerances are kept on random scenes",
+        description="Draws scenes, solves each within a tolerance and once more on finer meshes, "
+        "and tells how often the tolerance was kept. Exit 1 where fewer than 95 % were.",
+    )
+    parser.add_argument("--scenes", type=int, default=200, help="how many (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="others with each seed (%(default)s)")
+    parser.add_argument("--tolerance", default="3 %", help="of the force (3 %%)")
+    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    parser.add_argument("--processes", type=int, default=1, help="side by side (%(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=300.0, help="an answer may take (%(default)g)"
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows there too")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
+    """Judge the scenes; 0, or 1 where fewer than 95 % of the answers keep the tolerance.
+
+    Raises:
+        SceneError: An option out of range, or what is no tolerance of the force in per cent.
+    """
+    from sim.device import ready_device
+
+    for name in ("scenes", "processes"):
+        if getattr(options, name) < 1:
+            raise SceneError(f"--{name}: {getattr(options, name)}; allowed: 1 or more")
+    if tolerance_of(options.tolerance).kind != "share":
+        raise SceneError(f"--tolerance: {options.tolerance!r}; allowed: such as '3 %'")
+    ready_device(options.device)
+    judge = partial(_one, options.tolerance, options.device, options.seconds)
+    began = time.perf_counter()
+    rows: list[Row] = []
+    chosen = scenes(options.scenes, options.seed)
+    for row in side_by_side(judge, chosen, options.device, min(options.processes, len(chosen))):
+        rows.append(row)
+        left = (time.perf_counter() - began) * (len(chosen) / len(rows) - 1)
+        say(f"[{len(rows)}/{len(chosen)}] {line(row)}   {duration(left)} left")
+    if options.csv:
+        with options.csv.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow([one.name for one in fields(Row)])
+            writer.writerows(astuple(row) for row in rows)
+    say(summary(rows, options.tolerance))
+    given = [row for row in rows if row.kind in ("kept", "missed")]
+    return int(sum(row.kind == "kept" for row in given) < 0.95 * len(given))
