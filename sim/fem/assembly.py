@@ -380,6 +380,7 @@ class Assembly:
         self._work = work_kernel(real, "friction" in self.effects)
         self._penalty = real(numerics.penalty)
         self._stick = real(numerics.stick)
+        self._convex = wp.zeros(len(scenes), dtype=wp.int32, device=device)
 
         environments, count = self.environments, len(mesh.nodes)
         elements, faces = len(mesh.elements), len(mesh.faces)
@@ -452,6 +453,7 @@ class Assembly:
                 state.tip,
                 self._penalty,
                 state.carried,
+                self._convex,
                 *state.friction(self._stick),
                 active,
                 u,
@@ -591,6 +593,14 @@ class Assembly:
             device=self.device,
         )
 
+    def make_convex(self, convex: np.ndarray) -> None:
+        """Leave out of coming tangents, where `convex` (B,) says so, what may be negative in them.
+
+        That is how the indenter's curvature turns pressure, and what pressure adds to the stiffness
+        of elements beyond a bound (`element.tangent_functions`). Forces stay as they are.
+        """
+        self._convex.assign(convex.astype(np.int32))
+
     def linearise(self, active, u, damping: np.ndarray, anew=None) -> None:
         """Fill `stencil` and `columns` with the tangent of the state last evaluated, which is `u`.
 
@@ -605,6 +615,7 @@ class Assembly:
             (self._shear, self._bulk, *self.state.viscous),
             (self.shape, self.touched, self._matrix),
             self._shift,
+            self._convex,
             anew,
         )
         self.columns.factor(active, self.stencil.matrix)

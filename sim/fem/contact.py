@@ -82,6 +82,7 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
         tip: wp.array(dtype=vec3),
         penalty: real,
         carried: wp.array3d(dtype=real),
+        convex: wp.array(dtype=wp.int32),
         # Friction:
         coefficient: wp.array(dtype=real),
         stick: real,
@@ -133,7 +134,8 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
                 w = rule[p] * face_area[m, s]
                 energy += half * w * pressure * pressure / penalty
                 matrix = wp.outer(normal, normal) * penalty
-                matrix -= curvature(table, env, place, normal) * pressure
+                if convex[env] == 0:
+                    matrix -= curvature(table, env, place, normal) * pressure
                 traction = vec3()
                 if wp.static(friction):
                     slip = (

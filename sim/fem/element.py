@@ -373,6 +373,7 @@ def tangent_functions(real, viscous: bool):
         shear: wp.array(dtype=real),
         factor: wp.array(dtype=real),
         history: wp.array3d(dtype=mat33),
+        convex: int,
         env: int,
         e: int,
         q: int,
@@ -396,7 +397,16 @@ def tangent_functions(real, viscous: bool):
         if wp.static(viscous):
             metric += (inv * history[env, e, q] * across) * w
         # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
-        turn = f * wp.transpose(cofactor(inv)) * (w * (pressure - over * square))
+        turning = pressure - over * square
+        if convex == 1:
+            # The largest stretch squared is at most that of matrices of this trace and norm
+            # (Wolkowicz & Styan 1980).
+            stretch = wp.transpose(f) * f
+            mean = square * third
+            spread = wp.max(wp.ddot(stretch, stretch) * third - mean * mean, real(0.0))
+            most = g / wp.sqrt(mean + wp.sqrt(two * spread))
+            turning = wp.clamp(turning, -most, most)
+        turn = f * wp.transpose(cofactor(inv)) * (w * turning)
         return cr, er, metric, turn
 
     return of_mean, at_point
@@ -453,6 +463,7 @@ def element_blocks_kernel(real, viscous: bool):
         # In:
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
+        convex: wp.array(dtype=wp.int32),
         # In and out:
         matrix_out: wp.array3d(dtype=mat33),
     ):
@@ -494,7 +505,9 @@ def element_blocks_kernel(real, viscous: bool):
             inv = inverse[kind, e, wp.min(q, last)]
             w = weight[kind, e, q]
             h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
-            cr, er, metric, turn = at_point(h, inv, w, pressure, shear, factor, history, env, e, q)
+            cr, er, metric, turn = at_point(
+                h, inv, w, pressure, shear, factor, history, convex[env], env, e, q
+            )
             c0 = column(cr, 0)
             c1 = column(cr, 1)
             c2 = column(cr, 2)
@@ -689,6 +702,7 @@ def element_rows_kernel(real, viscous: bool):
         # In:
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
+        convex: wp.array(dtype=wp.int32),
         # In and out:
         matrix_out: wp.array3d(dtype=mat33),
     ):
@@ -741,7 +755,9 @@ def element_rows_kernel(real, viscous: bool):
             inv = inverse[kind, e, wp.min(q, last)]
             w = weight[kind, e, q]
             h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
-            cr, er, metric, turn = at_point(h, inv, w, pressure, shear, factor, history, env, e, q)
+            cr, er, metric, turn = at_point(
+                h, inv, w, pressure, shear, factor, history, convex[env], env, e, q
+            )
             sa = slope(q, a)
             ma = wp.transpose(metric) * sa
             ca = cr * sa

@@ -355,7 +355,7 @@ class Stencil:
         self._offsets = self._integers(slot_offsets(mesh.cells))
         self._free = self._integers(mesh.free)
 
-    def assemble(self, active, u, geometry, material, contact, shift, anew=None) -> None:
+    def assemble(self, active, u, geometry, material, contact, shift, convex, anew=None) -> None:
         """Fill `matrix` of active environments with the tangent at `u`.
 
         Args:
@@ -369,6 +369,7 @@ class Stencil:
             contact: Shape functions (P, 4), how many points of a face touch (B, S) and the
                 stiffness of each (B, S, P), as the contact kernel gives them.
             shift: Stiffness of a unit volume against any motion (B,).
+            convex: Whose elements are to have no negative stiffness, int32 (B,).
             anew: Those of them whose elastic part is that at `u`, int32 (B,); others keep what they
                 have, where the stencil `keeps` them. None: all.
         """
@@ -396,6 +397,7 @@ class Stencil:
                     *material,
                     anew,
                     u,
+                    convex,
                 ],
                 outputs=[self._elastic],
                 device=self._device,

@@ -33,8 +33,15 @@ TRIALS = 12
 ACCURACY, ACCURACY_LEAST = 0.1, 3e-3
 """Accuracy of a linear solve, largest and least; 0.3 of the residual over the force between. Finer
 solves cost more iterations of the linear solver than they save of Newton's."""
+PREDICTION = 0.01
+"""Accuracy of the linear solve that follows the tip: with 0.1 the touching skin moves alone, the
+body below it is crushed, and Newton's method takes up to three times the iterations."""
 LENGTH_GOOD = 0.2
-"""Below this share of a full step, or where the tangent is not convex, the next is damped."""
+"""Below this share of a full step, or where the tangent is not convex, the next tangent is made
+convex, and where it was, damped."""
+EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
+"""Residual below which a tangent that was made convex is exact again; times the second whenever
+that was too early."""
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
@@ -70,6 +77,8 @@ class Newton:
         self._predicting = np.zeros(count, bool)
         self._tolerance = np.full(count, assembly.numerics.tolerance)
         self._damping = np.zeros(count)
+        self._convex, self._switched = np.zeros((2, count), bool)
+        self._exact_below = np.full(count, EXACT_BELOW)
 
     def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
         """Start on a step of the chosen environments, from `state.u` on; all (B,).
@@ -94,6 +103,8 @@ class Newton:
             return
         self.iterations[chosen], self.cg[chosen] = 0, 0
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
+        self._exact_below[chosen] = EXACT_BELOW
+        self._switch(chosen & self._convex)
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
         self._assembly.evaluate(self.mask(chosen), state.u, self._cg.solution)
@@ -113,11 +124,13 @@ class Newton:
         anew = None
         if assembly.stencil.keeps:
             due = (self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0)
-            anew = self.mask(running & due)
+            anew = self.mask(running & (due | self._convex | self._switched))
+        self._switched[running] = False
         assembly.linearise(active, state.u, self._damping, anew)
         if predicting.any():
             assembly.push(self.mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
+        accuracy[predicting] = PREDICTION
         used = self._cg.solve(
             active,
             assembly.residual,
@@ -131,14 +144,28 @@ class Newton:
         walked, length = self._search(active, running, predicting, slope)
         self._predicting[running] = False
         hard = ~predicting & (concave | (length < LENGTH_GOOD) | ~walked)
+        bent = hard & ~self._convex
+        hard &= self._convex
         stiffer = np.clip(self._damping * 8, DAMPING_LEAST, DAMPING_MOST)
         damping = np.where(hard, stiffer, self._damping / 4)
         damping[damping < DAMPING_LEAST] = 0.0
         self._damping[running] = damping[running]
         self._judge(running)
+        eased = self._convex & (self._damping == 0) & (self.residual < self._exact_below)
+        self._exact_below[running & eased] *= EXACT_LESS
+        if self._switch(running & (bent | eased)):
+            assembly.evaluate_contact(self.mask(self._switched), state.u, self._cg.solution)
         spent = self.iterations >= assembly.numerics.newton_max
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
+
+    def _switch(self, chosen: np.ndarray) -> bool:
+        """Make tangents of the chosen (B,) convex, or exact where they were; whether any was."""
+        self._convex ^= chosen
+        self._switched |= chosen
+        if chosen.any():
+            self._assembly.make_convex(self._convex)
+        return bool(chosen.any())
 
     def _judge(self, chosen: np.ndarray) -> None:
         """Find out which of the chosen are in balance, and which are beyond repair."""

@@ -65,6 +65,7 @@ class Contact:
         variant: list[int] = VARIANT,
     ) -> None:
         self.real, self.friction, self.variant = real, friction, variant
+        self.convex = False
         self.rule = face_rule(points)
         self._contact, self._tangent = contact_kernels(real, friction is not None)
         shape = len(INDENTERS), len(MESH.faces)
@@ -105,6 +106,7 @@ class Contact:
             oracle.vectors(tips, real),
             real(PENALTY),
             oracle.scalars(self.carried, real),
+            oracle.integers(np.full(len(u), self.convex)),
             oracle.scalars([one.coefficient for one in many] or np.zeros(len(u)), real),
             real(STICK),
             oracle.vectors(old[0], real),
@@ -208,6 +210,17 @@ def test_frictionless_contact_tangent_is_the_derivative_of_the_force(carries: bo
     for env, name, error in ((0, "sphere", 1e-4), (3, "plane", 1e-8)):
         touched = state["touched"][env] > 0
         assert oracle.relative(-product[env][touched], slope[env][touched]) < error, name
+
+
+def test_a_convex_contact_tangent_has_no_negative_stiffness() -> None:
+    contact = Contact(wp.float64, _rubbing(4))
+    least = []
+    for convex in (False, True):
+        contact.convex = convex
+        matrix = contact.evaluate(_displacements())["matrix"]
+        least.append(np.linalg.eigvalsh((matrix + np.swapaxes(matrix, -1, -2)) / 2).min())
+    assert least[0] < -1e-2
+    assert least[1] > -1e-9
 
 
 @CARRIES

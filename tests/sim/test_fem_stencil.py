@@ -51,6 +51,31 @@ def test_the_matrix_is_the_derivative_of_the_forces(
     assert (matrix[2] == FILLED).all(), "an environment that is off is left alone"
 
 
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_convex_tangent_has_no_negative_stiffness(parallel: bool) -> None:
+    crushed = Tangents(contact=0.0)
+    crushed.shift[:] = 0.0
+    crushed.u[..., 2] -= 0.4 * (GRID.nodes[:, 2] + 1.0)
+    least = [_least_stiffness(crushed, parallel)]
+    crushed.convex[:] = 1
+    least.append(_least_stiffness(crushed, parallel))
+    assert least[0] < -0.01
+    assert least[1] > -1e-9
+
+
+def test_at_rest_the_convex_tangent_is_the_exact_one() -> None:
+    rest = Tangents(strain=0.0)
+    exact = rest.stencil(wp.float64).matrix.numpy()
+    rest.convex[:] = 1
+    np.testing.assert_allclose(rest.stencil(wp.float64).matrix.numpy(), exact, atol=1e-6)
+
+
+def _least_stiffness(tangents: Tangents, parallel: bool) -> float:
+    matrix = tangents.stencil(wp.float64, parallel=parallel).matrix.numpy()
+    dense = spread_out(matrix[0]).reshape(3 * len(GRID.nodes), -1)
+    return float(np.linalg.eigvalsh(dense).min())
+
+
 def test_a_node_of_the_base_has_neither_row_nor_column() -> None:
     matrix = Tangents().stencil(wp.float64).matrix.numpy()
     dense = spread_out(matrix[0])

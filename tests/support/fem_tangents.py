@@ -37,6 +37,7 @@ class Tangents:
         self.u = random.normal(0, strain, (3, COUNT, 3)) * GRID.free[:, None]
         self.mass = random.uniform(0.5, 1.5, (2, COUNT))
         self.shift = np.array([0.0, 0.3, 0.6])
+        self.convex = np.zeros(3)
         self.touched = random.integers(0, 2, (3, len(GRID.faces)))
         points = random.normal(0, 1, (3, len(GRID.faces), len(SHAPE), 3, 3))
         self.contact = contact * (points + np.swapaxes(points, -1, -2))
@@ -96,6 +97,7 @@ class Tangents:
             self.inputs(real, self.materials),
             contact,
             oracle.scalars(self.shift, real),
+            oracle.integers(self.convex),
             None if anew is None else oracle.integers(anew),
         )
 
@@ -161,7 +163,13 @@ def flat_tangent(by: float) -> Stencil:
     material = Tangents().inputs(real, [Material(0.35, 1.0)])
     u = oracle.vectors(np.zeros((1, COUNT, 3)), real)
     stencil.assemble(
-        oracle.integers(one), u, geometry, material, contact, oracle.scalars([0.0], real)
+        oracle.integers(one),
+        u,
+        geometry,
+        material,
+        contact,
+        oracle.scalars([0.0], real),
+        oracle.integers([0]),
     )
     return stencil
 

@@ -59,8 +59,8 @@ _FULL_INTEGRATION = (
         1,
     ),
     (
-        "(w * (pressure - over * square))\n",
-        "(w * (half * pressure * less * (two + less) / j - over * square))\n",
+        "turning = pressure - over * square\n",
+        "turning = half * pressure * less * (two + less) / j - over * square\n",
         1,
     ),
 )
