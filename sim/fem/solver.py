@@ -23,6 +23,7 @@ from sim.fem.numerics import Numerics
 from sim.fem.sizing import (
     Sizes,
     coarser_than_asked,
+    covered,
     finer_at,
     sizes_of,
     stages_of,
@@ -30,7 +31,7 @@ from sim.fem.sizing import (
 from sim.indenters.device import traits_of
 from sim.metrics import WEAK
 from sim.result import Outcome, Quality, Result, with_beginning
-from sim.scene import Motion, Scene
+from sim.scene import Body, Motion, Scene
 
 # What the state last evaluated says of one environment: contact, traction, energy, weight.
 
@@ -475,9 +476,24 @@ def _judged(outcome: Outcome) -> Outcome:
             tried=(),
             dump=None,
         )
+    lost = _lost_contact(outcome)
+    if lost is not None:
+        return SimulationDiverged(
+            f"the indenter passes through the skin: no force at waypoint {lost}, inside the body, "
+            f"after it stood {outcome.quality.overlap_path.max() * 1e6:.3g} um deep in the skin; the "
+            "mesh does not resolve the contact (allowed: finer elements, a rounder edge)",
+            tried=(),
+            dump=None,
+        )
     warnings = list(outcome.record["warnings"])
     if shares[worst] > OVERLAP_GOOD:
         warnings.append(where)
+    push, most = -float(outcome.force[:, 2].min()), _buckling_load(outcome.scene.body)
+    if push > most:
+        warnings.append(
+            f"a push of {push:.3g} N on a body so slender that it may buckle from {most:.3g} N on: "
+            "other shapes than this one are possible, with other forces"
+        )
     below = outcome.record["overlap"]["below_base"]
     if below > BELOW_GOOD * outcome.scene.body.thickness:
         warnings.append(
@@ -485,6 +501,24 @@ def _judged(outcome: Outcome) -> Outcome:
             "with it is not computed"
         )
     return replace(outcome, record={**outcome.record, "warnings": warnings})
+
+
+def _lost_contact(result: Result) -> int | None:
+    """The first waypoint inside the body without a force, after skin and indenter overlapped."""
+    scene, deepest = result.scene, 0.0
+    for waypoint, tip in enumerate(scene.motion.tip):
+        deepest = max(deepest, float(result.quality.overlap_path[waypoint]))
+        silent = not result.force[waypoint].any() and tip[2] < 0
+        if silent and deepest > PASSED * result.record["mesh"]["finest"]:
+            if covered(scene.indenter, scene.body, np.asarray(tip)) is not None:
+                return waypoint
+    return None
+
+
+def _buckling_load(body: Body) -> float:
+    """Euler's load of a column that stands on its base, its top free [N]: pi^2 E I / (4 T^2)."""
+    short, long = sorted((body.size_x, body.size_y))
+    return float(np.pi**2 * body.modulus * long * short**3 / 12 / (4 * body.thickness**2))
 
 
 SOFT_SHARE = 24

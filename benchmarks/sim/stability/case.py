@@ -19,8 +19,11 @@ class Solver:
 
     device: str = "cpu"
 
-    def numerics(self, spacing: float = 1e-3, **others: object) -> Numerics:
-        """Numerics with this mesh; 1 mm is coarse, and laws of mechanics hold on it as well."""
+    def numerics(self, spacing: float | None = 1e-3, **others: object) -> Numerics:
+        """Numerics with this mesh; 1 mm is coarse, and laws of mechanics hold on it as well.
+
+        None: the default, which follows the contact.
+        """
         return Numerics(spacing=spacing, **others)  # type: ignore[arg-type]
 
     def one(self, scene: Scene, **numerics: object) -> Result:

@@ -110,7 +110,7 @@ def force_is_continuous(solver: Solver) -> list[Law]:
 def named_indenters(solver: Solver) -> list[Law]:
     """Each of the 18 indenters, 0.8 mm deep: none inverts an element, all are in balance."""
     motion = press([0.4 * MM, 0.8 * MM])
-    results = solver.many([Scene(named(name), motion, GEL) for name in NAMES])
+    results = solver.many([Scene(named(name), motion, GEL) for name in NAMES], spacing=None)
     least = min(push(result)[-1] for result in results)
     # The least is the cone's, a tip of 0.5 mm: 2 a d E* alone is 0.13 N.
     return [*sound(*results), at_least("least force [N]", least, 0.1)]

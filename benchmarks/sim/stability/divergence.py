@@ -11,7 +11,12 @@ from sim.errors import SimulationDiverged
 
 
 def evidence(diverged: SimulationDiverged) -> list[Law]:
-    """Laws of a refusal; the dump is read and removed."""
+    """Laws of a refusal; the dump is read and removed.
+
+    One that saw the indenter pass through the skin says at which waypoint, and has no other state.
+    """
+    if "passes through the skin" in str(diverged):
+        return [at_least("names of the waypoint", str(diverged).count("waypoint"), 1)]
     numbers, missing = 0, 1
     if diverged.dump is not None:
         with np.load(diverged.dump) as dump:

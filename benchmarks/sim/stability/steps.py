@@ -101,12 +101,18 @@ def starts_inside(solver: Solver) -> list[Law]:
     return [*sound(inside, slow, det_f=0.5), same_end("force", slow, inside, SAME)]
 
 
-def _sunk(solver: Solver, indenter: Indenter, halves: int = 5, **numerics: object) -> list[Law]:
+def _sunk(
+    solver: Solver,
+    indenter: Indenter,
+    halves: int = 5,
+    spacing: float | None = 1 * MM,
+    **numerics: object,
+) -> list[Law]:
     """Begins so many half millimetres inside: a slow press's state, or a refusal with evidence."""
     frames = press([0.5 * MM * step for step in range(1, halves + 1)])
-    slow = solver.one(Scene(indenter, frames, MAT), **CLOSED)
+    slow = solver.one(Scene(indenter, frames, MAT), spacing=spacing, **CLOSED)
     try:
-        result = solver.one(_begun_inside(indenter, halves), **CLOSED, **numerics)
+        result = solver.one(_begun_inside(indenter, halves), spacing=spacing, **CLOSED, **numerics)
     except SimulationDiverged as diverged:
         return [*sound(slow, det_f=0.05), *evidence(diverged)]
     return [*sound(slow, result, det_f=0.05), same_end("force", slow, result, SAME)]
@@ -119,7 +125,7 @@ def _begun_inside(indenter: Indenter, halves: int) -> Scene:
 
 def prism_starts_deep_inside(solver: Solver) -> list[Law]:
     """A prism that is 1.5 mm inside at frame 0: the slow press's state, or none."""
-    return _sunk(solver, named("prism"), halves=3)
+    return _sunk(solver, named("prism"), halves=3, spacing=0.5 * MM)
 
 
 def prism_where_the_skin_buckles(solver: Solver) -> list[Law]:
@@ -142,7 +148,7 @@ def sphere_forced_in_at_once(solver: Solver) -> list[Law]:
 
 def prism_forced_in_at_once(solver: Solver) -> list[Law]:
     """A prism 1.5 mm inside in one step, five times its edge radius: the right state, or none."""
-    return _sunk(solver, named("prism"), halves=3, step_travel=UNLIMITED)
+    return _sunk(solver, named("prism"), halves=3, spacing=0.5 * MM, step_travel=UNLIMITED)
 
 
 def starts_at_touch(solver: Solver) -> list[Law]:

@@ -44,6 +44,7 @@ COVERS: tuple[tuple[str, str], ...] = (
     (r"overlap|passe?[sd]? through|wall|narrow|too coarse", rf"{AMOUNTS}|touches|within-bounds"),
     (r"too coarse|too small|few elements|not resolved", rf"{AMOUNTS}|touches|within-bounds"),
     (r"base plane|below the base", r"above-base"),
+    (r"buckle", rf"{AMOUNTS}|within-bounds"),
     (r"touch|light|round-off", r"touches|lets-go|same-place|within-bounds"),
 )
 """Words of a warning, and the laws that it owns up to: that a force depends on the mesh does not
@@ -168,7 +169,7 @@ def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
         kind = "refused"
     elif isinstance(error, SimulationDiverged):
         _forget(error)
-        kind = "diverged" if error.tried and "waypoint" in said else "crash"
+        kind = "diverged" if "waypoint" in said else "crash"
     if kind == "crash":
         frames = traceback.extract_tb(error.__traceback__)
         where = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
