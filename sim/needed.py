@@ -41,6 +41,8 @@ FINENESS, ELEMENTS_MAX = 0.3, 6000
 STATES, PATHS = 1e-3, 1e-2
 """Tolerances of the probes' states, and of those between waypoints: they move a worth by less than
 1e-4 of the force."""
+NEWTON_MAX, CG_MAX, HALVINGS = 30, 1500, 3
+"""What a probe may try: one that takes more would cost more than it can save, and tells nothing."""
 NEWTON = 50
 """Iterations of the linear solver that take as long as one Newton iteration beside them."""
 
@@ -241,7 +243,7 @@ def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> 
     error = {
         **mesh,
         "by": f"{mesh['by']}; effects left out: {found.joint_by}",
-        "percent": 100 * max(share, default=0.0),
+        "percent": mesh["percent"] + 100 * joint.value("share"),
         "force": share,
         "newton": mesh["newton"] + joint.force,
         "marker": mesh["marker"] + joint.marker,
@@ -427,7 +429,13 @@ def _solve(
     if not tasks:
         return
     numerics = Numerics(
-        fineness=FINENESS, elements_max=ELEMENTS_MAX, tolerance=STATES, path_tolerance=PATHS
+        fineness=FINENESS,
+        elements_max=ELEMENTS_MAX,
+        tolerance=STATES,
+        path_tolerance=PATHS,
+        newton_max=NEWTON_MAX,
+        cg_max=CG_MAX,
+        halvings=HALVINGS,
     )
     began = time.perf_counter()
     outcomes = simulate_many(
