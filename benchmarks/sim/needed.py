@@ -31,7 +31,7 @@ from sim.tiers import simulate_many
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
-STEPS_MAX = 25
+STEPS_MAX = 15
 """Steps of a motion at most, so that a scene takes seconds."""
 ELEMENTS_MAX = 6000
 """Elements of the meshes that plans are held against, unless told otherwise."""
