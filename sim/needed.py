@@ -32,11 +32,14 @@ PART = 1 / 3
 SAFETY = 1.5
 """Error of leaving effects out on a finer mesh over that of the probes, at most
 (`python -m benchmarks needed`)."""
+NOISE = 5e-4
+"""Least error of a force, over the force, that probes tell of leaving effects out: states are found
+along other steps, with what is left of the penetration."""
 BOUND_PART = 0.1
 """Share of that part which a bound must be below for an effect to be spared a probe."""
 NEGLIGIBLE: dict[Kind, float] = {"share": 1e-4, "marker": 0.01}
 """The same without a tolerance: a tenth of what two meshes tell of a force, and pixels."""
-FINENESS, ELEMENTS_MAX = 0.3, 6000
+FINENESS, ELEMENTS_MAX = 0.3, 1500
 """Of the probes' meshes."""
 STATES, PATHS = 1e-3, 1e-2
 """Tolerances of the probes' states, and of those between waypoints: they move a worth by less than
@@ -350,7 +353,23 @@ class _Draft:
         if not names:
             return total
         found = self.change(self._together(names))
-        return None if found is None else total.plus(found.times(SAFETY))
+        if found is None:
+            return None
+        force = np.linalg.norm(self._whole().force, axis=1)
+        found = found.times(SAFETY)
+        least = np.maximum(found.share, NOISE * (force > 0))
+        found = Change(
+            share=tuple(least.tolist()),
+            force=max(found.force, NOISE * float(force.max())),
+            marker=found.marker,
+        )
+        return total.plus(found)
+
+    def _whole(self) -> Result:
+        """The probe with all effects, where one without some of them has a change."""
+        whole = self.solved[frozenset()]
+        assert isinstance(whole, Result)
+        return whole
 
     def _together(self, names: Names) -> Names:
         """What the probe that stands for `names` leaves out: several also what is bounded."""
