@@ -30,8 +30,8 @@ Progress = Callable[[float], None]
 PART = 1 / 3
 """Share of a tolerance that effects left out may take; what they do not take is the mesh's."""
 SAFETY = 1.5
-"""Error of leaving effects out on a finer mesh over that of the probes, at most
-(`python -m benchmarks needed`)."""
+"""Error of leaving effects out on a finer mesh over that of the probes, at most: up to 1.34 in 22
+random scenes, but for one whose error was below `NOISE` (`python -m benchmarks needed`)."""
 NOISE = 5e-4
 """Least error of a force, over the force, that probes tell of leaving effects out: states are found
 along other steps, with what is left of the penetration."""
