@@ -45,6 +45,9 @@ BENCHMARKS = {
     "effects": Benchmark(
         "benchmarks.sim.effects.command", "sim", "what an effect costs, on and off"
     ),
+    "needed": Benchmark(
+        "benchmarks.sim.needed", "sim", "effects that do not matter, left out of random scenes"
+    ),
     "layer": Benchmark("benchmarks.sim.tiers.layer", "sim", "the `layer` tier, error and time"),
     "mpm": Benchmark("benchmarks.sim.tiers.mpm", "sim", "the `mpm` tier beside `fem`"),
     "independent": Benchmark(

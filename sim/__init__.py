@@ -5,7 +5,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import Indenter
 from sim.result import Quality, Result
 from sim.scene import Body, Motion, Scene, from_target, press, press_shear_return, ramp_hold
-from sim.simulate import simulate, simulate_many
+from sim.simulate import plan, simulate, simulate_many
 
 __all__ = [
     "Body",
@@ -22,6 +22,7 @@ __all__ = [
     "SimulationDiverged",
     "Viscosity",
     "from_target",
+    "plan",
     "press",
     "press_shear_return",
     "ramp_hold",

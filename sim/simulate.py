@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.result import Result
@@ -13,6 +13,7 @@ from sim.tiers import Tier, simulate_many, simulate_one, unfit
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.mpm import MpmNumerics
+    from sim.needed import EffectsPlan
 
 
 def simulate(
@@ -20,6 +21,7 @@ def simulate(
     tier: Tier | None = None,
     *,
     tolerance: str | None = None,
+    effects: Literal["needed"] | None = None,
     error_bar: bool = False,
     extrapolate: bool = False,
     numerics: Numerics | MpmNumerics | None = None,
@@ -36,6 +38,8 @@ def simulate(
         tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: meshes finer
             and finer until the error that two of them tell is below (`sim.tolerance`), told in
             `record["error"]` and `record["plan"]`.
+        effects: "needed", with a tolerance: leave out what of the scene's effects the tolerance
+            allows, a third of it at most (`sim.needed`), told in `record["effects"]`. None: all.
         error_bar: Solve a coarser mesh as well: `record["error"]` is measured then, and
             `record["error_bar"]` has it too. With a tolerance it is measured anyway.
         extrapolate: Solve a coarser mesh as well, and give the forces that both lead to
@@ -49,6 +53,8 @@ def simulate(
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
     check_kind("scene", scene, Scene, "a Scene")
+    if effects is not None:
+        _check_needed(effects, tolerance)
     if extrapolate:
         return _extrapolated(scene, tier, tolerance, error_bar, numerics, device, progress)
     if tolerance is not None:
@@ -57,6 +63,10 @@ def simulate(
                 f"tolerance: {tolerance!r} with a tier or numerics; allowed: either the one or the "
                 "other"
             )
+        if effects is not None:
+            from sim.needed import simulate_needed
+
+            return simulate_needed(scene, tolerance, device=device, progress=progress)
         from sim.tolerance import simulate_within
 
         return simulate_within(scene, tolerance, device=device, progress=progress)
@@ -75,6 +85,42 @@ def simulate(
             return with_measured_error(outcome, numerics or Numerics(), device=device)
         return with_error_bar(outcome, device=device, numerics=numerics)
     return outcome
+
+
+def plan(
+    scene: Scene,
+    *,
+    tolerance: str | None = None,
+    device: str = "cpu",
+    progress: Callable[[float], None] | None = None,
+) -> EffectsPlan:
+    """What each effect of a scene is worth; with a tolerance also which ones it may do without.
+
+    Printed, it is a table; `record()` has it as JSON values. Nothing is solved but probes on coarse
+    meshes, one for each effect and one with all of them (`sim.needed`).
+
+    Args:
+        scene: With the effects in question.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px", of which a third is for effects left out.
+        device: Where the probes run.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        SceneError: What is no scene, or no tolerance; a device that is not there.
+    """
+    from sim.needed import plan_many
+
+    return plan_many([scene], tolerance=tolerance, device=device, progress=progress)[0]
+
+
+def _check_needed(effects: str, tolerance: str | None) -> None:
+    if effects != "needed":
+        raise SceneError(f"effects: {effects!r}; allowed: 'needed', or None for all of the scene")
+    if tolerance is None:
+        raise SceneError(
+            f'effects: {effects!r} without a tolerance; allowed: with one, such as "2 %", '
+            '"0.05 N" or "0.5 px"'
+        )
 
 
 def _extrapolated(
@@ -102,4 +148,4 @@ def _extrapolated(
     return outcome
 
 
-__all__ = ["Tier", "simulate", "simulate_many"]
+__all__ = ["Tier", "plan", "simulate", "simulate_many"]

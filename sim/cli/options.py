@@ -448,6 +448,20 @@ def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscos
         metavar="X,Y,Z",
         help="let the body have weight, this acceleration [m/s^2] (off; alone: 0,0,-9.81)",
     )
+    group.add_argument(
+        "--effects",
+        choices=("all", "needed"),
+        default="all",
+        help="needed: leave out those that change less than a third of --tolerance, together "
+        "(%(default)s)",
+    )
+    group.add_argument(
+        "--plan-effects",
+        action="store_true",
+        help="tell what each effect changes, force [%%, N] and markers [px], and its share of the "
+        "time, by coarse meshes; solve nothing else. With --tolerance also which ones would be "
+        "left out",
+    )
 
 
 def _add_solver_options(parser: argparse.ArgumentParser) -> None:

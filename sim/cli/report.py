@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from sim.errors import SceneError
 from sim.progress import Progress
 from sim.result import Quality, Result
 from sim.scene import Motion, Scene
-from sim.simulate import simulate
+from sim.simulate import plan, simulate
 
 # A result in millimetres and newtons: one JSON object, or a table to read.
 
@@ -73,8 +73,15 @@ def as_json(
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
+        **_plan_of_effects(result),
         **_fields(result, frames, wanted),
     }
+
+
+def _plan_of_effects(result: Result) -> dict[str, Any]:
+    """What was found of each effect asked for, where only the needed ones were solved."""
+    found = result.record.get("effects")
+    return {"effects_plan": found} if isinstance(found, dict) else {}
 
 
 def _fields(result: Result, frames: slice, wanted: Sequence[str]) -> dict[str, Any]:
@@ -214,6 +221,8 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
         body=body_of(options),
         effects=effects_of(options),
     )
+    if options.plan_effects:
+        return _tell_effects(scene, options)
     picture = _picture_path(options)
     _make_room(options.save, picture)
     result = _simulated(scene, options)
@@ -244,6 +253,25 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
     return 0
 
 
+def _tell_effects(scene: Scene, options: argparse.Namespace) -> int:
+    """Print what each effect is worth; the exit code."""
+    from sim.device import ready_device
+
+    for name in ("save", "out"):
+        if getattr(options, name) is not None:
+            raise SceneError(
+                f"--{name}: {getattr(options, name)} with --plan-effects; allowed: without, there "
+                "is nothing to keep"
+            )
+    if options.tier is not None:
+        raise SceneError(f"--tier: {options.tier!r} with --plan-effects; allowed: without, fem")
+    kernels = ready_device(options.device)
+    with Progress(options.verb, sys.stderr, kernels=kernels) as progress:
+        found = plan(scene, tolerance=options.tolerance, device=options.device, progress=progress)
+    print(json.dumps(found.record(), allow_nan=False) if options.json else found)
+    return 0
+
+
 def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
     numerics = numerics_of(options)
     kernels = None
@@ -251,11 +279,13 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
         from sim.device import ready_device
 
         kernels = ready_device(options.device)
+    needed: Literal["needed"] | None = "needed" if options.effects == "needed" else None
     with Progress(options.verb, sys.stderr, kernels=kernels) as progress:
         return simulate(
             scene,
             options.tier,
             tolerance=options.tolerance,
+            effects=needed,
             error_bar=options.error_bar,
             extrapolate=options.extrapolate,
             numerics=numerics,

@@ -1,0 +1,249 @@
+"""Whether effects that are left out matter as little as is said, in scenes drawn by chance.
+
+`python -m benchmarks needed` plans each scene, solves it with all effects and without those left
+out on the same default mesh, and compares. Times are honest from the second run on: the first one
+compiles kernels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from benchmarks.sim.stability.chance.dice import Dice
+from benchmarks.sim.stability.chance.scenes import drawn
+from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
+from sim.fem.mesh import meshes_of
+from sim.fem.newton import path_of
+from sim.fem.numerics import Numerics
+from sim.fem.sizing import stages_of
+from sim.metrics import outcome_of, worst_errors
+from sim.needed import FINENESS, EffectsPlan, plan_many
+from sim.planner.features import said, tolerance_of
+from sim.progress import duration
+from sim.result import Outcome, Result
+from sim.scene import Scene
+from sim.tiers import simulate_many
+
+if TYPE_CHECKING:
+    from sim.cli.options import Verbs
+
+STEPS_MAX, COARSE_MAX = 15, 700
+"""Steps of a motion at most, and elements of a probe's mesh, so that a scene takes seconds."""
+ELEMENTS_MAX = 6000
+"""Elements of the meshes that plans are held against, unless told otherwise."""
+EFFECTS_STREAM = 1_000_000
+"""Added to a scene's number, for a stream of its own that draws its effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What came of one scene."""
+
+    name: str
+    found: EffectsPlan
+    true: dict[str, float] | None
+    """Errors of the force (share, N) and of markers (px) on the default mesh; None: no solution."""
+    full: float
+    """Time of the scene with all effects [s]."""
+    less: float
+    """The same without those left out [s]."""
+
+    @property
+    def value(self) -> float:
+        """The true error in the unit of the tolerance."""
+        assert self.true is not None
+        assert self.found.tolerance is not None
+        return self.true[self.found.tolerance.kind]
+
+
+def add_to(verbs: Verbs) -> None:
+    """The verb and its options."""
+    parser = verbs.add_parser(
+        "needed", help="leave out the effects that do not matter in random scenes, and check"
+    )
+    parser.add_argument("--scenes", type=int, default=60, metavar="N", help="(%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of the scenes (%(default)s)")
+    parser.add_argument(
+        "--tolerance", default="2 %", help='"2 %%", "0.05 N" or "0.5 px" (%(default)s)'
+    )
+    parser.add_argument(
+        "--elements",
+        type=int,
+        default=ELEMENTS_MAX,
+        metavar="N",
+        help="most elements of the meshes that plans are held against (%(default)s)",
+    )
+    parser.add_argument(
+        "--device",
+        default="cpu",
+        help="cpu, one scene after the other; cuda:0 and the like, all scenes side by side, whose "
+        "times are the mean (%(default)s)",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plan, solve and compare; 1 where an error is larger than its tolerance.
+
+    Raises:
+        SceneError: What is no tolerance, or a device that is not there.
+    """
+    from sim.device import ready_device
+
+    tolerance_of(options.tolerance)
+    ready_device(options.device)
+    numerics = Numerics(elements_max=options.elements)
+    began = time.perf_counter()
+    rows: list[Row] = []
+    with TemporaryDirectory() as folder:
+        scenes = scenes_of(options.seed, options.scenes, Path(folder))
+        together = 1 if options.device == "cpu" else len(scenes)
+        for first in range(0, len(scenes), together):
+            part = scenes[first : first + together]
+            for row in compared(part, options.tolerance, numerics, options.device):
+                rows.append(row)
+                print(line(row), flush=True)
+            left = (time.perf_counter() - began) * (len(scenes) / len(rows) - 1)
+            print(f"{len(rows)}/{len(scenes)}, {duration(left)} left", file=sys.stderr)
+    for text in summary(rows):
+        print(text)
+    return int(any(row.true is not None and row.value > _limit(row) for row in rows))
+
+
+def scenes_of(seed: int, count: int, folder: Path) -> list[tuple[str, Scene]]:
+    """Sensible scenes of `drawn`, with two effects or more drawn anew, weak ones among them."""
+    found: list[tuple[str, Scene]] = []
+    index = 0
+    while len(found) < count:
+        one = drawn(seed, index, folder)
+        if one.scene is not None and one.what.startswith("sensible"):
+            scene = replace(one.scene, effects=_effects(Dice(seed, EFFECTS_STREAM + index)))
+            if _steps(scene) <= STEPS_MAX and _elements(scene) <= COARSE_MAX:
+                found.append((one.name, scene))
+        index += 1
+    return found
+
+
+def _effects(dice: Dice) -> Effects:
+    """Two to four effects, each as often weak as strong."""
+    while True:
+        branches = dice.whole(1, 2)
+        effects = Effects(
+            Friction(dice.scaled(1e-3, 1.0)) if dice.chance(0.6) else None,
+            Viscosity(
+                tuple(dice.scaled(1e-3, 1.0) for _ in range(branches)),
+                tuple(dice.scaled(1e-4, 10.0) for _ in range(branches)),
+            )
+            if dice.chance(0.5)
+            else None,
+            Inertia(dice.one_of([1.0, 1.0, 100.0])) if dice.chance(0.6) else None,
+            Gravity(dice.one_of([(0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0)]))
+            if dice.chance(0.6)
+            else None,
+        )
+        if len(effects.key) >= 2:
+            return effects
+
+
+def _steps(scene: Scene) -> int:
+    """Steps of the motion, none of them refused."""
+    path = path_of(scene, Numerics())
+    total = 0
+    for segment in range(1, len(scene.motion)):
+        path.segment = segment
+        total += round(1 / path.limit)
+    return total
+
+
+def _elements(scene: Scene) -> int:
+    """Elements of a probe's mesh, as the look before it is solved asks for."""
+    sizes = [stage.sizes for stage in stages_of(scene)]
+    numerics = Numerics(fineness=FINENESS)
+    return sum(len(one.elements) for one in meshes_of([scene] * len(sizes), numerics, sizes))
+
+
+def compared(
+    scenes: Sequence[tuple[str, Scene]], tolerance: str, numerics: Numerics, device: str
+) -> list[Row]:
+    """Plans of scenes, held against both solutions where anything is left out."""
+    plain = [scene for _name, scene in scenes]
+    plans = plan_many(plain, tolerance=tolerance, device=device)
+    lesser = [i for i, one in enumerate(plans) if one.left_out]
+    full, full_time = _solved([plain[i] for i in lesser], numerics, device)
+    less, less_time = _solved([plans[i].needed for i in lesser], numerics, device)
+    rows = []
+    for i, ((name, scene), one) in enumerate(zip(scenes, plans, strict=True)):
+        if i not in lesser:
+            rows.append(Row(name, one, {"share": 0.0, "force": 0.0, "marker": 0.0}, 0.0, 0.0))
+            continue
+        both = full[lesser.index(i)], less[lesser.index(i)]
+        true = None
+        if isinstance(both[0], Result) and isinstance(both[1], Result):
+            true = worst_errors(outcome_of(both[1]), outcome_of(both[0]), scene.body)
+        rows.append(Row(name, one, true, full_time, less_time))
+    return rows
+
+
+def _solved(
+    scenes: Sequence[Scene], numerics: Numerics, device: str
+) -> tuple[list[Outcome], float]:
+    """Outcomes, and the time that each took in the mean [s]."""
+    began = time.perf_counter()
+    outcomes = simulate_many(scenes, numerics=numerics, device=device)
+    return outcomes, (time.perf_counter() - began) / max(len(scenes), 1)
+
+
+def line(row: Row) -> str:
+    """A scene in a line: what is on, what was left out, the errors, the time."""
+    found = row.found
+    assert found.tolerance is not None
+    text = f"{row.name}: {' '.join(found.scene.effects.key)}; left out: "
+    if not found.left_out:
+        return f"{text}nothing; probes {found.seconds:.1f} s"
+    joint = found.joint
+    text += (
+        f"{' '.join(found.left_out)} ({found.joint_by}); said {said('share', joint.value('share'))}"
+    )
+    text += f" {said('marker', joint.marker)}"
+    if row.true is None:
+        return f"{text}; no solution on the default mesh"
+    kept = "" if row.value <= joint.value(found.tolerance.kind) else " MORE THAN SAID"
+    return (
+        f"{text}, true {said('share', row.true['share'])} {said('marker', row.true['marker'])}"
+        f"{kept}; {row.full:.1f} - {row.less:.1f} = {row.full - row.less:.1f} s saved, probes "
+        f"{found.seconds:.1f} s"
+    )
+
+
+def summary(rows: Sequence[Row]) -> list[str]:
+    """How many kept what, and what time was saved and spent."""
+    some = [row for row in rows if row.found.left_out and row.true is not None]
+    within = sum(row.value <= _limit(row) for row in some)
+    kept = sum(row.value <= row.found.joint.value(_kind(row)) for row in some)
+    saved, full = sum(row.full - row.less for row in some), sum(row.full for row in some)
+    spent = sum(row.found.seconds for row in rows)
+    lost = sum(row.true is None for row in rows)
+    return [
+        f"{len(rows)} scenes, effects left out in {len(some) + lost}, {lost} of them without a "
+        "solution",
+        f"{within} of {len(some)} within the tolerance, {kept} within what was said",
+        f"{saved:.1f} s of {full:.1f} s saved where effects were left out, {spent:.1f} s spent on "
+        "all probes",
+    ]
+
+
+def _kind(row: Row) -> str:
+    assert row.found.tolerance is not None
+    return row.found.tolerance.kind
+
+
+def _limit(row: Row) -> float:
+    assert row.found.tolerance is not None
+    return row.found.tolerance.value

@@ -1,0 +1,269 @@
+"""How much an effect can change at most, from dimensions and a run of the `layer` tier.
+
+None of this solves the effect: inertia and gravity are accelerations under which a layer sags,
+viscosity is overstress that has not relaxed yet, friction is at most its coefficient. Factors are
+on the safe side, and scenes that a layer without sides knows nothing of have no bound.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.effects import Effects, Inertia
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem.newton import path_of
+from sim.fem.numerics import Numerics
+from sim.metrics import Outcome, force_scale, marker_pixels, outcome_of, seen
+from sim.scene import Body, Scene
+from sim.tiers import simulate_one
+
+Array = NDArray[np.float64]
+
+STIFFENING = 3.0
+"""Slope of a force over depth, over force / depth, at most: 1 for a flat punch, 1.5 for a sphere, 2
+for a cone, more as the layer fills up."""
+ALONG = 3.0
+"""Share of the force that friction changes over its coefficient, at most: 1 on a flat contact."""
+SLIPPERY = 0.01
+"""Coefficient above which friction has no bound: it may change anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How far two solutions of one scene are apart; F frames."""
+
+    share: tuple[float, ...]
+    """Change of the force along x, y or z of each frame, over `sim.metrics.force_scale` (F,)."""
+    force: float
+    """Largest change of the force along x, y or z [N]."""
+    marker: float
+    """Root mean square of the distances between 14 x 14 markers' images, largest frame [px]."""
+
+    def value(self, kind: str) -> float:
+        """The number that a tolerance of `kind` ("share", "force", "marker") limits."""
+        return max(self.share, default=0.0) if kind == "share" else float(getattr(self, kind))
+
+    def times(self, factor: float) -> Change:
+        """So many times as far apart."""
+        share = tuple(factor * one for one in self.share)
+        return Change(share, factor * self.force, factor * self.marker)
+
+    def plus(self, other: Change) -> Change:
+        """Both, one on top of the other."""
+        share = tuple(a + b for a, b in zip(self.share, other.share, strict=True))
+        return Change(share, self.force + other.force, self.marker + other.marker)
+
+
+def no_change(scene: Scene) -> Change:
+    """What leaving out an effect of no strength changes."""
+    return Change((0.0,) * len(scene.motion), 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """What the `layer` tier finds of a scene without what is to be bounded."""
+
+    outcome: Outcome
+    scale: Array
+    """What errors of the force are divided by (F,) [N]."""
+    size: Array
+    """Force (F,) [N]."""
+    moved: float
+    """Root mean square of the markers' way, largest frame [px]."""
+    pixels: float
+    """Pixels that a marker's image moves when the marker moves, at most [px/m]."""
+
+    def change(self, newton: Array, pixels: float) -> Change:
+        """The change of forces by `newton` (F,) and of markers by `pixels`."""
+        share = tuple(float(one) for one in newton / self.scale)
+        return Change(share, float(newton.max(initial=0.0)), pixels)
+
+    @property
+    def width(self) -> float:
+        """Square root of the area touched in the frame of the largest force [m]."""
+        x, y = self.outcome.surface_x, self.outcome.surface_y
+        touched = self.outcome.touched[int(np.argmax(self.size))].sum()
+        return math.sqrt(float(touched * np.diff(x).mean() * np.diff(y).mean()))
+
+
+def bounds_of(scene: Scene, names: Sequence[str]) -> dict[str, Change]:
+    """What leaving out each of the effects `names` of `scene` changes at most.
+
+    Those of no strength change nothing. Others have a bound where `layer` knows the scene: a flat
+    body, an indenter that presses and keeps a thickness away from the sides, a motion that does not
+    begin inside the body. Names without a bound are absent.
+    """
+    found: dict[str, Change] = {}
+    for name in names:
+        effect = getattr(scene.effects, name)
+        if effect == effect.weakened(0.0):
+            found[name] = no_change(scene)
+    friction = scene.effects.friction
+    grips = friction is not None and friction.coefficient > SLIPPERY
+    rest = [name for name in names if name not in found and not (grips and name == "friction")]
+    layer = _layer(scene) if rest else None
+    if layer is not None:
+        found |= {name: _BOUNDS[name](scene, layer) for name in rest}
+    return found
+
+
+def _layer(scene: Scene) -> _Layer | None:
+    """What `layer` says of the scene; None where that is not to be trusted."""
+    depth, thickness = scene.motion.depth_max, scene.body.thickness
+    if scene.body.dome_radius is not None or not 0 < depth < thickness:
+        return None
+    if scene.motion.tip[0][2] < 0:
+        return None
+    try:
+        alone = replace(scene, effects=Effects(friction=scene.effects.friction))
+        result = simulate_one(alone, "layer")
+    except (SceneError, SimulationDiverged):
+        return None
+    outcome = outcome_of(result)
+    size = np.linalg.norm(outcome.force, axis=1)
+    if result.record["error"]["status"] == "none" or not size.any():
+        return None
+    at_rest = replace(outcome, surface=np.zeros_like(outcome.surface))
+    moved = marker_pixels(outcome, scene.body) - marker_pixels(at_rest, scene.body)
+    rms = np.sqrt(np.mean(np.sum(moved**2, axis=-1), axis=(1, 2)))
+    return _Layer(
+        outcome, force_scale(outcome.force), size, float(rms.max()), _pixels_per_metre(scene.body)
+    )
+
+
+def _pixels_per_metre(body: Body) -> float:
+    """Pixels that the image of a marker moves when it moves by a little, at most [px/m]."""
+    corner = np.array([body.size_x / 2, body.size_y / 2, 0.0])
+    step = 1e-6
+    ways = [seen(corner + step * axis) - seen(corner) for axis in np.eye(3)]
+    return float(np.linalg.norm(ways)) / step
+
+
+def _friction(scene: Scene, layer: _Layer) -> Change:
+    """Shear traction is at most coefficient times pressure; skin follows it over the thickness."""
+    friction = scene.effects.friction
+    assert friction is not None
+    pull = ALONG * friction.coefficient * layer.size
+    pressure = float(layer.size.max()) / layer.width**2
+    aside = friction.coefficient * pressure * scene.body.thickness / scene.body.shear_modulus
+    marker = ALONG * friction.coefficient * layer.moved + layer.pixels * aside
+    return layer.change(pull, marker)
+
+
+def _viscosity(scene: Scene, layer: _Layer) -> Change:
+    """Overstress: each branch adds its share of every change of force that it has not forgotten.
+
+    Within a segment the force changes by what `layer` says, and under a sliding contact the skin is
+    loaded and unloaded once a width. A branch keeps exp(-t / time) of it, and of an even change
+    over t the mean of that (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2 (1970) 45).
+    """
+    viscosity = scene.effects.viscosity
+    assert viscosity is not None
+    tip, time = np.array(scene.motion.tip), np.array(scene.motion.time)
+    size, force = layer.size, layer.outcome.force
+    over = np.zeros(len(size))
+    for ratio, relaxation in zip(viscosity.ratios, viscosity.times, strict=True):
+        held = np.zeros(len(size))
+        for k in range(1, len(size)):
+            span = float(time[k] - time[k - 1]) / relaxation
+            aside = float(np.linalg.norm(tip[k, :2] - tip[k - 1, :2]))
+            pressed = max(size[k], size[k - 1])
+            change = np.linalg.norm(force[k] - force[k - 1]) + 2 * pressed * aside / layer.width
+            fresh = STIFFENING * change * -math.expm1(-span) / span
+            held[k] = held[k - 1] * math.exp(-span) + fresh
+        over += ratio * np.minimum(held, STIFFENING * size.max())
+    return layer.change(over, float((over / layer.scale).max()) * layer.moved)
+
+
+def _gravity(scene: Scene, layer: _Layer) -> Change:
+    gravity = scene.effects.gravity
+    assert gravity is not None
+    steady = np.tile(np.array(gravity.acceleration, float), (len(layer.size), 1))
+    return _of_acceleration(scene, layer, steady, moving=False)
+
+
+def _inertia(scene: Scene, layer: _Layer) -> Change:
+    inertia = scene.effects.inertia
+    assert inertia is not None
+    most = inertia.scale * _accelerations(scene, inertia)[:, None] * np.ones(3)
+    return _of_acceleration(scene, layer, most, moving=True)
+
+
+def _accelerations(scene: Scene, inertia: Inertia) -> Array:
+    """Largest acceleration of the material at each frame (F,) [m/s^2].
+
+    A change of the tip's velocity is taken up within a step, or at the speed of a wave through the
+    thickness where that is slower; what rings afterwards loses 1 / sqrt(1 + (omega step)^2) in
+    each step of backward Euler, omega being the lowest frequency of a layer or of a column that
+    bends. Beside it, the velocity field changes with the contact over the time of a segment.
+    """
+    body, motion = scene.body, scene.motion
+    density = body.density * inertia.scale
+    narrow = min(body.size_x, body.size_y) / body.thickness
+    shear = math.pi / 2 * math.sqrt(body.shear_modulus / density) / body.thickness
+    bend = 1.015 * narrow * math.sqrt(body.modulus / density) / body.thickness
+    omega = min(shear, bend)
+    wave = math.sqrt((body.bulk_modulus + 4 / 3 * body.shear_modulus) / density) / body.thickness
+    path = path_of(scene, Numerics())
+    tip, time = np.array(motion.tip), np.array(motion.time)
+    velocity = np.diff(tip, axis=0) / np.diff(time)[:, None]
+    found = np.zeros(len(tip))
+    rings, before = 0.0, np.zeros(3)
+    for k, ((start, end), now) in enumerate(zip(pairwise(tip), velocity, strict=True), 1):
+        path.segment = k
+        step = path.limit * float(time[k] - time[k - 1])
+        steps = round(1 / path.limit)
+        lost = 1 / math.sqrt(1 + (omega * step) ** 2)
+        jump = float(np.linalg.norm(now - before)) * min(1 / step, wave)
+        # Above the skin nothing is felt; where it is met within the segment, nothing has faded.
+        met = start[2] > 0 > end[2]
+        fresh = (
+            float(np.linalg.norm(now)) * min(1 / step, wave) if met else jump * lost ** (steps - 1)
+        )
+        rings = rings * lost**steps + fresh
+        found[k] = rings + STIFFENING * float(np.linalg.norm(now)) / float(time[k] - time[k - 1])
+        before = now
+    return found
+
+
+def _of_acceleration(scene: Scene, layer: _Layer, most: Array, *, moving: bool) -> Change:
+    """What accelerations (F, 3) [m/s^2] of the whole body change.
+
+    The body sags: along z as a block bonded below (Gent's apparent modulus, or that of confined
+    columns where it is less), sideways in shear and bending. The contact is as much deeper or
+    shallower, and as much stiffer as the stress of the weight is of the modulus. With `moving` the
+    indenter also carries the mass around it.
+    """
+    body, depth = scene.body, scene.motion.depth_max
+    thick = body.thickness
+    shape = body.size_x * body.size_y / (4 * thick * (body.size_x + body.size_y))
+    confined = body.bulk_modulus + 4 / 3 * body.shear_modulus
+    along = min(confined, body.modulus * (1 + 2 * shape**2))
+    narrow = min(body.size_x, body.size_y) / thick
+    weight = body.density * thick
+    down = weight * np.abs(most[:, 2]) * thick / (2 * along)
+    side = np.linalg.norm(most[:, :2], axis=1) * weight * thick
+    aside = side * (1 / (2 * body.shear_modulus) + 1.5 / (body.modulus * narrow**2))
+    sag = down + aside
+    pulled = np.linalg.norm(most, axis=1)
+    deep = np.maximum(-np.array(scene.motion.tip)[:, 2], 1e-6 * depth)
+    slope = np.maximum(STIFFENING * layer.size / deep, float(layer.size.max()) / depth)
+    newton = slope * sag / (1 - depth / thick) + layer.size * weight * pulled / body.modulus
+    if moving:
+        area = min((layer.width + 2 * thick) ** 2, body.size_x * body.size_y)
+        newton = newton + weight * area * pulled
+    return layer.change(newton, 2 * layer.pixels * float(sag.max()))
+
+
+_BOUNDS: dict[str, Callable[[Scene, _Layer], Change]] = {
+    "friction": _friction,
+    "viscosity": _viscosity,
+    "inertia": _inertia,
+    "gravity": _gravity,
+}
