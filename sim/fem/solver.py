@@ -478,10 +478,11 @@ def _judged(outcome: Outcome) -> Outcome:
         )
     lost = _lost_contact(outcome)
     if lost is not None:
+        deepest = 1e6 * float(outcome.quality.overlap_path.max())
         return SimulationDiverged(
             f"the indenter passes through the skin: no force at waypoint {lost}, inside the body, "
-            f"after it stood {outcome.quality.overlap_path.max() * 1e6:.3g} um deep in the skin; the "
-            "mesh does not resolve the contact (allowed: finer elements, a rounder edge)",
+            f"after it stood {deepest:.3g} um deep in the skin; the mesh does not resolve the "
+            "contact (allowed: finer elements, a rounder edge)",
             tried=(),
             dump=None,
         )
