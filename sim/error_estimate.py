@@ -47,12 +47,12 @@ no sides."""
 def with_estimate(result: Result) -> Result:
     """The result with `record["error"]`, estimated from what it shows; unchanged if it has one.
 
-    And with `record["symmetry"]`, where the scene is mirrored in a plane.
+    A `fem` result has `record["symmetry"]` too, where its scene is mirrored in a plane.
     """
     if "error" in result.record:
         return result
-    result = with_symmetry(result)
     if result.tier == "fem":
+        result = with_symmetry(result)
         error = _of_elements(result)
     elif result.tier == "layer":
         error = _of_layer(result)

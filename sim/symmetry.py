@@ -58,7 +58,7 @@ def vanishing_share(result: Result) -> Array:
 
 
 def with_symmetry(result: Result) -> Result:
-    """The result with `record["symmetry"]`, where its scene is mirrored in a plane.
+    """The `fem` result with `record["symmetry"]`, where its scene is mirrored in a plane.
 
     Keys: `plane`, the one that the answer keeps least; `vanishing_force_newton`, the largest force
     along its normal; `vanishing_torque_newton_metre`, the largest torque about the tip that it
@@ -81,7 +81,7 @@ def with_symmetry(result: Result) -> Result:
         "vanishing_torque_newton_metre": float(np.linalg.norm(forbidden, axis=1).max(initial=0.0)),
         "percent": 100 * share,
     }
-    warnings = [one for one in result.record.get("warnings", []) if not str(one).startswith(NOTE)]
+    warnings = [one for one in result.record["warnings"] if not str(one).startswith(NOTE)]
     if share > WORTH_SAYING:
         warnings.append(
             f"{NOTE} {plane}, but {100 * share:.2g} % of the force is across it: the mesh, or a "

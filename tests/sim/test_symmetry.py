@@ -92,8 +92,9 @@ def test_a_scenes_planes_hold_its_body_its_motion_and_gravity(
 
 
 def _pushed(force: tuple[float, float, float]) -> Result:
-    """A press by `layer` along y = 0 that says another force, and nothing of its error yet."""
-    result = simulate(Scene(sphere(3e-3), press([0.2e-3, 0.1e-3], at=(1e-3, 0.0))), "layer")
+    """A press along y = 0 that says another force, and nothing of its error yet."""
+    motion = press([0.4e-3, 0.3e-3], at=(1e-3, 0.0))
+    result = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=Numerics(spacing=4e-3 / 4))
     wrench = result.wrench.copy()
     wrench[1, :3] = force
     record = {name: one for name, one in result.record.items() if name != "error"}
@@ -102,16 +103,16 @@ def _pushed(force: tuple[float, float, float]) -> Result:
 
 def test_a_force_that_symmetry_forbids_is_part_of_the_error_and_worth_a_warning() -> None:
     wrong = with_estimate(_pushed((0.0, 0.3, -0.4)))
-    assert vanishing_share(wrong) == pytest.approx([0.0, 0.6, 0.0], abs=1e-9)
+    assert vanishing_share(wrong) == pytest.approx([0.0, 0.6, 0.0], abs=1e-5)
     assert wrong.record["symmetry"]["plane"] == "y = 0"
     assert wrong.record["symmetry"]["vanishing_force_newton"] == pytest.approx(0.3)
     assert wrong.record["symmetry"]["percent"] == pytest.approx(60)
     assert wrong.record["error"]["percent"] == pytest.approx(60)
-    assert wrong.record["error"]["force"][2] < 0.1
+    assert wrong.record["error"]["force"][2] < 0.3
     assert "60 % of the force is across it" in wrong.record["warnings"][-1]
     # Along the plane, a force is no error.
     right = with_estimate(_pushed((0.3, 0.0, -0.4)))
-    assert right.record["error"]["percent"] < 10
+    assert right.record["error"]["percent"] < 30
     assert not [one for one in right.record["warnings"] if "across" in one]
 
 
