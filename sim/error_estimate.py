@@ -3,7 +3,8 @@
 `record["error"]` of every result has a `status`: `measured` (a second mesh was solved), `estimated`
 (from how finely the contact is resolved, by rules that were held against solutions by other means:
 `python -m benchmarks independent`), or `none`. `force` is the error of the force, frame by frame,
-over the force of the frame or a tenth of the largest one; `percent` is the largest of them.
+over the force of the frame or a tenth of the largest one; `percent` is the largest of them. No
+error is below what a force that symmetry forbids shows (`sim.symmetry`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from sim.contact_size import touched_by
 from sim.metrics import WEAK
 from sim.result import Result
+from sim.symmetry import vanishing_share, with_symmetry
 
 Array = NDArray[np.float64]
 
@@ -43,10 +45,14 @@ no sides."""
 
 
 def with_estimate(result: Result) -> Result:
-    """The result with `record["error"]`, estimated from what it shows; unchanged if it has one."""
+    """The result with `record["error"]`, estimated from what it shows; unchanged if it has one.
+
+    A `fem` result has `record["symmetry"]` too, where its scene is mirrored in a plane.
+    """
     if "error" in result.record:
         return result
     if result.tier == "fem":
+        result = with_symmetry(result)
         error = _of_elements(result)
     elif result.tier == "layer":
         error = _of_layer(result)
@@ -55,15 +61,16 @@ def with_estimate(result: Result) -> Result:
     return replace(result, record={**result.record, "error": error})
 
 
-def measured(share: Array, by: str, **more: Any) -> dict[str, Any]:
+def measured(result: Result, share: Array, by: str, **more: Any) -> dict[str, Any]:
     """What `record["error"]` is where a second mesh was solved.
 
     Args:
+        result: Whose error.
         share: Error of the force of each frame (F,), over the force.
         by: What it was measured with, in words.
         more: Further entries.
     """
-    return {**_told("measured", share, by), **more}
+    return {**_told(result, "measured", share, by), **more}
 
 
 def fineness_of(result: Result) -> Array:
@@ -97,7 +104,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
-    error = _told("estimated", _weighed(result, share), "how finely the contact is meshed")
+    error = _told(result, "estimated", _weighed(result, share), "how finely the contact is meshed")
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
     if missed.any():
         error["force"] = [
@@ -115,7 +122,7 @@ def _of_layer(result: Result) -> dict[str, Any]:
     width = np.maximum(result.quality.contact_width, 1e-12)
     pixel = float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
     share = share + np.where(result.force.any(axis=1), np.square(pixel / width), 0.0)
-    error = _told("estimated", _weighed(result, share), "depth over thickness, and pixels")
+    error = _told(result, "estimated", _weighed(result, share), "depth over thickness, and pixels")
     touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
     if touched.any():
         x, y = np.abs(result.surface_x), np.abs(result.surface_y)
@@ -142,8 +149,8 @@ def _weighed(result: Result, share: Array) -> Array:
     return np.where(force >= least, found, found * np.maximum(force, 1e-3 * least) / least)
 
 
-def _told(status: str, share: Array, by: str) -> dict[str, Any]:
-    share = np.minimum(share, 1.0)
+def _told(result: Result, status: str, share: Array, by: str) -> dict[str, Any]:
+    share = np.minimum(np.maximum(share, vanishing_share(result)), 1.0)
     return {
         "status": status,
         "by": by,

@@ -19,6 +19,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import force_scale
 from sim.result import Outcome, Result
 from sim.scene import Scene
+from sim.symmetry import with_symmetry
 from sim.tiers import part_of, simulate_many
 
 if TYPE_CHECKING:
@@ -101,12 +102,11 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
     more = (fine.wrench - coarse.wrench) * left_of_difference(cells[1] / cells[0])
     largest = float(np.linalg.norm(fine.force, axis=1).max())
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
-    scale = force_scale(fine.force + more[:, :3])
-    error = measured(np.abs(more[:, :3]).max(axis=1) / scale, "two meshes, extrapolated")
+    found = with_symmetry(replace(fine, wrench=fine.wrench + more))
+    apart = np.abs(more[:, :3]).max(axis=1) / force_scale(found.force)
+    error = measured(found, apart, "two meshes, extrapolated")
     how = {"order": ORDER, "cells": cells, "force_share": share}
-    return replace(
-        fine, wrench=fine.wrench + more, record={**fine.record, "extrapolated": how, "error": error}
-    )
+    return replace(found, record={**found.record, "extrapolated": how, "error": error})
 
 
 def left_of_difference(ratio: float) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from sim.metrics import force_scale, marker_errors, outcome_of, worst_errors
 from sim.planner.features import Tolerance, said, tolerance_of
 from sim.result import Result
 from sim.scene import Scene
+from sim.symmetry import vanishing_share, with_symmetry
 from sim.tiers import part_of, simulate_one
 
 if TYPE_CHECKING:
@@ -124,24 +125,24 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, f
     ratio = _ratio(coarse, fine)
     left = left_of_difference(ratio)
     step = (fine.wrench - coarse.wrench) * left
-    force = fine.wrench + step
-    size = np.linalg.norm(force[:, :3], axis=1)
-    scale = force_scale(force[:, :3])
-    newton = LEFT * np.abs(step[:, :3]).max(axis=1)
+    found = with_symmetry(replace(fine, wrench=fine.wrench + step))
+    size = np.linalg.norm(found.force, axis=1)
+    scale = force_scale(found.force)
+    newton = np.maximum(LEFT * np.abs(step[:, :3]).max(axis=1), vanishing_share(found) * scale)
     share = np.maximum(newton / scale, FLOOR * (size > 0))
     apart = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(apart**2, axis=1)).max(initial=0.0))
     by = f"two meshes, elements {ratio:.2g} times as long in the coarser one"
     error = measured(
+        found,
         share,
         by,
         newton=float(np.maximum(newton, FLOOR * size).max(initial=0.0)),
         marker=pixels,
         second_mesh=dict(coarse.record["mesh"]),
     )
-    record: dict[str, Any] = {**fine.record, "error": error}
     value = {"share": error["percent"] / 100, "force": error["newton"], "marker": pixels}
-    return replace(fine, wrench=force, record=record), float(value[wanted.kind])
+    return replace(found, record={**found.record, "error": error}), float(value[wanted.kind])
 
 
 def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cpu") -> Result:
@@ -163,7 +164,7 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     share = np.maximum(left * difference / scale, FLOOR * (size > 0))
-    error = measured(share, "a coarser mesh", second_mesh=dict(second.record["mesh"]))
+    error = measured(result, share, "a coarser mesh", second_mesh=dict(second.record["mesh"]))
     bar = {
         "force_share": error["percent"] / 100,
         "force": left * apart["force"],

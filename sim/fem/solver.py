@@ -20,6 +20,7 @@ from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of
 from sim.fem.numerics import Numerics
+from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
     Sizes,
     coarser_than_asked,
@@ -204,6 +205,7 @@ class Collector:
         """How far the skin stood below the base plane at most [m]."""
         self.worst = np.full(3, np.nan)
         """Where the skin stood deepest inside the indenter: the material point [m]."""
+        self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
         self._tip = np.zeros(3)
@@ -264,11 +266,22 @@ class Collector:
         quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
         quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
         self._overlap_path = 0.0
+        deep, node = self_overlap(mesh, u)
+        if deep * unit > self._self_overlap.max():
+            self._self_place = mesh.nodes[node] * unit
+        self._self_overlap[frame] = deep * unit
         touched = (np.abs(self._traction[frame]) > 0).any(axis=-1)
         quality["contact_width"][frame] = width_of(touched, mesh.x * unit, mesh.y * unit)
         for name in self._counts:
             self._counts[name][frame] = getattr(self.spent, name)
         self.spent = Spent()
+
+    def self_overlap(self) -> dict:
+        """How deep the skin stands inside itself, frame by frame; where it is deepest [m]."""
+        found = {"metres": [float(f"{one:.4g}") for one in self._self_overlap]}
+        if self._self_overlap.any():
+            found["place"] = [float(one) for one in self._self_place]
+        return found
 
     def result(self, record: dict) -> Result:
         """The result, once every frame was kept."""
@@ -416,19 +429,29 @@ there, or a warning says so; above the second there is no result."""
 PASSED = 0.1
 """Overlap over the side of the smallest elements below which nothing has passed through: a touch on
 elements that are far too large for it."""
+PASSES = (
+    "the indenter passes through the skin: {}; the mesh does not resolve the contact (allowed: "
+    "finer elements, a rounder edge)"
+)
+MEETS_ITSELF = (
+    "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
+    "(allowed: a shallower press, a shorter shear, a rounder edge)"
+)
+"""Why there is no result."""
 BELOW_GOOD = 0.01
 """Depth of the skin below the base plane, over the thickness, that is not worth a warning."""
 
 
-def overlap_shares(result: Result) -> np.ndarray:
-    """Overlap of each frame over the width of its contact, or over the depth if that is less."""
+def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
+    """Overlap of each frame (F,) over the width of its contact, or the depth if that is less.
+
+    Over the thickness where nothing is pressed.
+    """
     depth = np.maximum(-np.asarray(result.scene.motion.tip)[:, 2], 0.0)
     width = result.quality.contact_width
     scale = np.where(width > 0, np.minimum(width, np.maximum(depth, 0.1 * width)), depth)
-    share = np.zeros(len(scale))
-    some = scale > 1e-9 * result.scene.body.thickness
-    share[some] = result.quality.overlap[some] / scale[some]
-    return share
+    thickness = result.scene.body.thickness
+    return overlap / np.where(scale > 1e-9 * thickness, scale, thickness)
 
 
 def more_wanted(result: Result) -> Sizes | None:
@@ -443,7 +466,7 @@ def more_wanted(result: Result) -> Sizes | None:
     wanted = None
     if coarser_than_asked(found, x, y, fineness) > TOO_COARSE:
         wanted = found
-    if overlap_shares(result).max(initial=0.0) > OVERLAP_GOOD:
+    if overlap_shares(result, result.quality.overlap).max(initial=0.0) > OVERLAP_GOOD:
         place = result.record["overlap"]["place"]
         finer = finer_at(place, x, y, fineness)
         wanted = finer if wanted is None else wanted.joined(finer)
@@ -461,33 +484,32 @@ def _judged(outcome: Outcome) -> Outcome:
     """The result with what is to be said of overlaps, or that there is none."""
     if isinstance(outcome, SimulationDiverged):
         return outcome
-    shares = overlap_shares(outcome)
-    worst = int(np.argmax(shares))
-    deepest = float(outcome.quality.overlap[worst])
-    x, y, _z = (1e3 * one for one in outcome.record["overlap"]["place"])
-    where = (
-        f"the skin that lay at ({x:.3g}, {y:.3g}) mm stands {deepest * 1e6:.3g} um inside the "
-        f"indenter at waypoint {worst}, {100 * shares[worst]:.3g} % of the contact's width or depth"
-    )
-    if shares[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
-        return SimulationDiverged(
-            f"the indenter passes through the skin: {where}; the mesh does not resolve the contact "
-            "(allowed: finer elements, a rounder edge)",
-            tried=(),
-            dump=None,
-        )
     lost = _lost_contact(outcome)
     if lost is not None:
         deepest = 1e6 * float(outcome.quality.overlap_path.max())
-        return SimulationDiverged(
-            f"the indenter passes through the skin: no force at waypoint {lost}, inside the body, "
-            f"after it stood {deepest:.3g} um deep in the skin; the mesh does not resolve the "
-            "contact (allowed: finer elements, a rounder edge)",
-            tried=(),
-            dump=None,
+        where = (
+            f"no force at waypoint {lost}, inside the body, after it stood {deepest:.3g} um deep in "
+            "the skin"
         )
+        return SimulationDiverged(PASSES.format(where), tried=(), dump=None)
     warnings = list(outcome.record["warnings"])
-    if shares[worst] > OVERLAP_GOOD:
+    own = outcome.record["self_overlap"]
+    for overlap, place, inside, refused in (
+        (outcome.quality.overlap, outcome.record["overlap"]["place"], "the indenter", PASSES),
+        (np.array(own["metres"]), own.get("place"), "the skin beside it", MEETS_ITSELF),
+    ):
+        shares = overlap_shares(outcome, overlap)
+        worst = int(np.argmax(shares))
+        if shares[worst] <= OVERLAP_GOOD:
+            continue
+        deepest = float(overlap[worst])
+        where = (
+            f"the skin that lay at ({1e3 * place[0]:.3g}, {1e3 * place[1]:.3g}) mm stands "
+            f"{deepest * 1e6:.3g} um inside {inside} at waypoint {worst}, "
+            f"{100 * shares[worst]:.3g} % of the contact's width or depth"
+        )
+        if shares[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
+            return SimulationDiverged(refused.format(where), tried=(), dump=None)
         warnings.append(where)
     push, most = -float(outcome.force[:, 2].min()), _buckling_load(outcome.scene.body)
     if push > most:
@@ -807,6 +829,7 @@ class _Batch:
                 "place": [float(one) for one in collector.worst],
                 "below_base": collector.below_base,
             },
+            "self_overlap": collector.self_overlap(),
             "warnings": self._warnings(env),
         }
 

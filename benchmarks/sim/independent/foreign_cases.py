@@ -158,4 +158,13 @@ CASES: tuple[ForeignCase, ...] = (
         friction=0.5,
         mirrors="y",
     ),
+    ForeignCase(
+        "sphere 4 beyond the rim",
+        "spheres",
+        (4.0,),
+        ((9.5, 0.0, 0.3), (9.5, 0.0, 0.6)),
+        ((7.7, 10.0, 0.3),),
+        _round(2.1, 0.3),
+        mirrors="y",
+    ),
 )

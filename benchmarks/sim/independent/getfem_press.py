@@ -264,12 +264,13 @@ class Solver:
 
     def _solve(self, right: Array) -> Array:
         tangent = self.model.tangent_matrix()
+        if pypardiso is None:
+            matrix = getfem.Spmat("copy", tangent, self.free, self.free)
+            return np.ravel(getfem.linsolve_mumps(matrix, right))
         starts, rows = tangent.csc_ind()
         size = self.field.nbdof()
         matrix = sparse.csc_matrix((tangent.csc_val(), rows, starts), shape=(size, size))
         matrix = matrix[self.free][:, self.free].tocsr()
-        if pypardiso is None:
-            return np.ravel(getfem.linsolve_mumps(getfem.Spmat("copy", matrix.tocsc()), right))
         kind = 11 if self.case.friction else -2
         if kind == -2:
             matrix = sparse.triu(matrix).tocsr()

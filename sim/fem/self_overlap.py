@@ -1,0 +1,132 @@
+"""How far skin stands inside other skin: measured where the surface folds, and not prevented.
+
+Skin can only meet skin where some of it has turned by a right angle or more. Where faces turned
+nearly as far, the nodes of the surface are looked for in all elements around that do not have them
+as a corner. A node inside one has passed through the skin there: as deep as the way to the skin
+above, or beside, the same material point of that element.
+
+Lengths in thicknesses. On the host: a few milliseconds where something folds, else next to nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from sim.fem.mesh import CORNERS, Mesh
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+FOLDED = math.cos(math.radians(80))
+"""Cosine of the angle to its rest normal from which a face counts as folded."""
+NEWTON = 12
+"""Iterations that look for a point in an element; near its middle 3 or 4 are enough."""
+ON_SKIN = 1e-6
+"""Overlaps below this are rounding."""
+SIGNS = 2.0 * np.array(CORNERS) - 1.0
+
+
+def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
+    """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
+    rest, now = _normals(mesh.nodes, mesh.faces), _normals(places, mesh.faces)
+    size = np.linalg.norm(rest, axis=1) * np.linalg.norm(now, axis=1)
+    return np.asarray(np.einsum("si,si->s", rest, now) < FOLDED * size)
+
+
+def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
+    """How deep the skin stands inside itself, displaced by `u` (N, 3), and its deepest node.
+
+    0 and -1 where it does not.
+    """
+    places = mesh.nodes + u
+    folded = folded_faces(mesh, places)
+    if not folded.any():
+        return 0.0, -1
+    nodes, elements = _near(mesh, places, mesh.faces[folded])
+    node, element = _pairs(mesh, places, nodes, elements)
+    if not len(node):
+        return 0.0, -1
+    point = places[node]
+    local = _within(places[mesh.elements[element]], point)
+    inside = (np.abs(local) <= 1.0).all(axis=1)  # NaN is not
+    if not inside.any():
+        return 0.0, -1
+    node, element, point, local = node[inside], element[inside], point[inside], local[inside]
+    depth = _depths(mesh, places, element, local, point)
+    deepest = int(np.argmax(depth))
+    return (float(depth[deepest]), int(node[deepest])) if depth[deepest] > ON_SKIN else (0.0, -1)
+
+
+def _normals(places: Array, faces: NDArray[np.int32]) -> Array:
+    """Normals (S, 3) of faces by their diagonals; on which side is the same before and after."""
+    corner = places[faces]
+    return np.cross(corner[:, 3] - corner[:, 0], corner[:, 2] - corner[:, 1])
+
+
+def _near(mesh: Mesh, places: Array, folded: NDArray[np.int32]) -> tuple[Indices, Indices]:
+    """Nodes of the surface, and elements, in a box around folded faces (T, 4)."""
+    corner = places[folded]
+    longest = float(np.ptp(corner, axis=1).max())
+    low, high = corner.min(axis=(0, 1)) - longest, corner.max(axis=(0, 1)) + longest
+    nodes = np.unique(mesh.faces)
+    here = ((places[nodes] >= low) & (places[nodes] <= high)).all(axis=1)
+    around = places[mesh.elements]
+    reaches = (around.max(axis=1) >= low) & (around.min(axis=1) <= high)
+    return nodes[here], np.flatnonzero(reaches.all(axis=1))
+
+
+def _pairs(mesh: Mesh, places: Array, nodes: Indices, elements: Indices) -> tuple[Indices, Indices]:
+    """Nodes and elements (P,) whose boxes overlap, where the node is no corner of the element."""
+    corner = places[mesh.elements[elements]]
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    reach = np.linalg.norm(high - low, axis=1) / 2
+    found = cKDTree(places[nodes]).query_ball_point((low + high) / 2, reach)
+    counts = np.array([len(one) for one in found])
+    if not counts.sum():
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    row = np.repeat(np.arange(len(elements)), counts)
+    node = nodes[np.concatenate([one for one in found if one]).astype(np.int64)]
+    apart = (mesh.elements[elements[row]] != node[:, None]).all(axis=1)
+    apart &= ((places[node] >= low[row]) & (places[node] <= high[row])).all(axis=1)
+    return node[apart], elements[row[apart]]
+
+
+def _within(corners: Array, points: Array) -> Array:
+    """Reference coordinates (P, 3) of points (P, 3) in elements (P, 8, 3); NaN where not found."""
+    local = np.zeros(points.shape)
+    size = np.ptp(corners, axis=1).max(axis=1)
+    for _ in range(NEWTON):
+        factors = 1.0 + SIGNS * local[:, None]
+        away = np.einsum("pc,pci->pi", factors.prod(axis=2) / 8, corners) - points
+        slopes = [
+            SIGNS[:, axis] * np.delete(factors, axis, axis=2).prod(axis=2) / 8 for axis in range(3)
+        ]
+        jacobian = np.einsum("apc,pci->pia", np.stack(slopes), corners)
+        good = np.abs(np.linalg.det(jacobian)) > 1e-9 * size**3
+        jacobian[~good] = np.eye(3)
+        step = np.linalg.solve(jacobian, away[:, :, None])[:, :, 0]
+        local = np.where(good[:, None], np.clip(local - step, -2.0, 2.0), np.nan)
+    shape = (1.0 + SIGNS * local[:, None]).prod(axis=2) / 8
+    left = np.linalg.norm(np.einsum("pc,pci->pi", shape, corners) - points, axis=1)
+    return np.where((left < 1e-6 * size)[:, None], local, np.nan)
+
+
+def _depths(mesh: Mesh, places: Array, element: Indices, local: Array, points: Array) -> Array:
+    """Way (P,) from points in elements to the skin above or beside the same material."""
+    cells = np.array(mesh.cells)
+    grid = places.reshape(*(cells + 1), 3)
+    first = np.stack(np.unravel_index(element, mesh.cells), axis=1)
+    share = (local + 1) / 2
+    depth = np.full(len(points), np.inf)
+    for axis, at in ((2, cells[2]), (0, 0), (0, cells[0]), (1, 0), (1, cells[1])):
+        sheet = np.take(grid, at, axis=axis)
+        one, other = (each for each in range(3) if each != axis)
+        i, j, a, b = first[:, one], first[:, other], share[:, [one]], share[:, [other]]
+        skin = (sheet[i, j] * (1 - b) + sheet[i, j + 1] * b) * (1 - a)
+        skin += (sheet[i + 1, j] * (1 - b) + sheet[i + 1, j + 1] * b) * a
+        depth = np.minimum(depth, np.linalg.norm(skin - points, axis=1))
+    return depth

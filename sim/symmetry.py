@@ -1,0 +1,136 @@
+"""What the symmetry of a scene forbids: a force across an upright plane that it is mirrored in.
+
+Where body, indenter, motion and gravity are their own image in a plane, so is the answer. A force
+along the plane's normal, or a torque about a line in the plane, is the solver's error and nothing
+else, known without a second solution.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.indenters import Indenter
+from sim.metrics import force_scale
+from sim.result import Result
+from sim.scene import Scene
+
+Array = NDArray[np.float64]
+Normal = tuple[float, float]
+
+PLANES: dict[str, Normal] = {
+    "x = 0": (1.0, 0.0),
+    "y = 0": (0.0, 1.0),
+    "x = y": (math.sqrt(0.5), -math.sqrt(0.5)),
+    "x = -y": (math.sqrt(0.5), math.sqrt(0.5)),
+}
+"""Planes that a body can be mirrored in, and their unit normals (x, y)."""
+OFF_PLANE = 1e-9
+"""Distance of a waypoint from a plane, over the thickness, that is rounding."""
+ALIKE = 5e-3
+"""Difference of an indenter from its image, over the depth of the press, that does not count: it
+moves the force by as little."""
+COLUMNS, LEVELS = 40, 6
+"""Places along x and y, and heights, at which an indenter is compared with its image."""
+WORTH_SAYING = 0.01
+"""Share of the force that is worth a warning."""
+NOTE = "the scene is its own image in the plane"
+
+
+def planes_of(scene: Scene) -> tuple[str, ...]:
+    """The planes of `PLANES` that a scene is its own image in."""
+    return tuple(name for name, normal in PLANES.items() if _mirrors(scene, normal))
+
+
+def vanishing_share(result: Result) -> Array:
+    """Largest force across a plane that the scene is mirrored in (F,), over the force.
+
+    Over a tenth of the largest force where a frame's own is smaller; 0 without such a plane.
+    """
+    across = np.zeros(len(result.wrench))
+    for name in planes_of(result.scene):
+        across = np.maximum(across, np.abs(result.force[:, :2] @ PLANES[name]))
+    return across / force_scale(result.force)
+
+
+def with_symmetry(result: Result) -> Result:
+    """The `fem` result with `record["symmetry"]`, where its scene is mirrored in a plane.
+
+    Keys: `plane`, the one that the answer keeps least; `vanishing_force_newton`, the largest force
+    along its normal; `vanishing_torque_newton_metre`, the largest torque about the tip that it
+    forbids; `percent`, the force over that of the frame, or over a tenth of the largest one. Above
+    1 % a warning says so.
+    """
+    planes = planes_of(result.scene)
+    if not planes:
+        return result
+    scale = force_scale(result.force)
+    across = {name: np.abs(result.force[:, :2] @ PLANES[name]) for name in planes}
+    plane = max(planes, key=lambda name: float((across[name] / scale).max(initial=0.0)))
+    share = float((across[plane] / scale).max(initial=0.0))
+    x, y = PLANES[plane]
+    # A torque is turned the other way round in a mirror: what is left is along the normal.
+    forbidden = result.wrench[:, 3:] @ np.array([[-y, 0.0], [x, 0.0], [0.0, 1.0]])
+    symmetry = {
+        "plane": plane,
+        "vanishing_force_newton": float(across[plane].max(initial=0.0)),
+        "vanishing_torque_newton_metre": float(np.linalg.norm(forbidden, axis=1).max(initial=0.0)),
+        "percent": 100 * share,
+    }
+    warnings = [one for one in result.record["warnings"] if not str(one).startswith(NOTE)]
+    if share > WORTH_SAYING:
+        warnings.append(
+            f"{NOTE} {plane}, but {100 * share:.2g} % of the force is across it: the mesh, or a "
+            "state that is not symmetric"
+        )
+    return replace(result, record={**result.record, "symmetry": symmetry, "warnings": warnings})
+
+
+def _mirrors(scene: Scene, normal: Normal) -> bool:
+    body, gravity = scene.body, scene.effects.gravity
+    if 0.0 not in normal and body.size_x != body.size_y:
+        return False
+    if np.abs(np.asarray(scene.motion.tip)[:, :2] @ normal).max() > OFF_PLANE * body.thickness:
+        return False
+    if gravity is not None:
+        pull = np.asarray(gravity.acceleration, float)
+        if abs(pull[:2] @ normal) > OFF_PLANE * np.linalg.norm(pull):
+            return False
+    depth = scene.motion.depth_max
+    if depth <= 0:
+        return False
+    across = math.hypot(body.size_x, body.size_y)
+    return asymmetry(scene.indenter, normal, depth, across) <= ALIKE * depth
+
+
+@functools.lru_cache(maxsize=4096)
+def asymmetry(indenter: Indenter, normal: Normal, reach: float, across: float) -> float:
+    """How far an indenter's surface is from its image in an upright plane through its tip [m].
+
+    The largest difference of the signed distances at points and their images, of those that are
+    nearer to the surface than `reach`.
+
+    Args:
+        indenter: Whose surface.
+        normal: Unit normal (x, y) of the plane.
+        reach: Up to which height it is looked at [m].
+        across: Up to which distance from the tip it is looked at [m].
+    """
+    sides = np.abs(indenter.bounds_below(reach)[:2]).max(axis=1)
+    half = np.minimum(sides, across)
+    # More places near the tip; none on a plane of symmetry, where there is nothing to compare.
+    share = (np.arange(COLUMNS) + 0.5) / COLUMNS * 2 - 1
+    share = share * np.abs(share)
+    height = reach * np.linspace(0.0, 1.0, LEVELS)
+    points = np.stack(np.meshgrid(share * half[0], share * half[1], height), -1).reshape(-1, 3)
+    aside = points[:, :2] @ normal
+    points, aside = points[aside > 0], aside[aside > 0]
+    image = points.copy()
+    image[:, :2] -= 2 * aside[:, None] * np.array(normal)
+    here, there = indenter.distance(np.stack([points, image]))[0]
+    near = np.minimum(np.abs(here), np.abs(there)) < reach
+    return float(np.abs(here - there)[near].max()) if near.any() else math.inf

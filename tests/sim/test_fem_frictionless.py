@@ -1,0 +1,151 @@
+"""Contact without friction: no force along a face, none that says where in the mesh a press is.
+
+Errors are held against those that the results state themselves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+
+from sim import Body, Result, Scene, press, simulate
+from sim.fem.numerics import Numerics
+from sim.indenters import Indenter, box, flat_punch, sphere
+
+Array = NDArray[np.float64]
+SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+ROUGH = Numerics(fineness=0.4)
+SLOW = pytest.mark.slow
+SIDES = 8
+"""Shifts within one element."""
+
+
+def _face(indenter: Indenter) -> Array:
+    """Outward normal (3,) of the flat face that is below when the indenter is upright."""
+    return -indenter.stance[0][:, 2]
+
+
+def _stated(result: Result) -> float:
+    """The error that the last frame states, over its force."""
+    return float(result.record["error"]["force"][-1])
+
+
+def _along(force: Array, normal: Array) -> float:
+    """Share of a force (3,) that is not along a normal."""
+    return float(np.linalg.norm(np.cross(force, normal)) / np.linalg.norm(force))
+
+
+# A plate wider than the body, whose low edge is beside it: the body feels one plane and no more.
+
+WIDE = 24e-3
+PLATE: dict[int, tuple[float, float]] = {
+    0: (0.0, 0.3e-3),
+    5: (1.0e-3, 0.4e-3),
+    15: (1.0e-3, 0.8e-3),
+    30: (0.8e-3, 0.9e-3),
+}
+"""Degrees, distance of the low edge from the body's side, and depth of the edge [m]."""
+
+
+def _plate(degrees: int, shift: tuple[float, float], numerics: Numerics) -> None:
+    angle = math.radians(degrees)
+    plate = box(WIDE, WIDE, 0.3e-3).tilted(0.0, -angle)
+    beside, depth = PLATE[degrees]
+    x = WIDE / 2 * math.cos(angle) - SMALL.size_x / 2 - beside if degrees else 0.0
+    scene = Scene(plate, press([depth], at=(x + shift[0], shift[1])), SMALL)
+    result = simulate(scene, numerics=numerics)
+    assert result.force[-1, 2] < -0.1
+    assert _along(result.force[-1], _face(plate)) < 1e-6
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.07e-3, 0.3e-3)])
+@pytest.mark.parametrize("degrees", list(PLATE))
+def test_a_plane_pushes_along_its_normal(degrees: int, shift: tuple[float, float]) -> None:
+    _plate(degrees, shift, Numerics(spacing=1e-3))
+
+
+@SLOW
+@pytest.mark.parametrize("degrees", [0, 5, 15])
+def test_a_plane_on_a_fine_mesh_pushes_along_its_normal(degrees: int) -> None:
+    _plate(degrees, (0.07e-3, 0.3e-3), Numerics())
+
+
+# A punch that leans: its face pushes along the normal, its low edge as much the other way aside.
+
+
+def _punch(degrees: int, shift: float, numerics: Numerics) -> None:
+    punch = flat_punch(2e-3, 0.3e-3)
+    punch = punch.tilted(0.0, -math.radians(degrees)) if degrees else punch
+    result = simulate(Scene(punch, press([0.3e-3], at=(shift, 0.0)), SMALL), numerics=numerics)
+    stated = _stated(result)
+    assert stated < 0.15
+    # The body is wide: the same work is done wherever the punch stands, so nothing pulls it aside.
+    assert np.abs(result.force[-1, :2]).max() < stated * -result.force[-1, 2]
+    # Nodes all of whose neighbours touch the face itself, not its rounded edge.
+    x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")
+    places = np.stack([x, y, np.zeros_like(x)], axis=-1) + result.surface[-1]
+    normal = punch.distance(places - np.array([shift, 0.0, -0.3e-3]))[1]
+    traction = result.traction[-1].astype(float)
+    inner = binary_erosion(normal @ _face(punch) > 1 - 1e-9, np.ones((3, 3)))
+    inner &= np.abs(traction).max(axis=-1) > 0
+    assert inner.sum() >= 5
+    assert _along(traction[inner].sum(axis=0), _face(punch)) < 1e-6
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.13e-3])
+@pytest.mark.parametrize("degrees", [0, 5, 15])
+def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float) -> None:
+    _punch(degrees, shift, ROUGH)
+
+
+@SLOW
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("degrees", [0, 5, 15, 30])
+def test_a_leaning_punch_on_the_default_mesh_is_not_pulled_aside(degrees: int) -> None:
+    _punch(degrees, 0.13e-3, Numerics())
+
+
+# A sphere at places within one element: the same force at each, and none aside.
+
+
+def _ripple(depth: float, element: float, numerics: Numerics, most: float) -> None:
+    body = Body(size_x=16e-3, size_y=16e-3, thickness=4e-3)
+    results = [
+        simulate(
+            Scene(sphere(3e-3), press([depth], at=(element * part / SIDES, 0.0)), body),
+            numerics=numerics,
+        )
+        for part in range(SIDES)
+    ]
+    force = np.array([result.force[-1] for result in results])
+    stated = np.array([_stated(result) for result in results])
+    mean = float(-force[:, 2].mean())
+    ripple, aside = np.abs(-force[:, 2] - mean) / mean, np.abs(force[:, :2]).max(axis=1) / mean
+    assert (ripple < stated).all()
+    assert (aside < stated).all()
+    assert max(ripple.max(), aside.max()) < most
+    # What was moved was moved: the mesh stays, or goes along.
+    same = all((result.surface_x == results[0].surface_x).all() for result in results)
+    assert same != numerics.follows
+
+
+@pytest.mark.parametrize("depth", [0.3e-3, 0.6e-3])
+def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(depth: float) -> None:
+    """Elements that stay, 3 to 5 across the contact."""
+    _ripple(depth, 0.8e-3, Numerics(spacing=0.8e-3, graded=False), 0.06)
+
+
+@SLOW
+@pytest.mark.parametrize("depth", [0.1e-3, 0.3e-3, 0.6e-3])
+def test_a_sphere_is_pressed_alike_wherever_it_is_in_a_finer_element(depth: float) -> None:
+    _ripple(depth, 1.6e-3 / 3, Numerics(spacing=1.6e-3 / 3, graded=False), 0.015)
+
+
+@SLOW
+@pytest.mark.parametrize("depth", [0.1e-3, 0.3e-3, 0.6e-3])
+def test_a_mesh_that_goes_along_leaves_no_ripple(depth: float) -> None:
+    _ripple(depth, 0.3e-3, Numerics(), 1e-3)

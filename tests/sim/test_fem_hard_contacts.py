@@ -1,0 +1,90 @@
+"""Blade, rim and corner: forces are right within the error that a result states of itself.
+
+Truths are those of GetFEM (`benchmarks independent`) where there is one, else a finer mesh.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.sim.independent.foreign import load
+from benchmarks.sim.independent.foreign_cases import CASES
+from sim import Motion, Result, Scene, press, simulate
+from sim.fem.numerics import Numerics
+from sim.indenters import Indenter, box, sphere
+
+SLOW = pytest.mark.slow
+BLADE = box(0.5e-3, 12e-3, 0.2e-3)
+
+
+def _against_getfem(name: str, indenter: Indenter, numerics: Numerics | None = None) -> Result:
+    """A case solved by `sim`, whose forces are those of GetFEM within both stated errors."""
+    path = next(case.path for case in CASES if case.name == name)
+    truths = [row for row in load() if row.case == name]
+    tip = [(x * 1e-3, y * 1e-3, -depth * 1e-3) for x, y, depth in path]
+    motion = Motion(tuple(tip), tuple(0.1 * index for index in range(len(tip))))
+    result = simulate(Scene(indenter, motion), numerics=numerics)
+    force = np.array([[row.force_x_n, row.force_y_n, row.force_z_n] for row in truths])
+    assert len(force) == len(result.force)
+    off = np.linalg.norm(result.force - force, axis=1) / np.linalg.norm(force, axis=1)
+    known = np.array([row.error_percent for row in truths]) / 100
+    assert (off < np.array(result.record["error"]["force"]) + known).all()
+    return result
+
+
+def _against_finer(scene: Scene, coarse: float, fine: float) -> Result:
+    """A scene solved with two finenesses, whose forces agree within both stated errors."""
+    results = [simulate(scene, numerics=Numerics(fineness=one)) for one in (coarse, fine)]
+    first, second = (result.force[-1] for result in results)
+    off = float(np.linalg.norm(first - second) / np.linalg.norm(second))
+    assert off < sum(float(result.record["error"]["force"][-1]) for result in results)
+    elements = [result.record["mesh"]["elements"] for result in results]
+    assert elements[1] > 1.5 * elements[0]
+    return results[0]
+
+
+@pytest.mark.parametrize("numerics", [None, Numerics(fineness=0.4)])
+def test_a_sphere_partly_beyond_the_rim_has_getfems_force(numerics: Numerics | None) -> None:
+    result = _against_getfem("sphere 4 beyond the rim", sphere(4e-3), numerics)
+    assert result.record["error"]["percent"] < 20
+    assert (result.force[:, 0] < 0).all()  # towards the body's middle
+    assert result.record["symmetry"]["percent"] < 0.01
+
+
+def test_a_sphere_over_the_corner_has_a_finer_meshs_force() -> None:
+    result = _against_finer(Scene(sphere(4e-3), press([0.4e-3], at=(9e-3, 9e-3))), 0.6, 0.95)
+    assert result.record["symmetry"]["plane"] == "x = y"
+    assert result.record["error"]["percent"] < 10
+
+
+@SLOW
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("at", [9.9e-3, 10e-3])
+def test_a_deep_press_at_the_corner_has_a_finer_meshs_force(at: float) -> None:
+    scene = Scene(sphere(4e-3), press([1e-3], at=(at, at)))
+    assert _against_finer(scene, 0.75, 1.1).record["error"]["percent"] < 5
+    # A linear layer knows no sides, and says so.
+    assert simulate(scene, "layer").record["error"]["status"] == "none"
+
+
+@SLOW
+@pytest.mark.timeout(180)
+def test_a_box_over_the_corner_has_a_finer_meshs_force() -> None:
+    scene = Scene(box(4e-3, 4e-3, 0.5e-3), press([0.3e-3], at=(9e-3, 9e-3)))
+    assert _against_finer(scene, 0.75, 1.1).record["error"]["percent"] < 5
+
+
+@SLOW
+@pytest.mark.timeout(300)
+def test_a_shallow_blade_has_getfems_force() -> None:
+    result = _against_getfem("blade 0.5 x 12", BLADE, Numerics(fineness=0.4))
+    assert result.record["error"]["percent"] < 20
+
+
+@SLOW
+@pytest.mark.timeout(300)
+def test_a_blade_as_deep_as_it_is_thick_has_a_finer_meshs_force() -> None:
+    result = _against_finer(Scene(BLADE, press([0.5e-3])), 0.3, 0.4)
+    assert result.quality.overlap.max() < 0.04 * 0.5e-3
+    assert result.record["error"]["percent"] < 30

@@ -1,0 +1,108 @@
+"""The skin against itself: found where it folds, and how deep."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim import Body, Effects, Friction, Motion, Scene, SimulationDiverged, press, simulate
+from sim.fem import solver
+from sim.fem.mesh import Mesh, build_mesh
+from sim.fem.numerics import Numerics
+from sim.fem.self_overlap import folded_faces, self_overlap
+from sim.indenters import sphere
+
+Array = NDArray[np.float64]
+
+# A strip 6 thicknesses long whose halves are rolled up, like a book that is closed too far.
+
+STRIP = Body(size_x=12e-3, size_y=4e-3, thickness=2e-3)
+HALF, RADIUS = 3.0, 0.4
+
+
+def _rolled(mesh: Mesh, lean: float) -> Array:
+    """Places (N, 3): from the middle, a bend by 90 degrees + `lean` [rad], then straight walls.
+
+    The top is the inner side, bent along a circle of `RADIUS`.
+    """
+    x, y, z = mesh.nodes.T
+    along, turn = np.abs(x), math.pi / 2 + lean
+    angle = np.minimum(along / RADIUS, turn)
+    wall = np.maximum(along - RADIUS * turn, 0.0)
+    out = (RADIUS - z) * np.sin(angle) + wall * np.cos(angle)
+    up = RADIUS - (RADIUS - z) * np.cos(angle) + wall * np.sin(angle)
+    return np.stack([np.sign(x) * out, y, up], axis=1)
+
+
+def _deepest(mesh: Mesh, places: Array, lean: float) -> float:
+    """Shortest way out (of the left half's straight wall) of the right half's deepest node."""
+    nodes = np.unique(mesh.faces)
+    right = places[nodes[mesh.nodes[nodes, 0] > 0]]
+    along = np.array([math.sin(lean), math.cos(lean)])
+    outwards = np.array([math.cos(lean), -math.sin(lean)])
+    foot = np.array([-RADIUS * math.cos(lean), RADIUS + RADIUS * math.sin(lean)])
+    wall = HALF - RADIUS * (math.pi / 2 + lean)
+    low, deep = (right[:, [0, 2]] - foot) @ along, -(right[:, [0, 2]] - foot) @ outwards
+    within = (low > 0) & (low < wall) & (deep > 0) & (deep < 1)
+    ways = np.minimum(np.minimum(wall - low, deep), 1.0 - np.abs(right[:, 1]))
+    return float(ways[within].max(initial=0.0))
+
+
+@pytest.mark.parametrize("spacing", [0.5e-3, 0.25e-3])
+def test_walls_that_lean_into_each_other_overlap_as_deep_as_they_do(spacing: float) -> None:
+    mesh = build_mesh(STRIP, spacing)
+    places = _rolled(mesh, math.radians(20))
+    deep, node = self_overlap(mesh, places - mesh.nodes)
+    assert deep == pytest.approx(_deepest(mesh, places, math.radians(20)), rel=1e-6)
+    assert deep > 0.4
+    assert abs(mesh.nodes[node, 0]) > 0.5 * HALF
+
+
+def test_walls_that_face_each_other_do_not_overlap() -> None:
+    mesh = build_mesh(STRIP, 0.25e-3)
+    for lean, folds in ((-math.pi / 2, False), (math.radians(-20), False), (0.0, True)):
+        places = _rolled(mesh, lean)
+        assert folded_faces(mesh, places).any() == folds
+        assert self_overlap(mesh, places - mesh.nodes) == (0.0, -1)
+
+
+def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
+    """The right half rolled over by half a turn, its end 0.05 thicknesses deep in the left half."""
+    mesh = build_mesh(STRIP, 0.25e-3)
+    x, y, z = mesh.nodes.T
+    angle = np.clip(x / RADIUS, 0.0, math.pi)
+    beyond = np.maximum(x - RADIUS * math.pi, 0.0)
+    out = np.minimum(x, 0.0) + (RADIUS - z) * np.sin(angle) - beyond
+    up = np.where(beyond > 0, -0.05 - z, RADIUS - (RADIUS - z) * np.cos(angle))
+    deep, _node = self_overlap(mesh, np.stack([out, y, up], axis=1) - mesh.nodes)
+    assert deep == pytest.approx(0.05, rel=1e-6)
+
+
+# Real presses.
+
+SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
+
+
+def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
+    motion = Motion(((0.0, 0.0, -1.5e-3), (0.8e-3, 0.0, -1.5e-3)), (0.0, 0.1))
+    scene = Scene(sphere(2e-3), motion, SMALL, Effects(friction=Friction(0.8)))
+    result = simulate(scene, numerics=Numerics(spacing=4e-3 / 5))
+    assert result.record["self_overlap"] == {"metres": [0.0, 0.0]}
+
+
+def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The measure is replaced: 5 % of the contact's width, then 30 %."""
+    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
+    numerics = Numerics(spacing=4e-3 / 3)
+    depth = 0.5e-3 / SMALL.thickness
+    monkeypatch.setattr(solver, "self_overlap", lambda mesh, u: (0.05 * depth, 10))
+    result = simulate(scene, numerics=numerics)
+    assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
+    said = "25 um inside the skin beside it at waypoint 1, 5 %"
+    assert [one for one in result.record["warnings"] if said in one]
+    monkeypatch.setattr(solver, "self_overlap", lambda mesh, u: (0.3 * depth, 10))
+    with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
+        simulate(scene, numerics=numerics)
