@@ -488,8 +488,8 @@ def _judged(outcome: Outcome) -> Outcome:
     if lost is not None:
         deepest = 1e6 * float(outcome.quality.overlap_path.max())
         where = (
-            f"no force at waypoint {lost}, inside the body, after it stood {deepest:.3g} um deep in "
-            "the skin"
+            f"no force at waypoint {lost}, inside the body, after it stood {deepest:.3g} um deep "
+            "in the skin"
         )
         return SimulationDiverged(PASSES.format(where), tried=(), dump=None)
     warnings = list(outcome.record["warnings"])
