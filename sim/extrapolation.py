@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.error_estimate import measured
+from sim.error_estimate import measured, unknown_at_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import force_scale
 from sim.result import Outcome, Result
@@ -102,7 +102,9 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
     largest = float(np.linalg.norm(fine.force, axis=1).max())
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
     scale = force_scale(fine.force + more[:, :3])
-    error = measured(np.abs(more[:, :3]).max(axis=1) / scale, "two meshes, extrapolated")
+    error = unknown_at_side(fine, measured=True) or measured(
+        np.abs(more[:, :3]).max(axis=1) / scale, "two meshes, extrapolated"
+    )
     how = {"order": ORDER, "cells": cells, "force_share": share}
     return replace(
         fine, wrench=fine.wrench + more, record={**fine.record, "extrapolated": how, "error": error}

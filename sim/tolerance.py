@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.error_estimate import measured
+from sim.error_estimate import measured, unknown_at_side
 from sim.errors import SceneError
 from sim.extrapolation import left_of_difference
 from sim.metrics import force_scale, marker_errors, outcome_of, worst_errors
@@ -101,6 +101,9 @@ def simulate_within(
                     scene, "fem", numerics=numerics, device=device, progress=part
                 )
             pair.append(solved[known[0] if known else one])
+        unknown = unknown_at_side(pair[1], measured=True)
+        if unknown is not None:
+            raise SceneError(f"tolerance: {tolerance!r}; {unknown['why']}")
         found, error = _of_both(pair[0], pair[1], wanted)
         tried.append(f"fineness {fineness:.3g}: {said(wanted.kind, error)}")
         if best is None or error < best[0]:
@@ -159,6 +162,9 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
     left = WHOLE * left_of_difference(_ratio(second, result))
     apart = worst_errors(outcome_of(second), outcome_of(result), result.scene.body)
+    unknown = unknown_at_side(result, measured=True)
+    if unknown is not None:
+        return replace(result, record={**result.record, "error": unknown})
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)

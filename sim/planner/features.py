@@ -177,6 +177,11 @@ def probe(scene: Scene) -> Probe:
             f"body.dome_radius: {scene.body.dome_radius!r} m; allowed with a tolerance: None, the "
             "cost table covers flat bodies"
         )
+    if scene.body.footprint != "rectangle":
+        raise SceneError(
+            f"body.footprint: {scene.body.footprint!r}; allowed with a tolerance: 'rectangle', the "
+            "cost table covers blocks"
+        )
     result = simulate_layer(scene)
     outcome = outcome_of(result)
     size = np.linalg.norm(outcome.force, axis=1)
