@@ -211,15 +211,16 @@ class Round:
         """Whether a touched face of the top (T,) belongs to a column that the side cuts through."""
         return bool(self._cut[faces[faces < len(self._cut)]].any())
 
-    def overlapped(self, columns: np.ndarray, tip: np.ndarray) -> bool:
-        """Whether the indenter stands in the side wall, displaced by `continued` (X, Y, Z, 3)."""
+    def wall(self, columns: np.ndarray) -> np.ndarray:
+        """Places (W, Z, 3) of the side wall, displaced by `continued` (X, Y, Z, 3)."""
         moved = RegularGridInterpolator((self._mesh.x, self._mesh.y), columns)(self._wall)
-        place = np.concatenate(
-            [np.repeat(self._wall[:, None], moved.shape[1], axis=1), self._levels[..., None]],
-            axis=-1,
-        )
-        # The upper edge belongs to the top.
-        under = (place + moved - tip)[:, :-1] * self._scene.body.thickness
+        moved[..., :2] += self._wall[:, None]
+        moved[..., 2] += self._levels
+        return moved
+
+    def overlapped(self, wall: np.ndarray, tip: np.ndarray) -> bool:
+        """Whether the indenter stands in the side wall (W, Z, 3), whose upper edge is the top's."""
+        under = (wall[:, :-1] - tip) * self._scene.body.thickness
         return bool((self._scene.indenter.distance(under)[0] < 0).any())
 
 
@@ -307,8 +308,10 @@ class Collector:
             self._surface[frame] = columns[:, :, -1] * unit
             if self._round.touched(np.flatnonzero(held.of(env, assembly.touched))):
                 self.at_side["rim"].append(frame)
-            if self._round.overlapped(columns, tip):
+            wall = self._round.wall(columns)
+            if self._round.overlapped(wall, tip):
                 self.at_side["wall"].append(frame)
+            self.below_base = max(self.below_base, -(1.0 + float(wall[..., 2].min())) * unit)
         self._traction[frame] = surface_traction(held, env) * self._stress
         depth = max(-float(tip[2]), 1e-6)
         size = float(np.linalg.norm(force))
