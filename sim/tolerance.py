@@ -74,7 +74,8 @@ def simulate_within(
         progress: Called with the share done, 0 to 1, of each mesh in turn.
 
     Raises:
-        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach.
+        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach; an
+            indenter in the side wall of a round body.
         SimulationDiverged: A mesh found no solution.
     """
     from sim.fem.numerics import Numerics

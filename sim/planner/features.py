@@ -168,8 +168,8 @@ def probe(scene: Scene) -> Probe:
     """Look at a scene through the `layer` tier.
 
     Raises:
-        SceneError: A scene that `layer` does not know, has a dome, or never touches: no plan can be
-            made for it.
+        SceneError: A scene that `layer` does not know, has a dome or is round, or never touches: no
+            plan can be made for it.
         SimulationDiverged: No contact was found.
     """
     if scene.body.dome_radius is not None:

@@ -13,14 +13,18 @@ from benchmarks.sim.independent.mesh import Fine, layer_grid
 from benchmarks.sim.independent.profile import punch
 from benchmarks.sim.independent.profile import sphere as ball
 from sim import Body, Effects, Friction, Motion, Result, Scene, SceneError, press, simulate
+from sim.error_estimate import unknown_at_side
 from sim.fem.mesh import SHARE_LEAST, build_mesh
 from sim.fem.numerics import Numerics
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Renderer, named
 from sim.markers.textures import distance_texture
+from sim.planner.features import probe
 from sim.plot import surface_of
 from sim.result import scene_from_json, scene_to_json
 from sim.scene import through
+from sim.sensors import sensor
+from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.simulate import simulate_many
 
 MM = 1e-3
@@ -272,6 +276,7 @@ def test_a_contact_at_the_rim_says_that_its_error_is_not_known() -> None:
     result = simulate(scene, numerics=COARSE)
     assert result.record["error"]["status"] == "none"
     assert "rim" in result.record["error"]["why"]
+    assert unknown_at_side(result, measured=True) is None
     assert any("rim" in warning for warning in result.record["warnings"])
 
 
@@ -281,6 +286,7 @@ def test_an_indenter_in_the_round_wall_is_never_silent() -> None:
     assert result.record["wall"] == [1]
     assert result.record["error"]["status"] == "none"
     assert "side wall" in result.record["error"]["why"]
+    assert unknown_at_side(result, measured=True) == result.record["error"]
 
 
 def test_layer_presses_a_disc_and_says_where_it_knows_nothing() -> None:
@@ -308,6 +314,15 @@ def test_mpm_refuses_what_it_does_not_know(body: Body, field: str) -> None:
         simulate(Scene(BALL, press((0.2 * MM,)), body), "mpm")
 
 
+def test_the_cost_table_and_taxels_refuse_round_bodies() -> None:
+    with pytest.raises(SceneError, match=r"^body\.footprint: 'ellipse'; allowed with a tolerance"):
+        probe(Scene(BALL, press((0.2 * MM,)), DISC))
+    pad = sensor("uskin")
+    assert isinstance(pad.signal, TaxelSignal)
+    with pytest.raises(SceneError, match=r"^body\.footprint: 'ellipse' under taxels; allowed"):
+        TaxelPad(replace(pad.body, footprint="ellipse"), pad.signal)
+
+
 # What is seen.
 
 
@@ -317,7 +332,7 @@ def test_markers_lie_on_the_round_gel() -> None:
         named("Array1").check_within(Body(footprint="ellipse"))
 
 
-def test_displacement_fields_end_at_the_round_outline() -> None:
+def test_what_is_seen_of_the_gel_ends_at_the_round_outline() -> None:
     bodies = Body(footprint="ellipse"), Body()
     camera = Camera.of_scale(0.08)
     axis = np.linspace(-10 * MM, 10 * MM, 5)
@@ -326,6 +341,9 @@ def test_displacement_fields_end_at_the_round_outline() -> None:
     round_, square = (np.isfinite(field[0, ..., 0]) for field in fields)
     assert not (round_ & ~square).any()
     assert round_.sum() == pytest.approx(math.pi / 4 * square.sum(), rel=0.05)
+    seen = [Renderer(body, camera).untouched().material()[..., 0] for body in bodies]
+    round_pixels, pixels = (int(np.isfinite(places).sum()) for places in seen)
+    assert round_pixels == pytest.approx(math.pi / 4 * pixels, rel=0.01)
 
 
 def test_what_a_picture_of_markers_shows_beside_the_gel_is_cut_off() -> None:
