@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sim.contact_size import touched_by
 from sim.metrics import WEAK
-from sim.result import Result
+from sim.result import SIDES, Result
 from sim.symmetry import vanishing_share, with_symmetry
 
 Array = NDArray[np.float64]
@@ -42,6 +42,19 @@ LAYER_LEAST = 0.003
 RIM = 1.0
 """Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
 no sides."""
+RIM_UNEVEN = 0.5
+"""Height of a dome's rim over the thickness below which it is nothing like a layer."""
+
+
+def unknown_at_side(result: Result, *, measured: bool = False) -> dict[str, Any] | None:
+    """The error of a result whose contact is at the side of a round body; None where none is.
+
+    Where it was `measured` on two meshes the cut rim is in what they tell, the wall is not.
+    """
+    for name in ("wall",) if measured else ("wall", "rim"):
+        if result.record.get(name):
+            return {"status": "none", "why": SIDES[name]}
+    return None
 
 
 def with_estimate(result: Result) -> Result:
@@ -95,6 +108,9 @@ def fineness_of(result: Result) -> Array:
 
 
 def _of_elements(result: Result) -> dict[str, Any]:
+    unknown = unknown_at_side(result)
+    if unknown is not None:
+        return unknown
     stages = result.record.get("stages", [])
     fineness = fineness_of(result)
     for stage in stages:  # meshes of their own, which follow contacts as small as theirs
@@ -123,13 +139,15 @@ def _of_layer(result: Result) -> dict[str, Any]:
     pixel = float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
     share = share + np.where(result.force.any(axis=1), np.square(pixel / width), 0.0)
     error = _told(result, "estimated", _weighed(result, share), "depth over thickness, and pixels")
+    if body.rim < RIM_UNEVEN * body.thickness:
+        return {
+            "status": "none",
+            "why": f"the dome is {body.rim * 1e3:.3g} mm high at its rim, and 'layer' takes it for "
+            "as thick there as at its apex (allowed: 'fem')",
+        }
     touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
     if touched.any():
-        x, y = np.abs(result.surface_x), np.abs(result.surface_y)
-        side = min(
-            body.size_x / 2 - x[touched.any(axis=1)].max(),
-            body.size_y / 2 - y[touched.any(axis=0)].max(),
-        )
+        side = float(body.from_side(result.surface_x[:, None], result.surface_y)[touched].min())
         if side < RIM * body.thickness:
             return {
                 "status": "none",

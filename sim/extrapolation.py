@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.error_estimate import measured
+from sim.error_estimate import measured, unknown_at_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import force_scale
 from sim.result import Outcome, Result
@@ -104,7 +104,9 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
     found = with_symmetry(replace(fine, wrench=fine.wrench + more))
     apart = np.abs(more[:, :3]).max(axis=1) / force_scale(found.force)
-    error = measured(found, apart, "two meshes, extrapolated")
+    error = unknown_at_side(fine, measured=True) or measured(
+        found, apart, "two meshes, extrapolated"
+    )
     how = {"order": ORDER, "cells": cells, "force_share": share}
     return replace(found, record={**found.record, "extrapolated": how, "error": error})
 

@@ -194,9 +194,10 @@ def force_scale(force: Array) -> Array:
 
 
 def marker_errors(outcome: Outcome, reference: Outcome, body: Body) -> Array:
-    """Distance between the two images of every marker (F, 196) [px]."""
+    """Distance between the two images of every marker on the body (F, up to 196) [px]."""
     moved = marker_pixels(outcome, body) - marker_pixels(reference, body)
-    return np.asarray(np.linalg.norm(moved, axis=-1).reshape(len(moved), -1))
+    x, y = marker_places(body)
+    return np.asarray(np.linalg.norm(moved, axis=-1)[:, body.covers(x[:, None], y)])
 
 
 def marker_pixels(outcome: Outcome, body: Body) -> Array:

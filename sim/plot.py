@@ -14,6 +14,7 @@ from scipy.ndimage import binary_erosion, map_coordinates
 
 from recorder.plot import INK, PANEL, PAPER, SOFT, Curve, font, line_plot
 from sim.result import Result
+from sim.scene import Body
 
 # The deformed surface from above: what lies at each place now, not what lay there before.
 
@@ -42,8 +43,8 @@ class Surface:
     """Distance between them along x and y (2,) [m]."""
     _fields: Array
     """Sideways shift (2), height and pressure of each point (4, X, Y)."""
-    _overhang: Array
-    """How far the body reaches beyond its outermost points (2,) [m]."""
+    _body: Body
+    """What it is the surface of."""
 
     def at(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         """Height above the untouched apex [m] and pressure [Pa] at x, y (broadcast together).
@@ -57,16 +58,10 @@ class Surface:
             for _ in range(ROUNDS):
                 shift = np.stack([self._look(axis, origin) for axis in (0, 1)])
                 origin += RELAXATION * (place - shift - origin)
-        reach = self._half + self._overhang
-        middle = self._corner + self._half
-        outside = (np.abs(origin - middle[:, None]) > reach[:, None]).any(axis=0)
+        outside = ~self._body.covers(*origin)
         height, pressure = (np.where(outside, np.nan, self._look(one, origin)) for one in (2, 3))
         pressure = np.clip(pressure, 0.0, self.pressure_max)
         return height.reshape(shape), pressure.reshape(shape)
-
-    @property
-    def _half(self) -> Array:
-        return np.asarray(self._spacing * (np.array(self._fields.shape[1:]) - 1) / 2)
 
     def _look(self, field: int, origin: Array) -> Array:
         """A field at untouched places (2, N): (N,), that of the rim beyond it."""
@@ -100,7 +95,7 @@ def surface_of(result: Result, frame: int) -> Surface:
         _corner=np.array([x[0], y[0]]),
         _spacing=np.array([fine_x[1] - fine_x[0], fine_y[1] - fine_y[0]]),
         _fields=np.stack([*np.moveaxis(shift, -1, 0), rest + moved[..., 2], drawn]),
-        _overhang=half - (x[-1], y[-1]),
+        _body=body,
     )
 
 

@@ -134,6 +134,17 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     )
 
 
+SIDES = {
+    "wall": "the indenter stands in the side wall of the round body, which is no contact face: "
+    "contact with it is not computed (allowed: presses on the top)",
+    "rim": "the contact reaches the rim of the round body, which cuts through elements there: its "
+    "force is less exact than rules for whole elements say (allowed: a contact within the rim, or "
+    "an error bar)",
+}
+"""What is wrong with a contact at the side of a round body, by the entry of the record which says
+at what waypoints: `wall` and `rim`."""
+
+
 # Scenes and other values to and from JSON: everything they are, so that the same can be built.
 
 Value = TypeVar("Value")
@@ -180,7 +191,9 @@ def from_json(kind: type[Value], stored: Any, where: str) -> Value:
 def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         fields = {
-            field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+            field.name: _plain(getattr(value, field.name))
+            for field in dataclasses.fields(value)
+            if not _unsaid(field, value)
         }
         word = getattr(value, _KIND, None)
         return fields if word is None else {_WORD: word, **fields}
@@ -209,6 +222,12 @@ def _dataclass(kind: type[Value], stored: Any, where: str) -> Value:
     return kind(
         **{name: _value(known[name], item, f"{where}.{name}") for name, item in stored.items()}
     )
+
+
+def _unsaid(field: dataclasses.Field[Any], value: Any) -> bool:
+    """Whether the field has its default, and is left out then as in files from before it was."""
+    later = field.metadata.get("stored") == "unless default"
+    return later and getattr(value, field.name) == field.default
 
 
 def _has_default(field: dataclasses.Field[Any]) -> bool:

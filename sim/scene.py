@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,19 @@ from sim.errors import SceneError, check_kind, check_range, is_finite
 from sim.indenters import Indenter
 from trajectories import Plan, Point, Target
 
-# The soft body: a rectangular elastomer layer bonded to a rigid base, flat or domed on top.
+# The soft body: an elastomer layer bonded to a rigid base, square or round, flat or domed on top.
 
 Array = NDArray[np.float64]
 Places = NDArray[np.floating[Any]]
 
+Footprint = Literal["rectangle", "ellipse"]
+RIM_LEAST = 0.05
+"""Least height of a dome at its lowest place, over the thickness."""
+
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A block of soft material whose lower face is bonded to a rigid plate; sides are free.
+    """A block or disc of soft material whose lower face is bonded to a rigid plate; sides are free.
 
     Contact frame: the origin is the centre of the untouched top (a dome's apex), z points out of
     the material, so the material fills z from -thickness to 0. Compressible neo-Hookean:
@@ -45,10 +49,13 @@ class Body:
     poisson: float = 0.45
     """Poisson's ratio at rest, 0 to 0.49995; 0.5 (incompressible) is not solved."""
     dome_radius: float | None = None
-    """Radius of a spherical top [m]; None is flat. The dome must stay above half the thickness
-    at the corners."""
+    """Radius of a spherical top [m]; None is flat. At its lowest place, a corner or an end of the
+    ellipse, the body must still be 5 % of the thickness high."""
     density: float = 1070.0
     """Mass per volume [kg/m^3], 1 to 1e5; only inertia and gravity use it."""
+    footprint: Footprint = field(default="rectangle", metadata={"stored": "unless default"})
+    """Outline in plan: the rectangle `size_x` by `size_y`, or the `ellipse` inscribed in it, a
+    circle where both are equal. Its side wall is upright."""
 
     def __post_init__(self) -> None:
         for name in ("size_x", "size_y", "thickness"):
@@ -56,13 +63,16 @@ class Body:
         check_range("body", "modulus", self.modulus, 1e2, 1e9, unit="Pa")
         check_range("body", "poisson", self.poisson, 0.0, 0.49995)
         check_range("body", "density", self.density, 1.0, 1e5, unit="kg/m^3")
+        if self.footprint not in get_args(Footprint):
+            allowed = ", ".join(map(repr, get_args(Footprint)))
+            raise SceneError(f"body.footprint: {self.footprint!r}; allowed: {allowed}")
         if self.dome_radius is not None:
-            corner = math.hypot(self.size_x, self.size_y) / 2
-            check_range("body", "dome_radius", self.dome_radius, corner, 1e3, unit="m")
-            if self.height(self.size_x / 2, self.size_y / 2) < -self.thickness / 2:
+            check_range("body", "dome_radius", self.dome_radius, self._farthest, 1e3, unit="m")
+            if self.rim < RIM_LEAST * self.thickness:
                 raise SceneError(
-                    f"body.dome_radius: {self.dome_radius!r} m; the corners would lie deeper than "
-                    f"half the thickness; allowed: a larger radius, or a smaller body"
+                    f"body.dome_radius: {self.dome_radius!r} m; the lowest place of the rim would "
+                    f"be {self.rim * 1e3:.3g} mm high; allowed: {100 * RIM_LEAST:g} % of the "
+                    "thickness or more, by a larger radius or a smaller body"
                 )
 
     @property
@@ -75,16 +85,84 @@ class Body:
         """K = E / (3 (1 - 2 nu)) [Pa]."""
         return self.modulus / (3 * (1 - 2 * self.poisson))
 
+    @property
+    def _farthest(self) -> float:
+        """Distance of the footprint's farthest place from its centre [m]."""
+        if self.footprint == "ellipse":
+            return max(self.size_x, self.size_y) / 2
+        return math.hypot(self.size_x, self.size_y) / 2
+
+    @property
+    def rim(self) -> float:
+        """Height of the body at the lowest place of its rim [m]: the thickness when flat."""
+        if self.dome_radius is None:
+            return self.thickness
+        drop = self.dome_radius - math.sqrt(self.dome_radius**2 - self._farthest**2)
+        return self.thickness - drop
+
+    def covers(self, x: Places, y: Places) -> NDArray[np.bool_]:
+        """Whether places lie on the footprint or its outline; `x` and `y` [m] broadcast."""
+        half_x, half_y = self.size_x / 2, self.size_y / 2
+        if self.footprint == "rectangle":
+            return np.asarray((np.abs(x) <= half_x) & (np.abs(y) <= half_y))
+        return np.asarray(np.hypot(x / half_x, y / half_y) <= 1.0)
+
+    def from_side(self, x: Places, y: Places) -> Array:
+        """Distance of places from the nearest side [m], below 0 outside; `x`, `y` [m] broadcast.
+
+        Exact in a rectangle and in a circle; in an ellipse the true distance is not less.
+        """
+        half_x, half_y = self.size_x / 2, self.size_y / 2
+        if self.footprint == "rectangle":
+            return np.asarray(np.minimum(half_x - np.abs(x), half_y - np.abs(y)))
+        return np.asarray((1.0 - np.hypot(x / half_x, y / half_y)) * min(half_x, half_y))
+
+    def shares(self, x: Places, y: Places) -> Array:
+        """Share of the area of each cell that the footprint covers, exact (X - 1, Y - 1).
+
+        Args:
+            x: Edges of the cells along x (X,) [m], rising.
+            y: The same along y (Y,) [m].
+        """
+        u, v = (
+            np.clip(edges / (size / 2), -1.0, 1.0)
+            for edges, size in ((x, self.size_x), (y, self.size_y))
+        )
+        area = np.outer(u, v) if self.footprint == "rectangle" else _disc_area(u[:, None], v)
+        cell = np.diff(np.diff(area, axis=0), axis=1)
+        whole = np.outer(np.diff(x), np.diff(y)) / (self.size_x * self.size_y / 4)
+        return np.asarray(np.round(cell / whole, 9))  # so that whole cells have exactly 1
+
     def height(self, x: float, y: float) -> float:
         """Height of the untouched top at (x, y) [m]: 0 when flat, below 0 off a dome's apex."""
         return float(self.heights(np.array([x]), np.array([y]))[0, 0])
 
     def heights(self, x: Places, y: Places) -> Array:
-        """Heights of the untouched top at all places of a raster, x (X,) and y (Y,): (X, Y) [m]."""
+        """Heights of the untouched top at all places of a raster, x (X,) and y (Y,): (X, Y) [m].
+
+        Beyond an ellipse that of the rim, on the way to the centre.
+        """
         if self.dome_radius is None:
             return np.zeros((len(x), len(y)))
+        away = np.square(x)[:, None] + np.square(y)
+        if self.footprint == "ellipse":
+            beyond = np.square(x / (self.size_x / 2))[:, None] + np.square(y / (self.size_y / 2))
+            away = away / np.maximum(beyond, 1.0)
+            return np.asarray(np.sqrt(self.dome_radius**2 - away) - self.dome_radius)
         square = self.dome_radius**2 - np.square(x)[:, None] - np.square(y)
         return np.asarray(np.sqrt(square) - self.dome_radius)
+
+
+def _disc_area(u: Array, v: Array) -> Array:
+    """Area of the unit disc between 0 and u, and 0 and v, broadcast; odd in both, |u|, |v| <= 1."""
+    side, across = np.abs(u), np.abs(v)
+    corner = np.sqrt(1.0 - np.square(across))  # where the circle meets the line at v
+
+    def below_circle(place: Array) -> Array:
+        return np.asarray((place * np.sqrt(1.0 - np.square(place)) + np.arcsin(place)) / 2)
+
+    cut = across * corner + below_circle(side) - below_circle(corner)
+    return np.asarray(np.sign(u) * np.sign(v) * np.where(side <= corner, side * across, cut))
 
 
 # Where the indenter's tip goes, and when: straight lines between waypoints, a result at each.
@@ -268,13 +346,7 @@ class Scene:
         check_kind("scene.motion", self.motion, Motion, "a Motion, such as press((1e-3,)) gives")
         check_kind("scene.body", self.body, Body, "a Body")
         check_kind("scene.effects", self.effects, Effects, "Effects")
-        limit = 0.9 * self.body.thickness
-        if self.motion.depth_max > limit:
-            raise SceneError(
-                f"motion: {self.motion.depth_max * 1e3:.4g} mm deep into a body "
-                f"{self.body.thickness * 1e3:.4g} mm thick; allowed: up to {limit * 1e3:.4g} mm "
-                "(are the units metres?)"
-            )
+        self._check_depth()
         solid = self.indenter.solid
         if solid is not None and self.motion.depth_max > solid.reach:
             raise SceneError(
@@ -282,3 +354,16 @@ class Scene:
                 f"{solid.reach * 1e3:.4g} mm; allowed: as far as that (from_stl(reach=...) reads "
                 "more of it)"
             )
+
+    def _check_depth(self) -> None:
+        """Refuse a tip that leaves less than a tenth of the body below it, where it is."""
+        body, tip = self.body, self.motion.tip
+        for x, y, z in tip if -min(point[2] for point in tip) > 0.9 * body.thickness else ():
+            half_x, half_y = body.size_x / 2, body.size_y / 2
+            top = body.height(min(max(x, -half_x), half_x), min(max(y, -half_y), half_y))
+            limit = 0.9 * (body.thickness + top) - top
+            if -z > limit:
+                raise SceneError(
+                    f"motion: {-z * 1e3:.4g} mm deep into a body {body.thickness * 1e3:.4g} mm "
+                    f"thick; allowed: up to {limit * 1e3:.4g} mm (are the units metres?)"
+                )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.error_estimate import measured
+from sim.error_estimate import measured, unknown_at_side
 from sim.errors import SceneError
 from sim.extrapolation import left_of_difference
 from sim.metrics import force_scale, marker_errors, outcome_of, worst_errors
@@ -75,7 +75,8 @@ def simulate_within(
         progress: Called with the share done, 0 to 1, of each mesh in turn.
 
     Raises:
-        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach.
+        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach; an
+            indenter in the side wall of a round body.
         SimulationDiverged: A mesh found no solution.
     """
     from sim.fem.numerics import Numerics
@@ -102,6 +103,9 @@ def simulate_within(
                     scene, "fem", numerics=numerics, device=device, progress=part
                 )
             pair.append(solved[known[0] if known else one])
+        unknown = unknown_at_side(pair[1], measured=True)
+        if unknown is not None:
+            raise SceneError(f"tolerance: {tolerance!r}; {unknown['why']}")
         found, error = _of_both(pair[0], pair[1], wanted)
         tried.append(f"fineness {fineness:.3g}: {said(wanted.kind, error)}")
         if best is None or error < best[0]:
@@ -160,6 +164,9 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
     left = WHOLE * left_of_difference(_ratio(second, result))
     apart = worst_errors(outcome_of(second), outcome_of(result), result.scene.body)
+    unknown = unknown_at_side(result, measured=True)
+    if unknown is not None:
+        return replace(result, record={**result.record, "error": unknown})
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)

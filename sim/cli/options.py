@@ -9,11 +9,11 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
-from sim.scene import Body
+from sim.scene import Body, Footprint
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
@@ -321,6 +321,7 @@ def body_of(options: argparse.Namespace) -> Body:
         poisson=options.poisson,
         dome_radius=None if options.dome is None else metres(options.dome),
         density=options.density,
+        footprint=options.footprint,
     )
 
 
@@ -385,6 +386,13 @@ def _add_body_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--dome", type=float, metavar="MM", help="radius of a spherical top [mm] (flat)"
+    )
+    group.add_argument(
+        "--footprint",
+        choices=get_args(Footprint),
+        default="rectangle",
+        help="outline in plan: the rectangle X by Y [mm], or the ellipse inscribed in it "
+        "(%(default)s)",
     )
     group.add_argument(
         "--modulus",

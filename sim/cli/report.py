@@ -135,14 +135,15 @@ def heading(result: Result) -> str:
     scene, body = result.scene, result.scene.body
     size = "x".join(f"{side * 1e3:g}" for side in (body.size_x, body.size_y, body.thickness))
     dome = f", dome {body.dome_radius * 1e3:g} mm" if body.dome_radius else ""
+    outline = ", ellipse" if body.footprint == "ellipse" else ""
     edge = scene.indenter.edge_radius
     edges = f", edges {edge * 1e3:g} mm" if edge else ""
     cells = result.record["mesh"].get("cells") or result.record["mesh"]["grid"]
     mesh = "x".join(str(count) for count in cells)
     effects = ", ".join(scene.effects.key) or "no effects"
     return (
-        f"{scene.indenter.name}{edges}; body {size} mm{dome}, {body.modulus / 1e6:g} MPa, nu "
-        f"{body.poisson:g}; {effects}; {result.tier} {mesh}, {result.record['precision']}, "
+        f"{scene.indenter.name}{edges}; body {size} mm{outline}{dome}, {body.modulus / 1e6:g} MPa, "
+        f"nu {body.poisson:g}; {effects}; {result.tier} {mesh}, {result.record['precision']}, "
         f"{result.record['device']}"
     )
 

@@ -388,7 +388,8 @@ class Assembly:
         self._shift = wp.zeros(environments, dtype=real, device=device)
         self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
         self.element_energy = wp.zeros((environments, elements), dtype=real, device=device)
-        self._element_det = wp.zeros((environments, elements), dtype=real, device=device)
+        # Elements beside a round body stay as they are here.
+        self._element_det = wp.ones((environments, elements), dtype=real, device=device)
         self.face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
         self.face_energy = wp.zeros((environments, faces), dtype=real, device=device)
         """Energy of the contact springs of each face (B, S) [E T^3]."""
@@ -517,6 +518,7 @@ class Assembly:
             dim=(self.environments, len(self.mesh.faces)),
             inputs=[
                 self._faces,
+                self._face_area,
                 self._nodes,
                 self._variant,
                 self._table,

@@ -369,9 +369,10 @@ def _column_kernels(real):
             n = column * levels + k
             inverse = mat33()
             upper = mat33()
-            if free[n] == 1:
-                block = matrix[env, n, CENTRE]
-                size = wp.abs(block[0, 0]) + wp.abs(block[1, 1]) + wp.abs(block[2, 2])
+            block = matrix[env, n, CENTRE]
+            size = wp.abs(block[0, 0]) + wp.abs(block[1, 1]) + wp.abs(block[2, 2])
+            # Nodes beside a round body have no stiffness and nowhere to go.
+            if free[n] == 1 and size > real(0.0):
                 floor = least * third * size
                 pivot = block - below
                 pivot = (pivot + wp.transpose(pivot)) * half

@@ -106,6 +106,8 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
         if active[env] == 0:
             return
         m = variant[env]
+        if face_area[m, s] == zero:  # beside a round body
+            return
         n0 = faces[s, 0]
         n1 = faces[s, 1]
         n2 = faces[s, 2]

@@ -254,6 +254,8 @@ def element_kernels(real, viscous: bool):
         if active[env] == 0:
             return
         m = variant[env]
+        if weight[m, e, 0] == real(0.0):  # beside a round body
+            return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         volume, theta, lowest = mean_change(
             inverse, weight, m, e, points, u1, u2, u3, u4, u5, u6, u7
@@ -473,6 +475,8 @@ def element_blocks_kernel(real, viscous: bool):
             return
         e = order[first + position]
         kind = variant[env]
+        if weight[kind, e, 0] == real(0.0):  # beside a round body
+            return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         # Blocks (r, s) in the order 00 11 22 01 02 12, and gradients of the volume, by Gauss
         # point; later by Walsh function.
@@ -714,6 +718,8 @@ def element_rows_kernel(real, viscous: bool):
         if free[elements[e, a]] == 0:
             return
         kind = variant[env]
+        if weight[kind, e, 0] == real(0.0):  # beside a round body
+            return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         pressure, stiffness = of_mean(
             inverse,
@@ -889,6 +895,8 @@ def _kernels(real):
         if active[env] == 0:
             return
         m = variant[env]
+        if weight[m, e, 0] == real(0.0):  # beside a round body
+            return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         for q in range(points):
             h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])

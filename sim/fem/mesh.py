@@ -29,6 +29,9 @@ GAUSS = 1 / np.sqrt(3)
 MULTIPLE, MANY = 4, 24
 """Elements along x and y are a multiple of this, above `MANY` of twice this: so many presses share
 a topology."""
+SHARE_LEAST = 0.1
+"""Share of a column of elements within the footprint below which it is left out: a sliver, whose
+nodes next to nothing would hold."""
 GRADING = 1.25
 """Exponent that makes elements flatter towards the top, where the strain is."""
 Array = NDArray[np.float64]
@@ -67,6 +70,9 @@ class Mesh:
     """Whether a node moves (N,): all but those on the base."""
     node_volume: NDArray[np.float64]
     """Volume lumped to each node (N,)."""
+    share: NDArray[np.float64] | None = None
+    """Share of each column of elements within a round footprint (X - 1, Y - 1): its elements weigh
+    as much, and 0 is none. None: all of them are whole."""
 
     @property
     def finest(self) -> float:
@@ -76,7 +82,17 @@ class Mesh:
     @property
     def topmost(self) -> float:
         """Height of the topmost elements, in thicknesses."""
-        return float(self.nodes[self.cells[2], 2] - self.nodes[self.cells[2] - 1, 2])
+        middle = (0, 0) if self.share is None else (self.cells[0] // 2, self.cells[1] // 2)
+        column = self.top[middle]
+        return float(self.nodes[column, 2] - self.nodes[column - 1, 2])
+
+    @property
+    def beside(self) -> NDArray[np.bool_]:
+        """Which columns of nodes belong to no element (X, Y)."""
+        if self.share is None:
+            return np.zeros((len(self.x), len(self.y)), dtype=bool)
+        empty = np.pad(self.share == 0, 1, constant_values=True)
+        return np.asarray(empty[1:, 1:] & empty[:-1, 1:] & empty[1:, :-1] & empty[:-1, :-1])
 
     @property
     def top(self) -> NDArray[np.int64]:
@@ -213,6 +229,14 @@ def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan
         inverse, weight = _box_geometry(*sides)
         volume = _box_node_volumes(*sides)
         area = _box_face_areas(*sides)
+    inside = None
+    if body.footprint != "rectangle":
+        inside = body.shares(x * unit, y * unit)
+        inside[inside < SHARE_LEAST] = 0.0
+        weight = weight * np.repeat(inside.ravel(), cells[2])[:, None]
+        volume = _node_volumes(grid.elements, weight, len(nodes))
+        # The grid's own sides are beside the body.
+        area = np.concatenate([area[: inside.size] * inside.ravel(), 0 * area[inside.size :]])
     return Mesh(
         cells=cells,
         x=x,
@@ -228,6 +252,7 @@ def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan
         node_faces=grid.node_faces,
         free=grid.free,
         node_volume=volume,
+        share=inside,
     )
 
 

@@ -34,6 +34,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
     def overlap(
         # Mesh:
         faces: wp.array2d(dtype=wp.int32),
+        face_area: wp.array2d(dtype=real),
         nodes: wp.array2d(dtype=vec3),
         variant: wp.array(dtype=wp.int32),
         # Indenter:
@@ -54,6 +55,8 @@ def overlap_kernel(real, traits: Traits = PLAIN):
         if active[env] == 0:
             return
         m = variant[env]
+        if face_area[m, s] == zero:  # beside a round body
+            return
         deepest = zero
         bound = zero
         below = zero

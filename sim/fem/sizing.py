@@ -376,7 +376,8 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     width = np.maximum(high - low, 1e-4)
     middle, width = (low + high) / 2, width * (1 + 2 * WIDER)
     count = WINDOW * (2 if width.max() > NARROW * width.min() else 1)
-    thickness = float(np.clip(body.thickness, 1e-4, LAYERS * width.min()))
+    here = _thickness_under(body, tip)
+    thickness = float(np.clip(here, 1e-4, LAYERS * width.min()))
     window = Body(
         size_x=float(width[0]),
         size_y=float(width[1]),
@@ -388,13 +389,23 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     x, y = grid.x + middle[0], grid.y + middle[1]
     reach = max(body.thickness, 2 * abs(float(tip[2])))
     height = indenter.heights(x[:, None] - tip[0], y[None, :] - tip[1], reach=reach)
-    on_body = (np.abs(x) <= body.size_x / 2)[:, None] & (np.abs(y) <= body.size_y / 2)
+    on_body = body.covers(x[:, None], y)
     gap = np.minimum(height, reach) + tip[2] - _heights(body, x, y)
     gap = np.where(on_body, gap, reach)
     layer = Convolutions(grid, np.float32).within(grid.shape)
     start = np.zeros((3, *grid.shape), np.float32)
     contact = solve_frictionless(layer, gap.astype(np.float32), start, tolerance=RESIDUAL)
-    return sizes_of(contact.traction[2] < 0, x, y, body.thickness, indenter.sharpest)
+    return sizes_of(contact.traction[2] < 0, x, y, here, indenter.sharpest)
+
+
+THIN = 0.5
+"""Height of a dome over the thickness below which a contact there is one on a thinner layer."""
+
+
+def _thickness_under(body: Body, tip: Array) -> float:
+    """Height of the body under a tip (3,), where it is much less than the thickness; else that."""
+    here = body.thickness + body.height(*_onto(body, tip))
+    return here if here < THIN * body.thickness else body.thickness
 
 
 def _heights(body: Body, x: Array, y: Array) -> Array:
@@ -425,6 +436,7 @@ def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | Non
         places[..., 1] = y[None, :, None] - tip[1]
         places[..., 2] = under
         overlaps = (indenter.distance(places)[0].min(axis=2) <= 0) & (top >= tip[2])
+        overlaps &= body.covers(x[:, None], y)
         if not overlaps.any():
             return None
         between = (high - low) / (SAMPLES - 1)

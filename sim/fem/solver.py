@@ -13,6 +13,8 @@ from pathlib import Path as File
 
 import numpy as np
 import warp as wp
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import KDTree
 
 from sim.contact_size import touched_by, width_of
 from sim.errors import SceneError, SimulationDiverged
@@ -31,7 +33,7 @@ from sim.fem.sizing import (
 )
 from sim.indenters.device import traits_of
 from sim.metrics import WEAK
-from sim.result import Outcome, Quality, Result, with_beginning
+from sim.result import SIDES, Outcome, Quality, Result, with_beginning
 from sim.scene import Body, Motion, Scene
 
 # What the state last evaluated says of one environment: contact, traction, energy, weight.
@@ -134,6 +136,7 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
     touched = columns[rows].ravel()
     force = [np.bincount(touched, share[:, axis], count) for axis in range(3)]
     area = np.bincount(columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
+    area[area == 0] = np.inf  # beside a round body
     nodal = np.stack(force, axis=-1) / area[:, None]
     return nodal.reshape(nx + 1, ny + 1, 3)
 
@@ -167,6 +170,64 @@ def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
         free = assembly.meshes[env].node_volume[:, None] * ahead
         total -= rate * free.sum(axis=0)
     return total
+
+
+# A round body on a grid: what its nodes beside it say, and what happens at its side.
+
+
+class Round:
+    """The side of a round body, which cuts through elements and is no contact face.
+
+    Args:
+        scene: Whose body.
+        mesh: Its mesh.
+    """
+
+    def __init__(self, scene: Scene, mesh: Mesh) -> None:
+        self._scene, self._mesh = scene, mesh
+        unit, body = scene.body.thickness, scene.body
+        beside = mesh.beside
+        places = np.stack(np.meshgrid(mesh.x, mesh.y, indexing="ij"), axis=-1)
+        self._nearest = KDTree(places[~beside]).query(places)[1]
+        """Which of the body's columns of nodes is nearest to each (X, Y)."""
+        self._of_body = np.flatnonzero(~beside)
+        self._cut = ((mesh.share > 0) & (mesh.share < 1)).ravel()
+        angle = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
+        self._wall = np.stack([np.cos(angle), np.sin(angle)], axis=1) / (2 * unit)
+        self._wall *= body.size_x, body.size_y
+        ends = [[mesh.x[0], mesh.y[0]], [mesh.x[-1], mesh.y[-1]]]
+        self._wall = np.clip(self._wall, *ends)  # by rounding they may differ
+        rim = np.array([body.height(*place) for place in self._wall * unit]) / unit
+        share = 1.0 + mesh.nodes[mesh.top[0, 0] - mesh.cells[2] : mesh.top[0, 0] + 1, 2]
+        self._levels = -1.0 + (1.0 + rim)[:, None] * (share / share[-1])
+
+    def continued(self, u: np.ndarray) -> np.ndarray:
+        """Displacements (N, 3) as columns of nodes (X, Y, Z, 3), beside the body those of its edge.
+
+        What has no material has no displacement; a curve through zeros there would bend on the gel.
+        """
+        columns = u.reshape(self._nearest.size, -1, 3)
+        return columns[self._of_body[self._nearest]].reshape(*self._nearest.shape, -1, 3)
+
+    def touched(self, faces: np.ndarray) -> bool:
+        """Whether a touched face of the top (T,) belongs to a column that the side cuts through."""
+        return bool(self._cut[faces[faces < len(self._cut)]].any())
+
+    def wall(self, columns: np.ndarray) -> np.ndarray:
+        """Places (W, Z, 3) of the side wall, displaced by `continued` (X, Y, Z, 3)."""
+        moved = RegularGridInterpolator((self._mesh.x, self._mesh.y), columns)(self._wall)
+        moved[..., :2] += self._wall[:, None]
+        moved[..., 2] += self._levels
+        return moved
+
+    def overlapped(self, wall: np.ndarray, tip: np.ndarray) -> bool:
+        """Whether the indenter stands in the side wall (W, Z, 3), whose upper edge is the top's."""
+        under = (wall[:, :-1] - tip) * self._scene.body.thickness
+        return bool((self._scene.indenter.distance(under)[0] < 0).any())
+
+
+AROUND = 256
+"""Places around a round side wall at which an indenter is looked for."""
 
 
 # What is kept of an accepted state: force, surface, and how far it can be trusted.
@@ -211,6 +272,9 @@ class Collector:
         self._tip = np.zeros(3)
         self._start: float | None = None
         self.spent = Spent()
+        self._round = None if mesh.share is None else Round(scene, mesh)
+        self.at_side: dict[str, list[int]] = {"rim": [], "wall": []}
+        """Waypoints at which a round body is touched at its rim, and in its side wall."""
 
     def moved(self, tip: np.ndarray, work: float) -> None:
         """Count the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
@@ -240,7 +304,17 @@ class Collector:
         unit, push = self._unit, self._stress * self._unit**2
         self._wrench[frame, :3] = force * push
         self._wrench[frame, 3:] = torque * push * unit
-        self._surface[frame] = u[mesh.top] * unit
+        if self._round is None:
+            self._surface[frame] = u[mesh.top] * unit
+        else:
+            columns = self._round.continued(u)
+            self._surface[frame] = columns[:, :, -1] * unit
+            if self._round.touched(np.flatnonzero(held.of(env, assembly.touched))):
+                self.at_side["rim"].append(frame)
+            wall = self._round.wall(columns)
+            if self._round.overlapped(wall, tip):
+                self.at_side["wall"].append(frame)
+            self.below_base = max(self.below_base, -(1.0 + float(wall[..., 2].min())) * unit)
         self._traction[frame] = surface_traction(held, env) * self._stress
         depth = max(-float(tip[2]), 1e-6)
         size = float(np.linalg.norm(force))
@@ -830,6 +904,7 @@ class _Batch:
                 "below_base": collector.below_base,
             },
             "self_overlap": collector.self_overlap(),
+            **{name: frames for name, frames in collector.at_side.items() if frames},
             "warnings": self._warnings(env),
         }
 
@@ -850,6 +925,11 @@ class _Batch:
                 "the force depends on the mesh and on the path; allowed without this warning: a "
                 "finer mesh or a rounder edge"
             )
+        said += [
+            f"{SIDES[name]}, at waypoints {frames}"
+            for name, frames in self._collectors[env].at_side.items()
+            if frames
+        ]
         return said
 
     def _record(self) -> dict:

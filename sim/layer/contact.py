@@ -210,6 +210,7 @@ class Clearance:
         self._step = tuple(pixel / FINENESS for pixel in grid.pixel)
         self.surface = body.heights(grid.x, grid.y)
         """Height of the untouched top (nx, ny) [m]."""
+        self._on_body = body.covers(grid.x[:, None], grid.y)
         self._cap = 2 * (motion.depth_max - float(self.surface.min())) + body.thickness / 2
         far = tip[:, :2] - self._anchor[:2]
         samples = []
@@ -232,7 +233,7 @@ class Clearance:
             whole.append(int(np.floor(place)) - self._first[axis])
             rest.append(place - np.floor(place))
         gap: Array = self._read(whole, rest) + tip[2] - self.surface
-        return gap
+        return np.where(self._on_body, gap, self._cap)
 
     def _read(self, whole: list[int], rest: list[float]) -> Array:
         nx, ny = self._grid.shape

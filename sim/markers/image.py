@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from sim.errors import SceneError, check_range
+from sim.scene import Body
 
 # The contour of an image at a threshold, to a fraction of a pixel, and the distance to it.
 
@@ -187,7 +188,7 @@ class ImagePattern:
         inside = map_coordinates(depth, [row, column], order=1, mode="nearest") < 0
         return np.where(inside, -apart, apart) * self.pixel
 
-    def check_within(self, size_x: float, size_y: float) -> None:
+    def check_within(self, body: Body) -> None:
         """Any gel will do: it cuts off what lies beside it."""
 
     @property

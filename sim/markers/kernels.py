@@ -640,7 +640,7 @@ def seen_places(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.ndarra
     pixels = np.stack(np.meshgrid(lattice.columns, lattice.rows), axis=-1)
     places = camera.places(pixels, body)
     with np.errstate(invalid="ignore"):
-        on_gel = (np.abs(places) <= np.array([body.size_x, body.size_y]) / 2).all(axis=-1)
+        on_gel = body.covers(places[..., 0], places[..., 1])
     x, y = places[on_gel].T
     return np.stack([x, y, heights(body, x, y)], axis=1), on_gel
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_range
+from sim.scene import Body
 
 Array = NDArray[np.float64]
 Shape = Literal["disc", "square", "diamond"]
@@ -109,20 +110,21 @@ class Pattern:
             found[rows, columns] = np.minimum(found[rows, columns], distance)
         return found
 
-    def check_within(self, size_x: float, size_y: float) -> None:
-        """Refuse a gel (of `size_x` by `size_y` [m]) that some marker does not lie wholly on.
+    def check_within(self, body: Body) -> None:
+        """Refuse a gel that some marker does not lie wholly on.
 
         Raises:
             SceneError: Names the marker that reaches furthest.
         """
-        room = np.array([size_x, size_y]) / 2 - self.reach - np.abs(self.centres)
-        worst = int(room.min(axis=1).argmin())
-        if room[worst].min() < -ROUND_OFF:
+        room = body.from_side(*self.centres.T) - self.reach
+        worst = int(room.argmin())
+        if room[worst] < -ROUND_OFF:
             x, y = (1e3 * value for value in self.places[worst])
+            outline = " ellipse" if body.footprint == "ellipse" else ""
             raise SceneError(
                 f"pattern {self.name!r}: the marker of {self.size * 1e3:.4g} mm at x {x:.4g}, y "
                 f"{y:.4g} mm reaches beyond the gel; allowed: markers wholly on its "
-                f"{size_x * 1e3:.4g} x {size_y * 1e3:.4g} mm"
+                f"{body.size_x * 1e3:.4g} x {body.size_y * 1e3:.4g} mm{outline}"
             )
 
     @property

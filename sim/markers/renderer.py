@@ -36,9 +36,9 @@ from sim.scene import Body
 class View:
     """F frames as a camera sees them; any pattern can be looked at."""
 
-    def __init__(self, material, samples: int) -> None:
+    def __init__(self, material, samples: int, body: Body) -> None:
         """Hold `material`, x and y [m] at `samples` x `samples` samples a pixel (F, H, W)."""
-        self._material, self._samples = material, samples
+        self._material, self._samples, self._body = material, samples, body
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -49,7 +49,11 @@ class View:
 
         NaN where there is no gel. H and W are 480 and 640 times the samples along a pixel's side.
         """
-        return self._material.numpy()
+        seen = self._material.numpy()
+        if self._body.footprint == "rectangle":
+            return seen
+        on_gel = self._body.covers(seen[..., 0], seen[..., 1])
+        return np.where(on_gel[..., None], seen, np.float32(np.nan))
 
     def packed(self, textures: Textures) -> NDArray[np.uint8]:
         """Masks of every frame and pattern as packed bits (F, P, 38400)."""
@@ -192,7 +196,8 @@ class Renderer:
 
     def _view(self, vertex: wp.array) -> View:
         number = see_triangles(vertex, self.samples)
-        return View(find_material(self._top, vertex, number, self.samples), self.samples)
+        material = find_material(self._top, vertex, number, self.samples)
+        return View(material, self.samples, self.body)
 
     def _checked(self, x: Array, y: Array, surface: Surface) -> wp.array:
         """The displacement on the device."""

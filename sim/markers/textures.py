@@ -34,7 +34,7 @@ class Markers(Protocol):
     def distance(self, x: Array, y: Array, band: float) -> Array:
         """Signed distance (Y, X) [m] at rising x (X,) and y (Y,), negative inside a marker."""
 
-    def check_within(self, size_x: float, size_y: float) -> None:
+    def check_within(self, body: Body) -> None:
         """Refuse a gel that the markers do not fit on."""
 
 
@@ -58,9 +58,12 @@ def distance_texture(markers: Markers, body: Body, *, step: float = STEP) -> Dis
         SceneError: A marker beyond the gel's border, or a step out of range.
     """
     check_range("texture", "step", step, 1e-6, 1e-3, unit="m")
-    markers.check_within(body.size_x, body.size_y)
+    markers.check_within(body)
     x, y = (_samples(size, step) for size in (body.size_x, body.size_y))
-    values = markers.distance(x, y, max(BAND, 2 * step)).astype(np.float32)
+    values = markers.distance(x, y, max(BAND, 2 * step))
+    if body.footprint != "rectangle":
+        values = np.maximum(values, -body.from_side(x, y[:, None]))  # cut off beside the gel
+    values = values.astype(np.float32)
     return DistanceTexture(markers.name, values, (float(x[0]), float(y[0])), step)
 
 

@@ -169,6 +169,10 @@ LOST = 0.1
 """Share of the work above which what a frictionless press loses is told of: spheres lose 0.05."""
 
 
+RIM_LEAST = 0.5
+"""Least height of a dome at its corners, over the thickness: particles are squeezed there."""
+
+
 def simulate_mpm(
     scenes: Sequence[Scene],
     numerics: MpmNumerics | None = None,
@@ -193,6 +197,7 @@ def simulate_mpm(
     if not scenes:
         return []
     same_body(scenes)
+    _check_bodies(scenes)
     _same_effects(scenes)
     _check_device(device)
     began = time.perf_counter()
@@ -322,6 +327,21 @@ def _warnings(scene: Scene, pace: Pace, numerics: MpmNumerics, lost: float) -> l
     if numerics.particle_volume is not None:
         found.append("a particle's volume was given: forces are scaled with it")
     return found
+
+
+def _check_bodies(scenes: Sequence[Scene]) -> None:
+    for index, scene in enumerate(scenes):
+        body, where = scene.body, f"scenes[{index}].body"
+        if body.footprint != "rectangle":
+            raise SceneError(
+                f"{where}.footprint: {body.footprint!r}; allowed with tier 'mpm': 'rectangle'"
+            )
+        if body.rim < RIM_LEAST * body.thickness:
+            raise SceneError(
+                f"{where}.dome_radius: {body.dome_radius!r} m, which leaves {body.rim * 1e3:.3g} "
+                f"mm at the corners; allowed with tier 'mpm': {100 * RIM_LEAST:g} % of the "
+                "thickness or more"
+            )
 
 
 def _same_effects(scenes: Sequence[Scene]) -> None:

@@ -168,14 +168,19 @@ def probe(scene: Scene) -> Probe:
     """Look at a scene through the `layer` tier.
 
     Raises:
-        SceneError: A scene that `layer` does not know, has a dome, or never touches: no plan can be
-            made for it.
+        SceneError: A scene that `layer` does not know, has a dome or is round, or never touches: no
+            plan can be made for it.
         SimulationDiverged: No contact was found.
     """
     if scene.body.dome_radius is not None:
         raise SceneError(
             f"body.dome_radius: {scene.body.dome_radius!r} m; allowed with a tolerance: None, the "
             "cost table covers flat bodies"
+        )
+    if scene.body.footprint != "rectangle":
+        raise SceneError(
+            f"body.footprint: {scene.body.footprint!r}; allowed with a tolerance: 'rectangle', the "
+            "cost table covers blocks"
         )
     result = simulate_layer(scene)
     outcome = outcome_of(result)

@@ -110,7 +110,7 @@ class SimulatedSensor:
             TaxelPad(self.body, self.signal)
             return
         for pattern in self.signal.drawn():
-            pattern.check_within(self.body.size_x, self.body.size_y)
+            pattern.check_within(self.body)
         if self.signal.pins is not None and self.body.dome_radius is not None:
             raise SceneError(
                 f"{self.name}.body.dome_radius: {self.body.dome_radius!r} m with pins; allowed: "

@@ -301,7 +301,7 @@ class TaxelPad:
     element feels every magnet.
 
     Raises:
-        SceneError: A dome, magnets that lie below the base, or taxels beside the body.
+        SceneError: A dome, a round pad, magnets that lie below the base, or taxels beside the body.
     """
 
     def __init__(self, body: Body, signal: TaxelSignal) -> None:
@@ -309,6 +309,10 @@ class TaxelPad:
         if body.dome_radius is not None:
             raise SceneError(
                 f"body.dome_radius: {body.dome_radius!r} m under taxels; allowed: None, a flat pad"
+            )
+        if body.footprint != "rectangle":
+            raise SceneError(
+                f"body.footprint: {body.footprint!r} under taxels; allowed: 'rectangle'"
             )
         if not signal.magnet_depth < body.thickness:
             raise SceneError(

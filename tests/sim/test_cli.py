@@ -55,6 +55,16 @@ def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(
     assert list(Path().iterdir()) == []
 
 
+def test_a_round_body_is_said_and_softer_than_the_square_around_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = shlex.split("press --size 8,8,4 --depths 0.3 --friction 0 --mesh 1.3 --footprint")
+    assert main([*words, "ellipse"]) == 0
+    assert "body 8x8x4 mm, ellipse, 0.145 MPa" in capsys.readouterr().out
+    round_, square = (_said([*words, name], capsys) for name in ("ellipse", "rectangle"))
+    assert 0 < round_["force_n"][0] < square["force_n"][0]
+
+
 def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     words = "-m sim press --depths 0.2 --mesh 1.3 --size 8,8,4 --json"
     done = subprocess.run(
@@ -171,6 +181,7 @@ def test_a_shape_has_the_measures_it_was_given(
         ("press --shape prism --edge-radius 9", r"edge_radius: 0\.009 m; allowed: 0 to"),
         ("press --poisson 0.5", r"body\.poisson: 0\.5; allowed: 0 to 0\.49995"),
         ("press --size 20,20,0", r"body\.thickness: 0\.0 m; allowed"),
+        ("press --size 33,33,5.5 --dome 28.4 --footprint ellipse", r"body\.dome_radius: 0\.028"),
         ("press --friction -1", r"friction\.coefficient: -1\.0; allowed: 0 to 10"),
         ("press --friction nan", r"friction\.coefficient: nan"),
         ("press --depths nan", r"motion\.depths\[0\]"),

@@ -103,6 +103,11 @@ def test_a_row_says_only_what_differs(tmp_path: Path) -> None:
     assert mine.body.thickness == sensor("gelsight").body.thickness
 
 
+def test_a_row_may_be_round(tmp_path: Path) -> None:
+    mine = read(tmp_path, BASE + "body: {footprint: ellipse}\n")
+    assert mine.body.footprint == "ellipse"
+
+
 def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
     signal = (
         "signal: {kind: taxels, pitch_mm: 4.0, magnet_depth_mm: 1.0, hall_depth_mm: 1.0, "
@@ -121,6 +126,7 @@ def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
         ("body: {modulus_kpa: true}\n", r"\.body\.modulus_kpa: found bool True"),
         ("body: {modulus_kpa: .nan}\n", r"\.body\.modulus_kpa: found nan; allowed: a finite"),
         ("body: {thickness_mm: 4000.0}\n", r"mine\.yaml\.body: body\.thickness: 4\.0 m; allowed"),
+        ("body: {footprint: round}\n", r"\.body\.footprint: found 'round'; allowed: \['rectangle'"),
         ("body: 4\n", r"mine\.yaml\.body: found int 4; allowed: a mapping"),
         ("depth_max_mm: 3.9\n", r"mine\.depth_max: 0\.0039 m; allowed: above 0 to 0\.0036 m"),
         ("depth_max_mm: 0.9\n", r"mine\.trajectory\.depth_max: 0\.001 m; allowed: up to"),

@@ -124,10 +124,10 @@ class Press:
         self.nodes = grid.nodes
         top = grid.top
         place, weight = np.polynomial.legendre.leggauss(POINTS)
-        self.shape, _ = quadratic(place)
-        half = (self.nodes[top[:, 2], 0] - self.nodes[top[:, 0], 0]) / 2
-        self.r = self.nodes[top, 0] @ self.shape.T
-        self.area = 2 * math.pi * self.r * weight * half[:, None]
+        self.shape, slope = quadratic(place)
+        self.r, self.z = (self.nodes[top, axis] @ self.shape.T for axis in (0, 1))
+        along = np.hypot(*(self.nodes[top, axis] @ slope.T for axis in (0, 1)))
+        self.area = 2 * math.pi * self.r * weight * along
         self.unknowns = (2 * top[:, :, None] + np.arange(2)).reshape(len(top), 6)
         # Stresses are sums of terms as large as the bulk modulus.
         self.rounding = 2e-14 * layer.bulk * layer.radius * layer.thickness
@@ -247,7 +247,7 @@ class Press:
         """What the indenter does to the top, and how that changes with displacement."""
         moved = u[self.unknowns].reshape(-1, 3, 2)
         place = self.shape @ moved
-        r, z = self.r + place[..., 0], place[..., 1] - tip
+        r, z = self.r + place[..., 0], self.z + place[..., 1] - tip
         gap, normal_r, normal_z, bend = self.profile.distance(r, z)
         pressure = np.maximum(old.carried - self.stiffness * gap, 0.0)
         touching = pressure > 0
@@ -294,7 +294,7 @@ class Press:
         reached would be dragged by all of the step.
         """
         moved = self.shape @ before
-        was = self.profile.distance(self.r + moved[..., 0], moved[..., 1] - old.tip)[0]
+        was = self.profile.distance(self.r + moved[..., 0], self.z + moved[..., 1] - old.tip)[0]
         came = (was > 0) & (gap < 0)
         closed = np.where(came, gap - was, -1.0)
         return np.where(came, gap / closed, 1.0), np.where(came, -was / closed**2, 0.0)

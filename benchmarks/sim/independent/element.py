@@ -37,18 +37,24 @@ def quadratic(place: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Grid:
-    """Rectangular elements between lines of r and of z; a node also halfway between lines."""
+    """Elements between lines of r and of z; a node also halfway between lines."""
 
     r: Array
     """Lines of r [m], rising from 0 (or from an inner radius)."""
     z: Array
     """Lines of z [m], rising from the base to the top."""
+    dome: float | None = None
+    """Radius of a sphere [m] that the top is lowered onto, with all lines of z in proportion."""
 
     @property
     def nodes(self) -> Array:
         """Places (N, 2) of the nodes [m], r slowest."""
         r, z = _with_middles(self.r), _with_middles(self.z)
-        return np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+        nodes = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+        if self.dome is not None:
+            lower = self.dome - np.sqrt(self.dome**2 - nodes[:, 0] ** 2)
+            nodes[:, 1] -= lower * (nodes[:, 1] - z[0]) / (z[-1] - z[0])
+        return nodes
 
     @property
     def rows(self) -> int:
@@ -96,17 +102,22 @@ class Elastic:
         shape = np.einsum("pi,qj->pqij", value, value).reshape(-1, 9)
         along_r = np.einsum("pi,qj->pqij", slope, value).reshape(-1, 9)
         along_z = np.einsum("pi,qj->pqij", value, slope).reshape(-1, 9)
-        low, high = nodes[elements[:, 0]], nodes[elements[:, 8]]
-        half = (high - low) / 2
         r = np.einsum("pn,en->ep", shape, nodes[elements, 0])
         flat = np.outer(weight, weight).ravel()
-        self.volume: Array = 2 * math.pi * r * flat * (half[:, 0] * half[:, 1])[:, None]
+        # Places by reference coordinates (E, P, 2), and with them slopes of the shapes by place.
+        first_way = np.einsum("pn,enc->epc", along_r, nodes[elements])
+        second_way = np.einsum("pn,enc->epc", along_z, nodes[elements])
+        area = first_way[..., 0] * second_way[..., 1] - first_way[..., 1] * second_way[..., 0]
+        over_r = second_way[..., 1, None] * along_r - first_way[..., 1, None] * along_z
+        over_z = first_way[..., 0, None] * along_z - second_way[..., 0, None] * along_r
+        over_r, over_z = over_r / area[..., None], over_z / area[..., None]
+        self.volume: Array = 2 * math.pi * r * flat * area
         # How the five entries of F follow from the 18 displacements, (E, P, 5, 18).
         self.operator = np.zeros((*r.shape, 5, 18))
-        self.operator[:, :, 0, 0::2] = along_r / half[:, 0, None, None]
-        self.operator[:, :, 1, 0::2] = along_z / half[:, 1, None, None]
-        self.operator[:, :, 2, 1::2] = along_r / half[:, 0, None, None]
-        self.operator[:, :, 3, 1::2] = along_z / half[:, 1, None, None]
+        self.operator[:, :, 0, 0::2] = over_r
+        self.operator[:, :, 1, 0::2] = over_z
+        self.operator[:, :, 2, 1::2] = over_r
+        self.operator[:, :, 3, 1::2] = over_z
         self.operator[:, :, 4, 0::2] = shape / r[:, :, None]
         # Projection onto 1, r, z of each element: from values at points to coefficients.
         first, second = np.repeat(place, POINTS), np.tile(place, POINTS)

@@ -63,11 +63,18 @@ def _lines(low: float, high: float, size: Callable[[Array], Array]) -> Array:
 
 
 def layer_grid(
-    radius: float, thickness: float, places: Sequence[Fine], growth: float = 0.3
+    radius: float,
+    thickness: float,
+    places: Sequence[Fine],
+    growth: float = 0.3,
+    dome: float | None = None,
 ) -> Grid:
-    """Mesh of a layer [m] whose elements at the top have the sizes that `places` ask for."""
+    """Mesh of a layer [m] whose elements at the top have the sizes that `places` ask for.
+
+    With a `dome` [m] its top is a sphere of that radius, `thickness` high at the middle.
+    """
     finest = min(place.size for place in places)
     r = graded(0.0, radius, places, growth, thickness / 2)
     top = Fine(0.0, 0.0, finest)
     z = -graded(0.0, thickness, [top], growth, thickness / 5)[::-1]
-    return Grid(r, z)
+    return Grid(r, z, dome)

@@ -55,7 +55,11 @@ def _fields() -> Iterator[tuple[str, Make]]:
 
 
 def _body(name: str) -> Make:
-    return lambda value: replace(Body(), **{name: value})
+    def make(value: float) -> Body:
+        field: dict[str, Any] = {name: value}
+        return replace(Body(), **field)
+
+    return make
 
 
 def _gravity(axis: int) -> Make:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from benchmarks.sim.stability.chance.dice import Dice, rounded
 from benchmarks.sim.stability.chance.shapes import blade, draw_shape
@@ -72,7 +73,7 @@ def within_budget(scene: Scene) -> Scene:
             return scene
         body = scene.body
         longer = max(body.size_x, body.size_y)
-        sizes = {
+        sizes: dict[str, Any] = {
             name: rounded(0.85 * size) if size > 0.7 * longer else size
             for name, size in (("size_x", body.size_x), ("size_y", body.size_y))
         }

@@ -171,6 +171,7 @@ def _larger(scene: Scene) -> Twin | None:
     larger = Body(
         body.size_x * factor, body.size_y * factor, body.thickness * factor,
         body.modulus * factor, body.poisson, dome, body.density,
+        body.footprint,
     )  # fmt: skip
     slower = math.sqrt(factor) if scene.effects.inertia is not None else 1.0
     tips = tuple((x * factor, y * factor, z * factor) for x, y, z in scene.motion.tip)
