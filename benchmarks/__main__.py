@@ -42,6 +42,9 @@ BENCHMARKS = {
         "benchmarks.sim.cost_table.command", "sim", "what errors cost, for the planner"
     ),
     "speed": Benchmark("benchmarks.sim.speed.command", "sim", "the paper's 162 presses timed"),
+    "frames": Benchmark(
+        "benchmarks.sim.speed.frames", "sim", "frames a second, one press or many at once"
+    ),
     "effects": Benchmark(
         "benchmarks.sim.effects.command", "sim", "what an effect costs, on and off"
     ),

@@ -585,11 +585,11 @@ def _judged(outcome: Outcome) -> Outcome:
         if shares[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
             return SimulationDiverged(refused.format(where), tried=(), dump=None)
         warnings.append(where)
-    push, most = -float(outcome.force[:, 2].min()), _buckling_load(outcome.scene.body)
-    if push > most:
+    straight, most = _straight_push(outcome), _buckling_load(outcome.scene.body)
+    if straight > most:
         warnings.append(
-            f"a push of {push:.3g} N on a body so slender that it may buckle from {most:.3g} N on: "
-            "other shapes than this one are possible, with other forces"
+            f"standing straight, this body would bear {straight:.3g} N, but it is so slender that "
+            f"it may buckle from {most:.3g} N on: other shapes are possible, with other forces"
         )
     below = outcome.record["overlap"]["below_base"]
     if below > BELOW_GOOD * outcome.scene.body.thickness:
@@ -610,6 +610,17 @@ def _lost_contact(result: Result) -> int | None:
             if covered(scene.indenter, scene.body, np.asarray(tip)) is not None:
                 return waypoint
     return None
+
+
+def _straight_push(result: Result) -> float:
+    """The push of a punch as wide as the contact, in series with all of the body as a column [N].
+
+    That of the half-space is 2 a d E / (1 - nu^2).
+    """
+    body = result.scene.body
+    punch = result.quality.contact_width.max() * body.modulus / (1 - body.poisson**2)
+    column = body.modulus * body.size_x * body.size_y / body.thickness
+    return float(result.scene.motion.depth_max / (1 / max(punch, 1e-30) + 1 / column))
 
 
 def _buckling_load(body: Body) -> float:

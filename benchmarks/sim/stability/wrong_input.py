@@ -113,7 +113,7 @@ def infinite(solver: Solver) -> list[Law]:
 def below_zero(solver: Solver) -> list[Law]:
     """Lengths, moduli, coefficients and times below zero are refused."""
     del solver
-    signed = ("acceleration", "tip", "values", "axis", "cosine")
+    signed = ("acceleration", "tip", "depths", "motion.at", "shear", "values", "axis", "cosine")
     return _refusals([field for field in _fields() if not field[0].startswith(signed)], -1.0)
 
 
