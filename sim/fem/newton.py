@@ -42,6 +42,9 @@ convex, and where it was, damped."""
 EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
 """Residual below which a tangent that was made convex is exact again; times the second whenever
 that was too early."""
+CONVEX_MOST = 10
+"""Iterations of a step with a tangent that was made convex, after which the exact one is damped:
+where a body turns far, the convex one is too stiff to get anywhere."""
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 """Stiffness against any motion that is added then [E / T^2], least and most: from that of the
 softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
@@ -79,6 +82,7 @@ class Newton:
         self._damping = np.zeros(count)
         self._convex, self._switched = np.zeros((2, count), bool)
         self._exact_below = np.full(count, EXACT_BELOW)
+        self._convex_left = np.full(count, CONVEX_MOST)
 
     def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
         """Start on a step of the chosen environments, from `state.u` on; all (B,).
@@ -103,7 +107,7 @@ class Newton:
             return
         self.iterations[chosen], self.cg[chosen] = 0, 0
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
-        self._exact_below[chosen] = EXACT_BELOW
+        self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
         self._switch(chosen & self._convex)
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
@@ -144,17 +148,22 @@ class Newton:
         walked, length = self._search(active, running, predicting, slope)
         self._predicting[running] = False
         hard = ~predicting & (concave | (length < LENGTH_GOOD) | ~walked)
-        bent = hard & ~self._convex
-        hard &= self._convex
+        self._convex_left[running & self._convex] -= 1
+        spared = self._convex_left > 0
+        bent = hard & ~self._convex & spared
+        hard &= ~bent
         stiffer = np.clip(self._damping * 8, DAMPING_LEAST, DAMPING_MOST)
         damping = np.where(hard, stiffer, self._damping / 4)
         damping[damping < DAMPING_LEAST] = 0.0
         self._damping[running] = damping[running]
         self._judge(running)
         eased = self._convex & (self._damping == 0) & (self.residual < self._exact_below)
+        eased |= self._convex & ~spared
         self._exact_below[running & eased] *= EXACT_LESS
         if self._switch(running & (bent | eased)):
-            assembly.evaluate_contact(self.mask(self._switched), state.u, self._cg.solution)
+            assembly.evaluate_contact(
+                self.mask(running & self._switched), state.u, self._cg.solution
+            )
         spent = self.iterations >= assembly.numerics.newton_max
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)

@@ -33,8 +33,10 @@ SIGNS = 2.0 * np.array(CORNERS) - 1.0
 def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
     """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
     rest, now = _normals(mesh.nodes, mesh.faces), _normals(places, mesh.faces)
-    size = np.linalg.norm(rest, axis=1) * np.linalg.norm(now, axis=1)
-    return np.asarray(np.einsum("si,si->s", rest, now) < FOLDED * size)
+    along, rest_square, now_square = (
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2] for a, b in ((rest, now), (rest, rest), (now, now))
+    )
+    return np.asarray(along < FOLDED * np.sqrt(rest_square * now_square))
 
 
 def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
@@ -62,9 +64,11 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
 
 
 def _normals(places: Array, faces: NDArray[np.int32]) -> Array:
-    """Normals (S, 3) of faces by their diagonals; on which side is the same before and after."""
-    corner = places[faces]
-    return np.cross(corner[:, 3] - corner[:, 0], corner[:, 2] - corner[:, 1])
+    """Normals (3, S) of faces by their diagonals; on which side is the same before and after."""
+    corner = places.T[:, faces.T]
+    x, y, z = corner[:, 3] - corner[:, 0]
+    u, v, w = corner[:, 2] - corner[:, 1]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def _near(mesh: Mesh, places: Array, folded: NDArray[np.int32]) -> tuple[Indices, Indices]:

@@ -153,15 +153,13 @@ def test_weight_is_no_loss() -> None:
     assert np.abs(gap).max() < 0.005
 
 
-@pytest.mark.parametrize(
-    ("pull", "found"), [((49.05, 0.0, 0.0), True), ((0.0, 0.0, -49.05), False)]
-)
+@pytest.mark.parametrize(("pull", "found"), [((24.0, 0.0, 0.0), True), ((0.0, 0.0, -49.05), False)])
 def test_strong_gravity_is_brought_up_in_steps(pull: Point, found: bool) -> None:
-    """A gel of 100 Pa: its weight at once is too much; down, it cannot carry all of it."""
+    """A gel of 100 Pa: too heavy for 15 iterations at once; down, it cannot carry all of it."""
     gel = Body(20e-3, 20e-3, 10e-3, modulus=100.0)
     away = Motion(((0.0, 0.0, 90e-3),), (0.0,))
     scene = Scene(sphere(4e-3), away, gel, Effects(gravity=Gravity(pull)))
-    numerics = Numerics(spacing=10e-3 / 3, precision="float64", halvings=4)
+    numerics = Numerics(spacing=10e-3 / 3, precision="float64", halvings=4, newton_max=15)
     if found:
         result = simulate(scene, numerics=numerics)
         assert result.quality.steps[0] > 1

@@ -6,6 +6,7 @@ import numpy as np
 
 from benchmarks.sim.stability.bodies import DOME, GEL, MM, SLAB, SPHERE
 from benchmarks.sim.stability.case import Case, Solver
+from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import (
     LAST_DIGITS,
     Law,
@@ -18,6 +19,7 @@ from benchmarks.sim.stability.laws import (
     sound,
     swapped,
 )
+from sim.errors import SimulationDiverged
 from sim.indenters import NAMES, named, shapes
 from sim.scene import Scene, press
 
@@ -108,12 +110,25 @@ def force_is_continuous(solver: Solver) -> list[Law]:
 
 
 def named_indenters(solver: Solver) -> list[Law]:
-    """Each of the 18 indenters, 0.8 mm deep: none inverts an element, all are in balance."""
+    """Each of the 18 indenters, 0.8 mm deep: none inverts an element, all are in balance.
+
+    On elements of 1 mm half of them go through the skin with an edge, which is said.
+    """
     motion = press([0.4 * MM, 0.8 * MM])
-    results = solver.many([Scene(named(name), motion, GEL) for name in NAMES], spacing=None)
+    results, refusals = [], []
+    for name in NAMES:
+        try:
+            results.append(solver.one(Scene(named(name), motion, GEL)))
+        except SimulationDiverged as diverged:
+            refusals += evidence(diverged)
     least = min(push(result)[-1] for result in results)
     # The least is the cone's, a tip of 0.5 mm: 2 a d E* alone is 0.13 N.
-    return [*sound(*results), at_least("least force [N]", least, 0.1)]
+    return [
+        *sound(*results),
+        *refusals,
+        at_least("least force [N]", least, 0.1),
+        at_least("indenters with a result", len(results), 8),
+    ]
 
 
 CASES = (

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.sim.reference_solutions import layer_punch
 from benchmarks.sim.stability.bodies import GEL, MM, PAD
 from benchmarks.sim.stability.case import Case, Solver
+from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import (
     Law,
     at_least,
@@ -20,6 +21,7 @@ from benchmarks.sim.stability.laws import (
     smooth,
     sound,
 )
+from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named, shapes
 from sim.scene import Body, Scene, press
 
@@ -45,9 +47,12 @@ def _one_way_or_another(
 
 
 def sharp_cone(solver: Solver) -> list[Law]:
-    """A 30 degree cone (tip 0.3 mm, edge 0.1 mm) 1 mm deep: pushes straight up, work is stored."""
+    """A 30 degree cone (tip 0.3 mm, edge 0.1 mm) 1 mm deep: pushes straight up, or is refused."""
     motion = press([0.05 * MM * step for step in range(1, 21)])
-    result = solver.one(Scene(CONE, motion, PAD), spacing=None)
+    try:
+        result = solver.one(Scene(CONE, motion, PAD), spacing=0.5 * MM)
+    except SimulationDiverged as diverged:
+        return evidence(diverged)
     aside = np.abs(result.force[:, :2]).max() / push(result).max()
     return [
         *sound(result),
@@ -57,14 +62,10 @@ def sharp_cone(solver: Solver) -> list[Law]:
 
 
 def cone_on_a_coarse_mesh(solver: Solver) -> list[Law]:
-    """The same cone on elements ten times its edge radius: wrong by no more than it says."""
-    scene = Scene(CONE, press([0.5 * MM, 1 * MM]), PAD)
-    coarse, fine = solver.one(scene), solver.one(scene, spacing=None)
-    off = 100 * abs(push(coarse)[-1] / push(fine)[-1] - 1)
-    return [
-        *sound(coarse, fine),
-        at_most("error / what the result says of it", off / coarse.record["error"]["percent"], 1.0),
-    ]
+    """The same cone on elements ten times its edge radius: sound, and said to be far off."""
+    result = solver.one(Scene(CONE, press([0.5 * MM, 1 * MM]), PAD))
+    said = result.record["error"]["percent"]
+    return [*sound(result), at_least("error that it says [%]", said, 20.0)]
 
 
 def tube_wall(solver: Solver) -> list[Law]:
