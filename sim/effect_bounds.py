@@ -50,7 +50,7 @@ class Change:
         return max(self.share, default=0.0) if kind == "share" else float(getattr(self, kind))
 
     def times(self, factor: float) -> Change:
-        """So many times as far apart."""
+        """The change scaled by `factor`."""
         share = tuple(factor * one for one in self.share)
         return Change(share, factor * self.force, factor * self.marker)
 

@@ -126,7 +126,7 @@ def simulate_within(
 
 def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, float]:
     """The answer of two meshes, and its error in the unit of the tolerance."""
-    ratio = _ratio(coarse, fine)
+    ratio = elements_ratio(coarse, fine)
     left = left_of_difference(ratio)
     step = (fine.wrench - coarse.wrench) * left
     found = with_symmetry(replace(fine, wrench=fine.wrench + step))
@@ -160,13 +160,13 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     Raises:
         SimulationDiverged: The second mesh found no solution.
     """
-    coarser = replace(numerics, fineness=result.record["mesh"]["fineness"] / COMPANION)
-    second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
-    left = WHOLE * left_of_difference(_ratio(second, result))
-    apart = worst_errors(outcome_of(second), outcome_of(result), result.scene.body)
     unknown = unknown_at_side(result, measured=True)
     if unknown is not None:
         return replace(result, record={**result.record, "error": unknown})
+    coarser = replace(numerics, fineness=result.record["mesh"]["fineness"] / COMPANION)
+    second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
+    left = WHOLE * left_of_difference(elements_ratio(second, result))
+    apart = worst_errors(outcome_of(second), outcome_of(result), result.scene.body)
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
@@ -181,7 +181,7 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     return replace(result, record={**result.record, "error": error, "error_bar": bar})
 
 
-def _ratio(coarse: Result, fine: Result) -> float:
+def elements_ratio(coarse: Result, fine: Result) -> float:
     """Length of elements of one mesh over that of the other, by their numbers."""
     counts = [np.array(one.record["mesh"]["cells"], float) for one in (coarse, fine)]
     return float(max(1.2, np.exp(np.mean(np.log(counts[1] / counts[0])))))

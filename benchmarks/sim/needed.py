@@ -1,4 +1,4 @@
-"""Whether effects that are left out matter as little as is said, in scenes drawn by chance.
+"""Checks the stated error of leaving effects out, on random scenes.
 
 `python -m benchmarks needed` plans each scene, solves it with all effects and without those left
 out on the same default mesh, and compares. Times are honest from the second run on: the first one
@@ -223,7 +223,7 @@ def line(row: Row) -> str:
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
-    """How many kept what, and what time was saved and spent."""
+    """Counts of scenes within the tolerance and the stated error; time saved and spent."""
     some = [row for row in rows if row.found.left_out and row.true is not None]
     within = sum(row.value <= _limit(row) for row in some)
     kept = sum(row.value <= row.found.joint.value(_kind(row)) for row in some)

@@ -1,8 +1,8 @@
 """Whether tolerances are kept on scenes drawn by chance: `python -m benchmarks tolerance`.
 
-The truth is a mesh with elements `FINER` times as short as those of the answer, and what both lead
-to (Richardson 1911, order 2): it is the same solver, so this tells of meshes alone. What else may
-be wrong with a solver is what `hard-cases --random` and `independent` look for.
+The reference is extrapolated (Richardson 1911, order 2) from the answer's mesh, or one as fine, and
+one `FINER` times finer. It uses the same solver, so it measures the error of meshes alone; other
+errors are for `hard-cases --random` and `independent` to find.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate
 from sim.tiers import simulate_one
+from sim.tolerance import elements_ratio
 
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
@@ -123,14 +124,8 @@ def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.nd
         )
         for one in (max(COARSEST, fineness) * FINER, max(COARSEST, fineness))
     )
-    counts = [np.array(each.record["mesh"]["cells"], float) for each in (middle, finest)]
-    ratio = float(max(1.2, np.exp(np.mean(np.log(counts[1] / counts[0])))))
-    step = (finest.force - middle.force) * left_of_difference(ratio)
+    step = (finest.force - middle.force) * left_of_difference(elements_ratio(middle, finest))
     return finest.force + step, np.abs(step).max(axis=1) / 2
-
-
-def _one(tolerance: str, device: str, seconds: float, one: Drawn) -> Row:
-    return judged(one, tolerance, device, seconds)
 
 
 def summary(rows: Sequence[Row], tolerance: str) -> str:
@@ -193,7 +188,9 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     if tolerance_of(options.tolerance).kind != "share":
         raise SceneError(f"--tolerance: {options.tolerance!r}; allowed: such as '3 %'")
     ready_device(options.device)
-    judge = partial(_one, options.tolerance, options.device, options.seconds)
+    judge = partial(
+        judged, tolerance=options.tolerance, device=options.device, seconds=options.seconds
+    )
     began = time.perf_counter()
     rows: list[Row] = []
     chosen = scenes(options.scenes, options.seed)

@@ -73,7 +73,7 @@ def scenes(count: int) -> list[Scene]:
 def solved(
     way: Way, some: Sequence[Scene], device: str, processes: int
 ) -> tuple[float, list[Outcome]]:
-    """Seconds that the presses take, and what comes of them."""
+    """Time to solve the presses [s], and their outcomes."""
     tier = "layer" if way.numerics is None else "fem"
     on_cpu = device == "cpu" or tier == "layer"
     numerics = way.numerics

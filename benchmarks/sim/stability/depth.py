@@ -112,7 +112,7 @@ def force_is_continuous(solver: Solver) -> list[Law]:
 def named_indenters(solver: Solver) -> list[Law]:
     """Each of the 18 indenters, 0.8 mm deep: none inverts an element, all are in balance.
 
-    On elements of 1 mm half of them go through the skin with an edge, which is said.
+    On elements of 1 mm, half of them pass through the skin at an edge and are refused.
     """
     motion = press([0.4 * MM, 0.8 * MM])
     results, refusals = [], []
