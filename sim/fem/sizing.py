@@ -137,29 +137,28 @@ def _runs(
             much longer than the piece is wide is as fine as that at its ends alone.
     """
     width, size, edge = asked
-    padded = np.pad(mask, ((1, 1), (0, 0)))
-    change = np.diff(padded.astype(np.int8), axis=0)
-    for column in np.flatnonzero(mask.any(axis=0)):
-        begins = np.flatnonzero(change[:, column] == 1)
-        ends = np.flatnonzero(change[:, column] == -1)
-        for first, past in zip(begins.tolist(), ends.tolist(), strict=True):
-            most = max(float(across[first, column]), float(across[past - 1, column]))
-            low, high = float(edges[first]), float(edges[past])
-            if high - low > LONG * width:
-                yield Span(low, low + width, size / most)
-                yield Span(high - width, high, size / most)
-            else:
-                yield Span(low, high, size / most)
-            for pixel, place in ((first, edges[first]), (past - 1, edges[past])):
-                if edge < size:
-                    fine = edge / float(across[pixel, column])
-                    yield Span(float(place) - edge, float(place) + edge, fine)
+    change = np.diff(np.pad(mask, ((1, 1), (0, 0))).astype(np.int8), axis=0).T
+    column, first = np.nonzero(change == 1)
+    past = np.nonzero(change == -1)[1]
+    low, high = edges[first], edges[past]
+    begin, end = across[first, column], across[past - 1, column]
+    within = size / np.maximum(begin, end)
+    long = high - low > LONG * width
+    spans = [
+        (low[~long], high[~long], within[~long]),
+        (low[long], low[long] + width, within[long]),
+        (high[long] - width, high[long], within[long]),
+    ]
+    if edge < size:
+        spans += [(at - edge, at + edge, edge / way) for at, way in ((low, begin), (high, end))]
+    table = np.concatenate([np.stack(span, axis=1) for span in spans])
+    return (Span(*row) for row in set(map(tuple, table.tolist())))
 
 
 def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
     """The same demand by fewer spans: those that no other one holds and is as fine as."""
     kept: list[Span] = []
-    for span in sorted(set(spans), key=lambda one: (one.size, one.low - one.high)):
+    for span in sorted(set(spans), key=lambda one: (one.size, one.low - one.high, one.low)):
         if not any(
             one.size <= 1.05 * span.size and one.low <= span.low and span.high <= one.high
             for one in kept
