@@ -38,9 +38,6 @@ BENCHMARKS = {
     "accuracy": Benchmark(
         "benchmarks.sim.accuracy.command", "sim", "error against time and memory"
     ),
-    "cost-table": Benchmark(
-        "benchmarks.sim.cost_table.command", "sim", "what errors cost, for the planner"
-    ),
     "speed": Benchmark("benchmarks.sim.speed.command", "sim", "the paper's 162 presses timed"),
     "frames": Benchmark(
         "benchmarks.sim.speed.frames", "sim", "frames a second, one press or many at once"

@@ -124,8 +124,6 @@ def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:
 
 def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
     """Size of an element of the coarser mesh [m]."""
-    from sim.fem.mesh import SPACING_SHARE
-
     thicknesses = {scene.body.thickness for scene in scenes}
     if len(thicknesses) > 1:
         raise SceneError(
@@ -133,7 +131,7 @@ def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
             "extrapolated: one"
         )
     (thickness,) = thicknesses
-    fine = numerics.spacing or thickness / SPACING_SHARE
+    fine = numerics.height(scenes[0].body)
     cells = round(thickness / fine)
     if cells <= COARSEST_CELLS:
         raise SceneError(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator
 
+from sim.errors import SceneError
 from sim.result import Result
 from sim.scene import Body
 
@@ -253,7 +257,60 @@ def _largest(values: Array) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
 
 
-def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[str, float]:
+# What error a person accepts: "2 %", "0.05 N" or "0.5 px".
+
+Kind = Literal["share", "force", "marker"]
+ALLOWED = 'a number above 0 with its unit: "2 %", "0.05 N" or "0.5 px"'
+_UNITS: dict[str, tuple[Kind, float]] = {
+    "%": ("share", 0.01),
+    "N": ("force", 1.0),
+    "mN": ("force", 1e-3),
+    "px": ("marker", 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """The largest error accepted at any frame.
+
+    `share`: |F_i - Ftrue_i| along x, y or z over max(|Ftrue| of the frame, a tenth of the largest);
+    `force`: |F_i - Ftrue_i| [N]; `marker`: root mean square of the distances between 14 x 14
+    markers' images and where they should be [px], seen by the paper's camera.
+    """
+
+    kind: Kind
+    value: float
+
+    def __str__(self) -> str:
+        """As a person writes it."""
+        return with_unit(self.kind, self.value)
+
+
+def tolerance_of(text: str) -> Tolerance:
+    """The tolerance that `text` writes.
+
+    Raises:
+        SceneError: It is none.
+    """
+    match = re.fullmatch(r"\s*(\S+?)\s*(%|mN|N|px)\s*", text) if isinstance(text, str) else None
+    try:
+        number = float(match[1]) if match else math.nan
+    except ValueError:
+        number = math.nan
+    if match is None or not (math.isfinite(number) and number > 0):
+        raise SceneError(f"tolerance: {text!r}; allowed: {ALLOWED}")
+    kind, unit = _UNITS[match[2]]
+    return Tolerance(kind, number * unit)
+
+
+def with_unit(kind: Kind, value: float) -> str:
+    """A value of a kind with its unit."""
+    if kind == "share":
+        return f"{100 * value:.3g} %"
+    return f"{value:.3g} {'N' if kind == 'force' else 'px'}"
+
+
+def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[Kind, float]:
     """How far two outcomes are apart in each kind, in its unit: 1, N, px."""
     force, share = force_errors(one, other)
     pixels = marker_errors(one, other, body)

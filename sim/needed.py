@@ -18,8 +18,15 @@ import numpy as np
 
 from sim.effect_bounds import Change, bounds_of, no_change
 from sim.errors import SceneError, check_kind
-from sim.metrics import force_errors, marker_errors, outcome_of
-from sim.planner.features import Kind, Tolerance, said, tolerance_of
+from sim.metrics import (
+    Kind,
+    Tolerance,
+    force_errors,
+    marker_errors,
+    outcome_of,
+    tolerance_of,
+    with_unit,
+)
 from sim.result import Outcome, Result, to_json
 from sim.scene import Scene
 from sim.tiers import part_of, simulate_many
@@ -138,7 +145,7 @@ class EffectsPlan:
             kinds: tuple[Kind, ...] = ("share", "force", "marker")
             changes = ["?"] * 3
             if one.change is not None:
-                changes = [less + said(kind, one.change.value(kind)) for kind in kinds]
+                changes = [less + with_unit(kind, one.change.value(kind)) for kind in kinds]
             spent = "" if one.time is None else f"{100 * max(one.time, 0.0):.0f} %"
             rows.append((one.name, *changes, spent, one.by, "left out" if one.left_out else ""))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -157,7 +164,7 @@ class EffectsPlan:
         limit = f"{_in_words(self.tolerance)} of {self.tolerance} is for effects"
         if not self.left_out:
             return f"nothing can be left out: {limit}; {spent}"
-        worth = said(self.tolerance.kind, self.joint.value(self.tolerance.kind))
+        worth = with_unit(self.tolerance.kind, self.joint.value(self.tolerance.kind))
         return (
             f"left out: {', '.join(self.left_out)}; together {worth} ({self.joint_by}), {limit}; "
             f"{spent}"
@@ -233,7 +240,7 @@ def simulate_needed(
         result = simulate_within(found.needed, rest, device=device, progress=progress)
     except SceneError as refusal:
         raise SceneError(
-            f"{refusal} (of {tolerance!r}, {said(wanted.kind, spent)} is for "
+            f"{refusal} (of {tolerance!r}, {with_unit(wanted.kind, spent)} is for "
             f"{', '.join(found.left_out)}, left out)"
         ) from refusal
     return _with_both_errors(result, found, wanted)
@@ -272,7 +279,7 @@ def part_of_tolerance(tolerance: Tolerance) -> float:
 
 
 def _in_words(tolerance: Tolerance) -> str:
-    return said(tolerance.kind, part_of_tolerance(tolerance))
+    return with_unit(tolerance.kind, part_of_tolerance(tolerance))
 
 
 def _text(kind: Kind, value: float) -> str:

@@ -70,20 +70,18 @@ def simulate(
         from sim.tolerance import simulate_within
 
         return simulate_within(scene, tolerance, device=device, progress=progress)
+    if error_bar and tier == "mpm":
+        raise SceneError(f"error_bar: True with tier {tier!r}; allowed: 'fem', 'layer'")
     outcome = simulate_one(
         scene, "fem" if tier is None else tier, numerics=numerics, device=device, progress=progress
     )
     if error_bar:
         from sim.fem.numerics import Numerics
-        from sim.planner import with_error_bar
+        from sim.tolerance import with_measured_error
 
         if not (numerics is None or isinstance(numerics, Numerics)):
             raise unfit(numerics, "fem", "Numerics, for an error bar")
-        if outcome.tier == "fem" and (numerics or Numerics()).follows:
-            from sim.tolerance import with_measured_error
-
-            return with_measured_error(outcome, numerics or Numerics(), device=device)
-        return with_error_bar(outcome, device=device, numerics=numerics)
+        return with_measured_error(outcome, numerics or Numerics(), device=device)
     return outcome
 
 

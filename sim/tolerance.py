@@ -19,8 +19,15 @@ from numpy.typing import NDArray
 from sim.error_estimate import measured, unknown_at_side
 from sim.errors import SceneError
 from sim.extrapolation import left_of_difference
-from sim.metrics import force_scale, marker_errors, outcome_of, worst_errors
-from sim.planner.features import Tolerance, said, tolerance_of
+from sim.metrics import (
+    Tolerance,
+    force_scale,
+    marker_errors,
+    outcome_of,
+    tolerance_of,
+    with_unit,
+    worst_errors,
+)
 from sim.result import Result
 from sim.scene import Scene
 from sim.symmetry import vanishing_share, with_symmetry
@@ -41,6 +48,8 @@ FIRST_LEAST, FIRST_MOST = 0.6, 1.5
 LEFT = 1.0
 """Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
 leaves 0.86 of it, of 3 half of it; the rest is for chance."""
+RATIO_LEAST = 1.2
+"""Elements of one mesh over those of the other below which both say nothing of an error."""
 FLOOR = 1e-3
 """Least error that two meshes can tell of a force, over the force: what states are solved to."""
 WHOLE = 1.5
@@ -70,7 +79,7 @@ def simulate_within(
 
     Args:
         scene: What is simulated.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `sim.planner.Tolerance`.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `sim.metrics.Tolerance`.
         device: Where it runs.
         progress: Called with the share done, 0 to 1, of each mesh in turn.
 
@@ -106,8 +115,11 @@ def simulate_within(
         unknown = unknown_at_side(pair[1], measured=True)
         if unknown is not None:
             raise SceneError(f"tolerance: {tolerance!r}; {unknown['why']}")
+        if elements_ratio(*pair) < RATIO_LEAST:
+            tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
+            break
         found, error = _of_both(pair[0], pair[1], wanted)
-        tried.append(f"fineness {fineness:.3g}: {said(wanted.kind, error)}")
+        tried.append(f"fineness {fineness:.3g}: {with_unit(wanted.kind, error)}")
         if best is None or error < best[0]:
             best = error, found
         limited = pair[1].record["mesh"]["fineness"] < 0.97 * fineness
@@ -117,11 +129,8 @@ def simulate_within(
         if limited or pair[1].record["mesh"]["elements"] * finer**3 > HOPELESS * most:
             break
         fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
-    assert best is not None
-    raise SceneError(
-        f"tolerance: {tolerance!r}; tried: {'; '.join(tried)}; allowed: "
-        f"{said(wanted.kind, 1.001 * best[0])} or more"
-    )
+    allowed = "none" if best is None else f"{with_unit(wanted.kind, 1.001 * best[0])} or more"
+    raise SceneError(f"tolerance: {tolerance!r}; tried: {'; '.join(tried)}; allowed: {allowed}")
 
 
 def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, float]:
@@ -152,20 +161,35 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, f
 def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cpu") -> Result:
     """The same result, its error measured by a coarser mesh; `record["error_bar"]` has it too.
 
+    That of a `layer` result is its difference from elements, and what those state of their own.
+
     Args:
-        result: Of `fem`, on a mesh that follows the contact.
-        numerics: What it was solved with.
+        result: Of `fem` or `layer`.
+        numerics: What the elements were solved with.
         device: Where the second mesh is solved.
 
     Raises:
+        SceneError: A mesh so coarse that there is no coarser one.
         SimulationDiverged: The second mesh found no solution.
     """
     unknown = unknown_at_side(result, measured=True)
     if unknown is not None:
         return replace(result, record={**result.record, "error": unknown})
-    coarser = replace(numerics, fineness=result.record["mesh"]["fineness"] / COMPANION)
+    if result.tier == "layer":
+        return _beside_elements(result, numerics, device)
+    if numerics.follows:
+        coarser = replace(numerics, fineness=result.record["mesh"]["fineness"] / COMPANION)
+    else:
+        coarser = replace(numerics, spacing=numerics.height(result.scene.body) * COMPANION)
     second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
-    left = WHOLE * left_of_difference(elements_ratio(second, result))
+    ratio = elements_ratio(second, result)
+    if ratio < RATIO_LEAST:
+        cells = result.record["mesh"]["cells"]
+        raise SceneError(
+            f"error_bar: a mesh of {cells[0]} x {cells[1]} x {cells[2]} elements; allowed: a finer "
+            "one, so that there is a coarser one to measure by"
+        )
+    left = WHOLE * left_of_difference(ratio)
     apart = worst_errors(outcome_of(second), outcome_of(result), result.scene.body)
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
     size = np.linalg.norm(result.force, axis=1)
@@ -184,7 +208,26 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
 def elements_ratio(coarse: Result, fine: Result) -> float:
     """Length of elements of one mesh over that of the other, by their numbers."""
     counts = [np.array(one.record["mesh"]["cells"], float) for one in (coarse, fine)]
-    return float(max(1.2, np.exp(np.mean(np.log(counts[1] / counts[0])))))
+    return float(np.exp(np.mean(np.log(counts[1] / counts[0]))))
+
+
+def _beside_elements(result: Result, numerics: Numerics, device: str) -> Result:
+    second = simulate_one(result.scene, "fem", numerics=numerics, device=device)
+    apart = worst_errors(outcome_of(result), outcome_of(second), result.scene.body)
+    own = second.record["error"]
+    if own["status"] == "none":
+        return replace(result, record={**result.record, "error": own})
+    difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
+    share = difference / force_scale(second.force) + np.array(own["force"])
+    mesh = dict(second.record["mesh"])
+    error = measured(result, share, "elements, and what they state themselves", second_mesh=mesh)
+    bar = {
+        "force_share": error["percent"] / 100,
+        "force": apart["force"] + own["percent"] / 100 * np.linalg.norm(second.force, axis=1).max(),
+        "marker_rms": apart["marker"],
+        "second_mesh": mesh,
+    }
+    return replace(result, record={**result.record, "error": error, "error_bar": bar})
 
 
 def _with_plan(result: Result, wanted: Tolerance, tried: list[str]) -> Result:

@@ -23,9 +23,8 @@ from sim.fem.mesh import meshes_of
 from sim.fem.newton import path_of
 from sim.fem.numerics import Numerics
 from sim.fem.sizing import stages_of
-from sim.metrics import outcome_of, worst_errors
+from sim.metrics import Kind, outcome_of, tolerance_of, with_unit, worst_errors
 from sim.needed import FINENESS, EffectsPlan, plan_many
-from sim.planner.features import said, tolerance_of
 from sim.progress import duration
 from sim.result import Outcome, Result
 from sim.scene import Scene
@@ -48,7 +47,7 @@ class Row:
 
     name: str
     found: EffectsPlan
-    true: dict[str, float] | None
+    true: dict[Kind, float] | None
     """Errors of the force (share, N) and of markers (px) on the default mesh; None: no solution."""
     full: float
     """Time of the scene with all effects [s]."""
@@ -208,18 +207,15 @@ def line(row: Row) -> str:
     if not found.left_out:
         return f"{text}nothing; probes {found.seconds:.1f} s"
     joint = found.joint
-    text += (
-        f"{' '.join(found.left_out)} ({found.joint_by}); said {said('share', joint.value('share'))}"
-    )
-    text += f" {said('marker', joint.marker)}"
+    text += f"{' '.join(found.left_out)} ({found.joint_by}); said "
+    text += with_unit("share", joint.value("share"))
+    text += f" {with_unit('marker', joint.marker)}"
     if row.true is None:
         return f"{text}; no solution on the default mesh"
     kept = "" if row.value <= joint.value(found.tolerance.kind) else " MORE THAN SAID"
-    return (
-        f"{text}, true {said('share', row.true['share'])} {said('marker', row.true['marker'])}"
-        f"{kept}; {row.full:.1f} - {row.less:.1f} = {row.full - row.less:.1f} s saved, probes "
-        f"{found.seconds:.1f} s"
-    )
+    true = f"{with_unit('share', row.true['share'])} {with_unit('marker', row.true['marker'])}"
+    saved = f"{row.full:.1f} - {row.less:.1f} = {row.full - row.less:.1f} s saved"
+    return f"{text}, true {true}{kept}; {saved}, probes {found.seconds:.1f} s"
 
 
 def summary(rows: Sequence[Row]) -> list[str]:

@@ -25,8 +25,7 @@ from benchmarks.sim.stability.runner import side_by_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
 from sim.fem.numerics import Numerics
-from sim.metrics import force_scale
-from sim.planner import tolerance_of
+from sim.metrics import force_scale, tolerance_of
 from sim.progress import duration
 from sim.result import Result
 from sim.scene import Scene

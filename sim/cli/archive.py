@@ -274,8 +274,7 @@ def _tell_cost(
         print("how long that takes shows after the first unit", flush=True)
     else:
         print(
-            f"about {duration(seconds)} with --processes {processes}, on a CPU like that of the "
-            "cost table",
+            f"about {duration(seconds)} with --processes {processes}, or half or twice as long",
             flush=True,
         )
 

@@ -87,7 +87,7 @@ class Solving:
     one_topology: bool = False
     """Whether all meshes of one call are alike, so that a GPU solves them in one launch."""
     tolerance: str | None = None
-    """Such as "3 %": each press as cheaply as that allows; tier and mesh are then the planner's."""
+    """Such as "3 %": each press on meshes as fine as that takes (`sim.tolerance`)."""
 
     def __post_init__(self) -> None:
         if self.tier not in get_args(ArchiveTier):
@@ -101,7 +101,7 @@ class Solving:
         if self.tolerance is not None:
             if self.tier != "fem":
                 raise SceneError(f"solving.tier: {self.tier!r} with a tolerance; allowed: none")
-            from sim.planner import tolerance_of
+            from sim.metrics import tolerance_of
 
             tolerance_of(self.tolerance)
 
@@ -195,7 +195,7 @@ def _again(
 
 
 def _within(scene: Scene, tolerance: str, device: str) -> Solved:
-    """Solved by the planner's choices, which tries dearer ones by itself."""
+    """Solved on meshes finer and finer until the tolerance is kept."""
     try:
         result = simulate(scene, tolerance=tolerance, device=device)
     except SimulationDiverged as diverged:

@@ -13,7 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Self
 from uuid import uuid4
 
 import numpy as np
@@ -37,7 +37,7 @@ from sim.dataset.plan import (
     units,
 )
 from sim.device import ready_device
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SceneError
 from sim.indenters import NAMES
 from sim.markers import named as pattern_named
 from sim.result import to_json
@@ -501,11 +501,13 @@ def _distributed() -> Any:
 
 SAMPLES = 3
 """Presses of a family whose seconds are foretold; the others take their mean."""
-EDGES_TIMES = 1.6
-"""What elements for edges take more than even ones (`sim.fem.numerics`)."""
+SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
+"""CPU time of a press by `layer`, and of each of its frames [s]."""
+SECONDS_ITERATION, ITERATIONS = 6e-6, 8
+"""CPU time of an element in an iteration of Newton's method [s], and iterations a step: of 20
+presses with friction they took 5 to 20, and an element 5 to 10 us."""
 SECONDS_VIEW, SECONDS_MASK, SECONDS_SEGMENTED = 15e-3, 3e-3, 25e-3
-"""CPU time of a frame, of each of its masks, and of one with errors of segmentation [s]: measured
-on the machine of `sim/planner/seconds.csv`."""
+"""CPU time of a frame, of each of its masks, and of one with errors of segmentation [s]."""
 BYTES_MASK, BYTES_FIELD = 2_800, 12_600
 """What a mask and a displacement field take when compressed: means over the paper's states."""
 
@@ -535,7 +537,7 @@ class Cost:
 
 
 def cost(plan: Plan, missing: Sequence[Unit], device: str = "cpu") -> Cost:
-    """What units take; presses are foretold from the cost table on device `cpu` only."""
+    """What units take; presses are foretold on device `cpu` only, within a factor of two or so."""
     presses = frames = images = 0
     size = seeing = 0.0
     solving: float | None = 0.0
@@ -572,31 +574,20 @@ def _seconds_seeing(each: SimulatedSensor) -> float:
 
 
 def _seconds_press(plan: Plan, family: Family, device: str) -> float | None:
-    """Mean time of a press [s]; None where the table knows nothing like it."""
-    if device != "cpu":
+    """Mean time of a press [s]; None where that is not known: on a GPU, or within a tolerance."""
+    if device != "cpu" or plan.solving.tolerance is not None:
         return None
     places = np.linspace(0, len(family.presses) - 1, SAMPLES + 2).round().astype(int)[1:-1]
     chosen = tuple(family.presses[place] for place in dict.fromkeys(places.tolist()))
-    try:
-        found = [_foretold(scene, plan.solving) for scene in scenes(plan, family, chosen)]
-    except (SceneError, SimulationDiverged):
-        return None
-    return float(np.mean(found))
+    return float(np.mean([_foretold(one, plan.solving) for one in scenes(plan, family, chosen)]))
 
 
 def _foretold(scene: Scene, solving: Solving) -> float:
-    from sim.planner import Choice
-    from sim.planner import plan as planned
-    from sim.planner.features import LADDER, probe
-    from sim.planner.plan import stored
-
-    if solving.tolerance is not None:
-        return planned(scene, solving.tolerance).chosen.seconds
     numerics = solving.numerics(scene.body)
-    kind: Literal["layer", "fem"] = solving.tier
-    cells, times = 0, 1.0
-    if numerics is not None:
-        cells = round(scene.body.thickness / (numerics.spacing or scene.body.thickness))
-        cells = max(LADDER[0], cells)
-        times = EDGES_TIMES if solving.for_edges else 1.0
-    return times * stored().seconds(probe(scene).features, Choice(kind, cells), "cpu")
+    if numerics is None:
+        return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)
+    from sim.fem.mesh import meshes_of
+    from sim.fem.newton import path_of
+
+    elements = len(meshes_of([scene], numerics)[0].elements)
+    return SECONDS_ITERATION * elements * ITERATIONS * path_of(scene, numerics).steps

@@ -484,8 +484,6 @@ def _in_buckets(counted: Array, place: Array, *, at_least: int) -> Array:
 
 # Where an indenter comes: the part of a body that is meshed finely.
 
-SPACING_SHARE = 6
-"""Elements through the thickness when no spacing is given."""
 SAMPLES, LEVELS, PASSES = 61, 6, 2
 """Points along x and y, and heights, at which an indenter is looked at;
 the second pass looks only where the first has found it."""
@@ -528,9 +526,7 @@ def meshes_of(
 
 
 def _spacing_and_window(scene: Scene, numerics: Numerics) -> tuple[float, Window | None]:
-    spacing = numerics.spacing
-    if spacing is None:
-        spacing = scene.body.thickness / SPACING_SHARE
+    spacing = numerics.height(scene.body)
     return spacing, contact_window(scene, MARGIN * spacing) if numerics.graded else None
 
 

@@ -333,12 +333,20 @@ class Path:
     @property
     def limit(self) -> float:
         """Largest share of the segment that one step may take."""
-        duration = self.times[self.segment + 1] - self.times[self.segment]
+        return 1.0 / self._steps_of(self.segment)
+
+    @property
+    def steps(self) -> float:
+        """Steps of all segments, if none is halved."""
+        return sum(self._steps_of(segment) for segment in range(len(self.corners) - 1))
+
+    def _steps_of(self, segment: int) -> float:
+        duration = self.times[segment + 1] - self.times[segment]
         by_time = min(STEPS_MAX, max(1.0, duration / self.shortest_time * RELAXATION_STEPS))
-        if not self.segment:
+        if not segment:
             by_time = 1.0
-        steps = max(1.0, np.ceil(self.length / self.longest), np.ceil(by_time))
-        return float(1.0 / steps)
+        length = np.linalg.norm(self.corners[segment + 1] - self.corners[segment])
+        return float(max(1.0, np.ceil(length / self.longest), np.ceil(by_time)))
 
     def goal(self) -> tuple[float, Array, float]:
         """Share of the segment after the next step, the tip there (3,), and the step's time [s]."""

@@ -254,7 +254,7 @@ def test_another_plan_is_refused_by_its_keys_and_what_is_no_archive_by_its_name(
         found(tmp_path / "nothing.zarr")
 
 
-def test_a_tolerance_is_the_planners_and_said() -> None:
+def test_a_tolerance_is_kept_and_said() -> None:
     down = through([(0, 0, 0), (0, 0, -5e-4)], speed=1e-2)
     scene = sensor("gelsight").scene(named("sphere"), down)
     (solved,) = solving.solve([scene], Solving(tolerance="60 %"))

@@ -156,7 +156,7 @@ def test_the_verb_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     assert main([*begun, "--out", str(path)]) == 0
     said = capsys.readouterr().out
     assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in said
-    assert "with --processes 2, on a CPU like that of the cost table" in said
+    assert "with --processes 2, or half or twice as long" in said
     assert "1 sensors, 45 images" in said
     assert list(MarkerArchive(path)) == ["Array3"]
     assert "marker count: 0 of 45 images flagged" in said

@@ -16,7 +16,6 @@ from sim.__main__ import main
 from sim.fem.numerics import FOR_EDGES, Numerics
 from sim.indenters import Indenter, box, from_stl, named, sphere
 from sim.mpm import MpmNumerics
-from sim.planner.features import probe
 from sim.simulate import Tier
 from sim.store import load_result, save_results
 
@@ -67,9 +66,8 @@ def test_a_prism_from_a_file_presses_like_the_one_by_name(
         assert found == pytest.approx(by_name, rel=0.03 if tier == "fem" else 0.01)
 
 
-def test_the_planner_knows_how_sharp_a_body_from_a_file_is(block: Indenter) -> None:
-    features = probe(Scene(block, press([0.5e-3]))).features
-    assert features.sharpest == pytest.approx(0.4 / 4)
+def test_it_is_known_how_sharp_a_body_from_a_file_is(block: Indenter) -> None:
+    assert block.sharpest == pytest.approx(0.4e-3)
 
 
 def test_a_result_can_be_read_without_the_file_that_it_was_made_with(

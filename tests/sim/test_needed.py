@@ -16,9 +16,8 @@ from sim.__main__ import main
 from sim.effect_bounds import bounds_of
 from sim.fem.numerics import Numerics
 from sim.indenters import sphere
-from sim.metrics import outcome_of, worst_errors
+from sim.metrics import outcome_of, tolerance_of, worst_errors
 from sim.needed import EffectsPlan, part_of_tolerance, plan_many
-from sim.planner.features import tolerance_of
 from sim.result import Result
 from sim.tiers import simulate_many
 

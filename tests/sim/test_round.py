@@ -19,7 +19,6 @@ from sim.fem.numerics import Numerics
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Renderer, named
 from sim.markers.textures import distance_texture
-from sim.planner.features import probe
 from sim.plot import surface_of
 from sim.result import scene_from_json, scene_to_json
 from sim.scene import through
@@ -314,9 +313,7 @@ def test_mpm_refuses_what_it_does_not_know(body: Body, field: str) -> None:
         simulate(Scene(BALL, press((0.2 * MM,)), body), "mpm")
 
 
-def test_the_cost_table_and_taxels_refuse_round_bodies() -> None:
-    with pytest.raises(SceneError, match=r"^body\.footprint: 'ellipse'; allowed with a tolerance"):
-        probe(Scene(BALL, press((0.2 * MM,)), DISC))
+def test_taxels_refuse_round_bodies() -> None:
     pad = sensor("uskin")
     assert isinstance(pad.signal, TaxelSignal)
     with pytest.raises(SceneError, match=r"^body\.footprint: 'ellipse' under taxels; allowed"):

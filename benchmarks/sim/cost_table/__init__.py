@@ -1,1 +1,0 @@
-"""What errors cost on random scenes: the table that the planner reads."""

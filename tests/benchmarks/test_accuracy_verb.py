@@ -1,0 +1,45 @@
+"""The verb `accuracy`: what it takes, refuses and writes."""
+
+import argparse
+
+import pytest
+
+from benchmarks.sim.accuracy import command as accuracy
+from benchmarks.sim.accuracy.row import read
+from sim.errors import SceneError
+
+
+def run(verb, *words):
+    parser = argparse.ArgumentParser()
+    verb.add_to(parser.add_subparsers(required=True))
+    options = parser.parse_args(["accuracy", *words])
+    return options.run(options)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--case", "ball"], "--case: 'ball'; allowed: sphere"),
+        (["--reference", "-1"], "--reference: -1.0 mm; allowed: above 0"),
+        (["--device", "cuda:99"], "--device: 'cuda:99'; allowed here: cpu"),
+        (["--only", "page"], "--out: no measurements in"),
+    ],
+)
+def test_accuracy_refuses_what_means_nothing(tmp_path, words, said):
+    with pytest.raises(SceneError, match=said):
+        run(accuracy, "--out", str(tmp_path), *words)
+
+
+@pytest.mark.slow
+def test_accuracy_measures_and_draws(tmp_path):
+    words = ["--smoke", "--out", str(tmp_path / "accuracy"), "--references", str(tmp_path)]
+    assert run(accuracy, *words) == 0
+    kept = read(tmp_path / "accuracy" / "cpu.jsonl")
+    names = [row.name for row in kept.rows]
+    assert names == ["closed form", "layer", "fem float32 1.25 mm", "fem float32 1 mm"]
+    assert all(row.memory > 2**26 for row in kept.rows[1:])
+    assert (tmp_path / "accuracy.md").read_text().startswith("# What accuracy costs")
+    assert (tmp_path / "images" / "accuracy.png").exists()
+    before = (tmp_path / "accuracy" / "cpu.jsonl").read_text()
+    assert run(accuracy, *words) == 0
+    assert (tmp_path / "accuracy" / "cpu.jsonl").read_text() == before
