@@ -26,7 +26,7 @@ from sim.scene import press, ramp_hold
 SPHERE = chosen(("sphere",))[0]
 
 
-def row(case="sphere", ladder="fem float32", label="1 mm", error=0.02, **others):
+def row(case="sphere", ladder="fem even", label="1 mm", error=0.02, **others):
     errors = dict.fromkeys(MEASURES, error)
     given = {"wall": 1.0, "cpu": 0.9, "memory": 2**28, "elements": 1600, "axes": (0.0, 0.0, error)}
     fineness = 1000.0 if label else 0.0
@@ -121,8 +121,8 @@ def test_the_page_names_the_cheapest_within_each_error(tmp_path):
     page = tmp_path / "accuracy.md"
     write_page(page, tmp_path / "accuracy", [Measured("one core", "cpu", "fem", floors, rows)])
     text = page.read_text()
-    assert "| sphere R 4 mm | CPU | 0.010, layer | 1.00, fem float32 1 mm | 9.00, fem" in text
-    assert "| sphere R 4 mm | GPU | 0.10, fem float32 1 mm |" in text
+    assert "| sphere R 4 mm | CPU | 0.010, layer | 1.00, fem even 1 mm | 9.00, fem" in text
+    assert "| sphere R 4 mm | GPU | 0.10, fem even 1 mm |" in text
     assert "refused: viscosity" in text
     assert max(map(len, text.splitlines())) < 400
     for name in ("accuracy", "accuracy-surface", "accuracy-markers", "accuracy-memory"):
@@ -138,8 +138,8 @@ def test_a_scale_is_logarithmic_and_ends_at_its_ends():
 
 def test_a_measurement_says_what_it_took_and_missed():
     case = replace(SPHERE, scenes=(replace(SPHERE.scenes[0], motion=press([0.4e-3])),))
-    true = solve_references(case.scenes, 1.0e-3, "cpu")[0]
-    found = measure_here(case, by_name("fem float32 1.25 mm"), "cpu", [Reference(true, {})])
+    true = solve_references(case.scenes, 0.5, "cpu")[0]
+    found = measure_here(case, by_name("fem even 1.25 mm"), "cpu", [Reference(true, {})])
     assert 0 < found.mean["force_share"] < 0.5
     assert found.wall > 0
     assert found.elements == 16 * 16 * 3
@@ -159,12 +159,12 @@ def test_what_is_expected_to_take_too_long_is_left_out_and_nothing_is_measured_t
 
     monkeypatch.setattr(campaign, "references", lambda *_: [known])
     monkeypatch.setattr(campaign, "_measured", pretend)
-    steps = tuple(by_name(f"fem float32 {size} mm") for size in ("1.25", "1", "0.5"))
-    plan = Plan("cpu", (SPHERE,), steps, 1e-3, 5.0, tmp_path)
+    steps = tuple(by_name(f"fem even {size} mm") for size in ("1.25", "0.8", "0.5"))
+    plan = Plan("cpu", (SPHERE,), steps, 1.0, 5.0, tmp_path)
     lines = []
     for _ in range(2):
         measure(plan, tmp_path / "cpu.jsonl", lines.append)
-    assert made == ["fem float32 1.25 mm", "fem float32 1 mm"]
+    assert made == ["fem even 1.25 mm", "fem even 0.8 mm"]
     kept = read(tmp_path / "cpu.jsonl")
     assert [one.name for one in kept.rows] == [CLOSED_FORM, *made]
     assert kept.floors["sphere"]["force"] == 0.001

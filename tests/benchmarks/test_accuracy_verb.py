@@ -20,7 +20,7 @@ def run(verb, *words):
     ("words", "said"),
     [
         (["--case", "ball"], "--case: 'ball'; allowed: sphere"),
-        (["--reference", "-1"], "--reference: -1.0 mm; allowed: above 0"),
+        (["--reference", "-1"], "--reference: -1.0; allowed: above 0"),
         (["--device", "cuda:99"], "--device: 'cuda:99'; allowed here: cpu"),
         (["--only", "page"], "--out: no measurements in"),
     ],
@@ -36,7 +36,7 @@ def test_accuracy_measures_and_draws(tmp_path):
     assert run(accuracy, *words) == 0
     kept = read(tmp_path / "accuracy" / "cpu.jsonl")
     names = [row.name for row in kept.rows]
-    assert names == ["closed form", "layer", "fem float32 1.25 mm", "fem float32 1 mm"]
+    assert names == ["closed form", "layer", "fem fineness 0.5", "fem even 1.25 mm"]
     assert all(row.memory > 2**26 for row in kept.rows[1:])
     assert (tmp_path / "accuracy.md").read_text().startswith("# What accuracy costs")
     assert (tmp_path / "images" / "accuracy.png").exists()

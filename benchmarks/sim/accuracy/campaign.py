@@ -41,8 +41,8 @@ class Plan:
     device: str
     cases: tuple[Case, ...]
     competitors: tuple[Competitor, ...]
-    spacing: float
-    """Of the reference's mesh [m]."""
+    fineness: float
+    """Of the reference's mesh."""
     seconds_max: float
     """What is expected to take longer is left out [s]."""
     cache: Path
@@ -56,7 +56,7 @@ def measure(plan: Plan, path: Path, say: Callable[[str], None]) -> None:
     done = {row.key: row for row in known.rows}
     began = time.perf_counter()
     for index, case in enumerate(plan.cases):
-        truth = references(case.name, case.scenes, plan.spacing, plan.device, plan.cache, say)
+        truth = references(case.name, case.scenes, plan.fineness, plan.device, plan.cache, say)
         if case.name not in known.floors:
             append(path, {"case": case.name, "floor": _floor(truth)})
         for row in _case_rows(plan, case, truth, done):
@@ -223,7 +223,7 @@ def _elements(result: Result) -> int:
 
 
 def _reference_text(plan: Plan) -> str:
-    return f"fem float64, elements of {plan.spacing * 1e3:.3g} mm, 5 augmentations, tolerance 1e-5"
+    return f"fem float64, fineness {plan.fineness:g}, 5 augmentations, tolerance 1e-5"
 
 
 def _line(row: Row) -> str:

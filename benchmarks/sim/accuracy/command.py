@@ -9,16 +9,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim.cli.options import metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.competitors import Competitor
     from sim.cli.options import Verbs
 
-SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem float32 1.25 mm", "fem float32 1 mm")
+SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem fineness 0.5", "fem even 1.25 mm")
 SMOKE_REFERENCE = 0.8
-"""Element of the reference with --smoke [mm]."""
+"""Fineness of the reference with --smoke."""
 
 
 def add_to(verbs: Verbs) -> None:
@@ -40,9 +39,9 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--reference",
         type=float,
-        default=0.3333,
-        metavar="MM",
-        help="elements of the reference [mm] (%(default)s); computed once, then read",
+        default=2.0,
+        metavar="FINENESS",
+        help="of the reference's mesh; 1 is the default's (%(default)s); computed once, then read",
     )
     parser.add_argument(
         "--seconds",
@@ -92,22 +91,22 @@ def _measure(options: argparse.Namespace) -> None:
 
     ready_device(options.device)
     if not options.reference > 0:
-        raise SceneError(f"--reference: {options.reference!r} mm; allowed: above 0")
+        raise SceneError(f"--reference: {options.reference!r}; allowed: above 0")
     names = tuple(options.case) or (SMOKE_CASES if options.smoke else ())
     try:
         cases = chosen(names)
     except ValueError as error:
         raise SceneError(f"--case: {error}") from error
     chosen_competitors: list[Competitor] = competitors()
-    spacing = metres(options.reference)
+    fineness = options.reference
     if options.smoke:
         chosen_competitors = [one for one in chosen_competitors if one.name in SMOKE_COMPETITORS]
-        spacing = metres(SMOKE_REFERENCE)
+        fineness = SMOKE_REFERENCE
     plan = Plan(
         device=options.device,
         cases=cases,
         competitors=tuple(chosen_competitors),
-        spacing=spacing,
+        fineness=fineness,
         seconds_max=options.seconds,
         cache=options.references,
     )

@@ -7,16 +7,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim.errors import SceneError, SimulationDiverged
+from sim.metrics import tolerance_of
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import simulate_many
+from sim.simulate import simulate, simulate_many
 
 Outcomes = list[Result | SimulationDiverged]
 
-FEM_SPACINGS = (1.25e-3, 1.0e-3, 0.8e-3, 0.6667e-3, 0.5e-3, 0.4e-3)
-"""Edges of an element of `fem` in float32 [m], coarse to fine."""
-FEM_DOUBLE_SPACINGS = (1.0e-3, 0.6667e-3, 0.5e-3)
-"""The same in float64: enough to see that it moves nothing."""
+FINENESS = (0.5, 0.7, 1.0, 1.4)
+"""Of `fem` on meshes that follow the contact; 1 is the default."""
+TOLERANCES = ("5 %", "2 %", "1 %")
+"""What is asked for, to be met by measuring."""
+EVEN_SPACINGS = (1.25e-3, 0.8e-3, 0.5e-3)
+"""Edges of an element of `fem` on even meshes [m], coarse to fine."""
 MPM_CELLS = (1.0e-3, 0.8e-3, 0.5e-3, 0.4e-3)
 """Cells of `mpm` [m], coarse to fine; two particles a cell and dimension."""
 
@@ -49,12 +52,28 @@ def _layer(scenes: Sequence[Scene], _device: str) -> Outcomes:
     return simulate_many(scenes, "layer")
 
 
-def _fem(spacing: float, precision: str) -> Callable[[Sequence[Scene], str], Outcomes]:
+def _fem(**chosen: Any) -> Callable[[Sequence[Scene], str], Outcomes]:
+    """`fem` with these of `Numerics`."""
+
     def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
         from sim.fem.numerics import Numerics
 
-        numerics = Numerics(spacing=spacing, precision=precision)  # type: ignore[arg-type]
-        return simulate_many(scenes, "fem", numerics=numerics, device=device)
+        return simulate_many(scenes, "fem", numerics=Numerics(**chosen), device=device)
+
+    return solve
+
+
+def _within(tolerance: str) -> Callable[[Sequence[Scene], str], Outcomes]:
+    def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
+        found: Outcomes = []
+        for scene in scenes:
+            try:
+                found.append(simulate(scene, tolerance=tolerance, device=device))
+            except SimulationDiverged as diverged:
+                found.append(diverged)
+            except SceneError as refused:  # out of reach: as good as no solution, and said
+                found.append(SimulationDiverged(str(refused)))
+        return found
 
     return solve
 
@@ -72,17 +91,31 @@ def _mpm(cell: float | None) -> Callable[[Sequence[Scene], str], Outcomes]:
 def competitors() -> list[Competitor]:
     """All of them; each ladder from coarse to fine."""
     found = [Competitor("layer", "", 0.0, _layer, cpu_only=True)]
-    for precision, spacings in (("float32", FEM_SPACINGS), ("float64", FEM_DOUBLE_SPACINGS)):
-        for spacing in spacings:
-            found.append(
-                Competitor(
-                    f"fem {precision}",
-                    f"{spacing * 1e3:.3g} mm",
-                    1 / spacing,
-                    _fem(spacing, precision),
-                    settings={"spacing_mm": round(spacing * 1e3, 4), "precision": precision},
-                )
+    for one in FINENESS:
+        label = "default" if one == 1.0 else f"fineness {one:g}"
+        found.append(Competitor("fem", label, one, _fem(fineness=one), settings={"fineness": one}))
+    double = {"precision": "float64"}
+    found.append(Competitor("fem float64", "default", 1.0, _fem(**double), settings=double))
+    for text in TOLERANCES:
+        found.append(
+            Competitor(
+                "tolerance",
+                text,
+                tolerance_of(text).value ** -0.5,
+                _within(text),
+                settings={"tolerance": text},
             )
+        )
+    for spacing in EVEN_SPACINGS:
+        found.append(
+            Competitor(
+                "fem even",
+                f"{spacing * 1e3:.3g} mm",
+                1 / spacing,
+                _fem(spacing=spacing),
+                settings={"spacing_mm": round(spacing * 1e3, 4)},
+            )
+        )
     for cell in MPM_CELLS:
         found.append(
             Competitor(

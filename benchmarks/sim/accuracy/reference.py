@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ COARSER = 1.5
 the element, the first one's own error is 0.8 of the difference."""
 VISCOUS_PARTS = 3
 """Parts that each piece of a viscous motion is cut into: its time steps are finer as well."""
-FORMAT = 1
+FORMAT = 2
 """Of the file; another one is computed anew."""
 
 
@@ -38,34 +38,33 @@ class Reference:
     """Of each error of `Errors.worst`: the difference of the two finest meshes."""
 
 
-def reference_numerics(
-    spacing: float, precision: Literal["auto", "float64"] = "float64"
-) -> Numerics:
-    """Finest mesh, contact without penetration, solved to a tenth; to half with `auto`.
+ELEMENTS_MAX = 1_000_000
+"""Of a reference's mesh."""
 
-    `auto` takes half the time, for references of many scenes.
-    """
+
+def reference_numerics(fineness: float) -> Numerics:
+    """Finest mesh, contact without penetration, solved to a tenth of the default."""
     from sim.fem.numerics import Numerics
 
     return Numerics(
-        spacing=spacing,
-        precision=precision,
-        tolerance=1e-5 if precision == "float64" else 5e-5,
+        fineness=fineness,
+        precision="float64",
+        tolerance=1e-5,
         path_tolerance=1e-3,
         augmentations=5,
+        elements_max=ELEMENTS_MAX,
     )
 
 
 def solve_references(
     scenes: Sequence[Scene],
-    spacing: float,
+    fineness: float,
     device: str,
-    precision: Literal["auto", "float64"] = "float64",
 ) -> list[Outcome | SimulationDiverged]:
-    """Outcomes of scenes that share a body, on one mesh; frames are those of each scene."""
+    """Outcomes of scenes that share a body; frames are those of each scene."""
     parts = VISCOUS_PARTS if scenes[0].effects.viscosity is not None else 1
     cut = [replace(scene, motion=finer(scene.motion, parts)) for scene in scenes]
-    numerics = reference_numerics(spacing, precision)
+    numerics = reference_numerics(fineness)
     kept: list[Outcome | SimulationDiverged] = []
 
     def solve(some: Sequence[Scene], where: str) -> list[Result | SimulationDiverged]:
@@ -95,7 +94,7 @@ def finer(motion: Motion, parts: int) -> Motion:
 def references(
     name: str,
     scenes: Sequence[Scene],
-    spacing: float,
+    fineness: float,
     device: str,
     cache: Path,
     say: Callable[[str], None],
@@ -105,16 +104,16 @@ def references(
     Args:
         name: Of the case.
         scenes: Its scenes, which share a body.
-        spacing: Edge of an element of the finest mesh [m].
+        fineness: Of the finest mesh.
         device: Where they are computed.
         cache: Folder that keeps them.
         say: Told what is computed.
     """
-    path = cache / f"{name}-{spacing * 1e6:.0f}um-{FORMAT}.npz"
+    path = cache / f"{name}-{fineness:g}-{FORMAT}.npz"
     if not path.exists():
         found: dict[str, Outcome] = {}
-        for label, size in (("fine", spacing), ("coarse", COARSER * spacing)):
-            say(f"reference of {name}: elements of {size * 1e3:.3g} mm")
+        for label, size in (("fine", fineness), ("coarse", fineness / COARSER)):
+            say(f"reference of {name}: fineness {size:.3g}")
             for index, one in enumerate(solve_references(scenes, size, device)):
                 if isinstance(one, SimulationDiverged):
                     say(f"  no reference of scene {index}: {one}")

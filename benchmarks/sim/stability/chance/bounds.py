@@ -37,7 +37,8 @@ def least_force(scene: Scene, tip: tuple[float, float, float]) -> float:
     if found.deepest <= 0:
         return 0.0
     stiffness = body.modulus / (1 - body.poisson**2)
-    column = body.thickness / (body.modulus * body.size_x * body.size_y)
+    area = body.size_x * body.size_y * (1.0 if body.footprint == "rectangle" else math.pi / 4)
+    column = body.thickness / (body.modulus * area)
     best = 0.0
     for share in (0.25, 0.5, 0.67, 0.85, 0.98):
         depth = share * found.deepest

@@ -99,7 +99,8 @@ def _look(
     top = scene.body.heights(x, y)
     reach = max(-tip[2], 0.0) * 1.05 + 2e-2 * scene.body.thickness
     height = scene.indenter.heights((x - tip[0])[:, None], (y - tip[1])[None], reach=reach)
-    return Footprint(x, y, np.where(np.isfinite(height), top - tip[2] - height, -np.inf))
+    there = np.isfinite(height) & scene.body.covers(x[:, None], y)
+    return Footprint(x, y, np.where(there, top - tip[2] - height, -np.inf))
 
 
 def half_wall(scene: Scene) -> float:
@@ -117,5 +118,5 @@ def inside_by(scene: Scene, tip: tuple[float, float, float], margin: float) -> b
     box = footprint(scene, tip).box
     if box is None:
         return True
-    half = scene.body.size_x / 2 - margin, scene.body.size_y / 2 - margin
-    return max(-box[0], box[1]) <= half[0] and max(-box[2], box[3]) <= half[1]
+    x, y = np.array(box[:2])[:, None], np.array(box[2:])
+    return bool(scene.body.from_side(x, y).min() >= margin)

@@ -57,6 +57,7 @@ def overlap(result: Result, frame: int) -> Overlap:
     top = _top(result, frame)
     gap, _ = scene.indenter.distance(top - tip)
     cells = _near(gap, top)
+    cells = cells[_on_body(result)[cells[:, 0], cells[:, 1]]]
     if not len(cells):
         return Overlap(0.0, 0.0)
     u, v = _samples(result, cells)
@@ -115,6 +116,12 @@ def _near(gap: Array, top: Array) -> NDArray[np.int64]:
     one = np.linalg.norm(top[1:, 1:] - top[:-1, :-1], axis=-1)
     other = np.linalg.norm(top[1:, :-1] - top[:-1, 1:], axis=-1)
     return np.argwhere(least < np.maximum(one, other))
+
+
+def _on_body(result: Result) -> NDArray[np.bool_]:
+    """Cells (X - 1, Y - 1) whose corners all lie on the footprint; others are half air."""
+    on = result.scene.body.covers(result.surface_x[:, None], result.surface_y)
+    return np.asarray(on[:-1, :-1] & on[1:, :-1] & on[:-1, 1:] & on[1:, 1:])
 
 
 def _samples(result: Result, cells: NDArray[np.int64]) -> tuple[Array, Array]:

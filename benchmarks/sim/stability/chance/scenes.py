@@ -27,6 +27,8 @@ ELEMENTS_MAX = 6200
 until they have so few. Seconds on one core."""
 TRAVEL_MAX = 1.0
 """Longest way of the tip with friction, in thicknesses: such a way takes steps of a fortieth."""
+ROUND, ROUND_STREAM = 1 / 6, 2_000_000
+"""How often a bench's gel is round, and the stream that says so: other draws stay as they were."""
 MM = 1e-3
 Point = tuple[float, float, float]
 
@@ -56,7 +58,10 @@ def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
     words = [family]
     make = {"sensible": _sensible, "trap": _trap, "absurd": _absurd}[family]
     try:
-        scene = within_budget(make(dice, folder, words))
+        scene = make(dice, folder, words)
+        if family == "sensible":
+            scene = _sometimes_round(Dice(seed, ROUND_STREAM + index), scene, words)
+        scene = within_budget(scene)
     except Exception as error:
         return Drawn(seed, index, ", ".join(words), refusal=error)
     return Drawn(seed, index, ", ".join(words), scene)
@@ -92,6 +97,25 @@ def _sensible(dice: Dice, folder: Path, words: list[str]) -> Scene:
     effects = _effects(dice, body, words)
     depth = body.thickness * dice.scaled(0.01, 0.4)
     return Scene(indenter, _motion(dice, body, depth, place, effects, words), body, effects)
+
+
+def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
+    """One in six gels is the ellipse within its sides, half of those with a dome and a thin rim."""
+    if not dice.chance(ROUND):
+        return scene
+    words.append("round")
+    body = replace(scene.body, footprint="ellipse")
+    if dice.chance(0.5):
+        half, drop = max(body.size_x, body.size_y) / 2, dice.even(0.1, 0.94) * body.thickness
+        radius = rounded((half**2 + drop**2) / (2 * drop), 6)
+        if radius > half:
+            words.append("dome")
+            body = replace(body, dome_radius=radius)
+    tip = scene.motion.tip
+    lowest = -0.89 * body.thickness
+    rise = body.height(*tip[0][:2]) - scene.body.height(*tip[0][:2])
+    lowered = tuple((x, y, max(rounded(z + rise, 6), lowest)) for x, y, z in tip)
+    return replace(scene, body=body, motion=replace(scene.motion, tip=lowered))
 
 
 def _body(dice: Dice) -> Body:
