@@ -52,7 +52,8 @@ def half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
         count = int(np.clip(np.ceil(2 * (high - low) / finest), 8, 192))
         steps.append(float(high - low) / count)
         even.append(np.searchsorted(edges, low + steps[-1] * (np.arange(count) + 0.5)) - 1)
-    inner = np.pad(mask[np.ix_(*even)], 1)
+    inner = np.zeros((len(even[0]) + 2, len(even[1]) + 2), bool)
+    inner[1:-1, 1:-1] = mask[np.ix_(*even)]
     reach = float(ndimage.distance_transform_edt(inner, sampling=steps).max())
     # A distance is to the middle of the nearest pixel outside; the outline is half a pixel nearer.
     return max(reach - min(steps) / 2, min(steps) / 2)

@@ -230,7 +230,11 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     if numerics.follows:
         coarser = replace(numerics, fineness=result.record["mesh"]["fineness"] / COMPANION)
     else:
-        coarser = replace(numerics, spacing=numerics.height(result.scene.body) * COMPANION)
+        from sim.fem.mesh import coarsest_spacing
+
+        body = result.scene.body
+        spacing = min(numerics.height(body) * COMPANION, coarsest_spacing(body))
+        coarser = replace(numerics, spacing=spacing)
     second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
     ratio = elements_ratio(second, result)
     if ratio < RATIO_LEAST:

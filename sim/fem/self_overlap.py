@@ -30,22 +30,30 @@ ON_SKIN = 1e-6
 SIGNS = 2.0 * np.array(CORNERS) - 1.0
 
 
-def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
-    """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
-    rest, now = _normals(mesh.nodes, mesh.faces), _normals(places, mesh.faces)
-    along, rest_square, now_square = (
-        a[0] * b[0] + a[1] * b[1] + a[2] * b[2] for a, b in ((rest, now), (rest, rest), (now, now))
-    )
-    return np.asarray(along < FOLDED * np.sqrt(rest_square * now_square))
+def rest_directions(mesh: Mesh) -> Array:
+    """Unit normals (3, S) of faces before anything touches them, as `folded_faces` takes them."""
+    rest = _normals(mesh.nodes, mesh.faces)
+    return np.asarray(rest / np.sqrt(_dot(rest, rest)))
 
 
-def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
+def folded_faces(mesh: Mesh, places: Array, rest: Array | None = None) -> NDArray[np.bool_]:
+    """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3).
+
+    `rest` is `rest_directions(mesh)`, for who asks again and again.
+    """
+    rest = rest_directions(mesh) if rest is None else rest
+    now = _normals(places, mesh.faces)
+    along = _dot(rest, now)
+    return np.asarray((along < 0) | (along * along < FOLDED**2 * _dot(now, now)))
+
+
+def self_overlap(mesh: Mesh, u: Array, rest: Array | None = None) -> tuple[float, int]:
     """How deep the skin stands inside itself, displaced by `u` (N, 3), and its deepest node.
 
-    0 and -1 where it does not.
+    0 and -1 where it does not. `rest` as for `folded_faces`.
     """
     places = mesh.nodes + u
-    folded = folded_faces(mesh, places)
+    folded = folded_faces(mesh, places, rest)
     if not folded.any():
         return 0.0, -1
     nodes, elements = _near(mesh, places, mesh.faces[folded])
@@ -71,16 +79,29 @@ def _normals(places: Array, faces: NDArray[np.int32]) -> Array:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
 def _near(mesh: Mesh, places: Array, folded: NDArray[np.int32]) -> tuple[Indices, Indices]:
     """Nodes of the surface, and elements, in a box around folded faces (T, 4)."""
     corner = places[folded]
     longest = float(np.ptp(corner, axis=1).max())
     low, high = corner.min(axis=(0, 1)) - longest, corner.max(axis=(0, 1)) + longest
-    nodes = np.unique(mesh.faces)
-    here = ((places[nodes] >= low) & (places[nodes] <= high)).all(axis=1)
-    around = places[mesh.elements]
-    reaches = (around.max(axis=1) >= low) & (around.min(axis=1) <= high)
-    return nodes[here], np.flatnonzero(reaches.all(axis=1))
+    at_skin = np.zeros(len(places), bool)
+    at_skin[mesh.faces] = True
+    here = at_skin & ((places >= low) & (places <= high)).all(axis=1)
+    cells = np.array(mesh.cells)
+    least = most = places.reshape(*(cells + 1), 3)
+    for axis in range(3):
+        first, second = (
+            (slice(None),) * axis + (slice(-1),),
+            (slice(None),) * axis + (slice(1, None),),
+        )
+        least = np.minimum(least[first], least[second])
+        most = np.maximum(most[first], most[second])
+    reaches = ((most >= low) & (least <= high)).all(axis=-1)
+    return np.flatnonzero(here), np.flatnonzero(reaches)
 
 
 def _pairs(mesh: Mesh, places: Array, nodes: Indices, elements: Indices) -> tuple[Indices, Indices]:

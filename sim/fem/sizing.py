@@ -137,7 +137,9 @@ def _runs(
             much longer than the piece is wide is as fine as that at its ends alone.
     """
     width, size, edge = asked
-    change = np.diff(np.pad(mask, ((1, 1), (0, 0))).astype(np.int8), axis=0).T
+    framed = np.zeros((len(mask) + 2, mask.shape[1]), np.int8)
+    framed[1:-1] = mask
+    change = np.diff(framed, axis=0).T
     column, first = np.nonzero(change == 1)
     past = np.nonzero(change == -1)[1]
     low, high = edges[first], edges[past]

@@ -22,7 +22,7 @@ from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of
 from sim.fem.numerics import Numerics
-from sim.fem.self_overlap import self_overlap
+from sim.fem.self_overlap import rest_directions, self_overlap
 from sim.fem.sizing import (
     Sizes,
     coarser_than_asked,
@@ -267,6 +267,7 @@ class Collector:
         self.worst = np.full(3, np.nan)
         """Where the skin stood deepest inside the indenter: the material point [m]."""
         self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
+        self._rest_directions = rest_directions(mesh)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
         self._tip = np.zeros(3)
@@ -340,7 +341,7 @@ class Collector:
         quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
         quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
         self._overlap_path = 0.0
-        deep, node = self_overlap(mesh, u)
+        deep, node = self_overlap(mesh, u, self._rest_directions)
         if deep * unit > self._self_overlap.max():
             self._self_place = mesh.nodes[node] * unit
         self._self_overlap[frame] = deep * unit

@@ -98,11 +98,11 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
     numerics = Numerics(spacing=4e-3 / 3)
     depth = 0.5e-3 / SMALL.thickness
-    monkeypatch.setattr(solver, "self_overlap", lambda mesh, u: (0.05 * depth, 10))
+    monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.05 * depth, 10))
     result = simulate(scene, numerics=numerics)
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
     said = "25 um inside the skin beside it at waypoint 1, 5 %"
     assert [one for one in result.record["warnings"] if said in one]
-    monkeypatch.setattr(solver, "self_overlap", lambda mesh, u: (0.3 * depth, 10))
+    monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.3 * depth, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
         simulate(scene, numerics=numerics)

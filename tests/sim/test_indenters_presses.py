@@ -46,7 +46,13 @@ def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) ->
 
 
 @pytest.mark.parametrize(
-    ("drawn", "declared"), [(0.0, 0.3e-3), (0.3, 0.0), (0.3, 0.3e-3), (0.0, 0.15e-3)]
+    ("drawn", "declared"),
+    [
+        (0.0, 0.3e-3),
+        (0.3, 0.0),
+        pytest.param(0.3, 0.3e-3, marks=pytest.mark.slow),
+        pytest.param(0.0, 0.15e-3, marks=pytest.mark.slow),
+    ],
 )
 def test_a_prism_from_a_file_presses_like_the_one_by_name(
     drawn: float, declared: float, tmp_path: Path

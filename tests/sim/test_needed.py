@@ -49,6 +49,7 @@ def test_a_slow_press_needs_no_inertia_but_its_friction() -> None:
     assert result.record["plan"]["tolerance"] == "6 %"
 
 
+@pytest.mark.slow
 def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
     (found,) = plan_many([TWO], tolerance="9 %")
     assert set(found.left_out) == {"viscosity", "gravity"}
@@ -121,7 +122,7 @@ def test_wrong_words_are_refused(options: dict[str, Any], said: str) -> None:
         sim.plan(RUBS, tolerance="some")
 
 
-@pytest.mark.parametrize("speed", [1e-3, 0.1])
+@pytest.mark.parametrize("speed", [pytest.param(1e-3, marks=pytest.mark.slow), 0.1])
 def test_a_bound_is_no_less_than_the_probe(speed: float) -> None:
     wide = Body(size_x=16e-3, size_y=16e-3, thickness=2e-3)
     effects = Effects(

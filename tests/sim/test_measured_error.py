@@ -1,0 +1,72 @@
+"""Errors told by two meshes: of a tolerance, and of an error bar."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim import simulate, tolerance
+from sim.errors import SceneError
+from sim.fem.numerics import Numerics
+from sim.indenters import sphere
+from sim.scene import Body, Scene, press
+from sim.tiers import Tier
+
+BALL = Scene(sphere(4e-3), press([0.3e-3, 0.6e-3]), Body(12e-3, 12e-3))
+FINE = Numerics(spacing=0.4e-3)
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    """Force of elements of 0.4 mm, and what is left of their error by those of 0.8 mm."""
+    fine, coarse = (simulate(BALL, numerics=one).force for one in (FINE, Numerics(spacing=0.8e-3)))
+    return fine + (fine - coarse) / 3
+
+
+@pytest.mark.parametrize(
+    ("tier", "numerics"), [("fem", Numerics(spacing=0.8e-3)), ("fem", None), ("layer", None)]
+)
+def test_an_error_bar_covers_the_error(
+    truth: np.ndarray, tier: Tier, numerics: Numerics | None
+) -> None:
+    result = simulate(BALL, tier, numerics=numerics, error_bar=True)
+    error = result.record["error"]
+    assert error["status"] == "measured"
+    off = np.abs(result.force - truth)[1:].max(axis=1) / np.linalg.norm(truth[1:], axis=1)
+    assert (off <= np.array(error["force"])[1:] + 2e-3).all()
+    assert error["percent"] < 100 * 12 * max(off.max(), 1e-3)
+    assert result.record["error_bar"]["force_share"] == error["percent"] / 100
+    assert result.record["error_bar"]["second_mesh"] == error["second_mesh"]
+
+
+def test_a_mesh_without_a_coarser_one_has_no_error_bar() -> None:
+    with pytest.raises(SceneError, match=r"error_bar: a mesh of \d+ x \d+ x 3 elements; allowed:"):
+        simulate(BALL, numerics=Numerics(spacing=4e-3 / 3), error_bar=True)
+
+
+def test_particles_have_no_error_bar() -> None:
+    with pytest.raises(SceneError, match="error_bar: True with tier 'mpm'; allowed: 'fem', 'lay"):
+        simulate(BALL, "mpm", error_bar=True)
+
+
+def test_a_tolerance_is_kept(truth: np.ndarray) -> None:
+    result = simulate(BALL, tolerance="2 %")
+    assert result.record["error"]["percent"] <= 2
+    np.testing.assert_allclose(result.force[:, 2], truth[:, 2], rtol=0.02)
+
+
+@pytest.mark.slow
+def test_one_that_the_meshes_allowed_do_not_reach_is_refused_with_what_they_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 26_000)
+    with pytest.raises(
+        SceneError, match=r"tolerance: '0\.11 %'; tried: .*; allowed: [\d.]+ % or m"
+    ):
+        simulate(BALL, tolerance="0.11 %")
+
+
+def test_two_meshes_that_are_one_tell_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 1000)
+    with pytest.raises(SceneError, match=r"no coarser mesh to measure by; allowed: none"):
+        simulate(BALL, tolerance="0.3 %")
