@@ -13,7 +13,8 @@ from benchmarks.sim.independent.comparison import round_tasks
 from sim import Body, Scene, press, simulate
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
-from sim.indenters import flat_punch, sphere
+from sim.indenters import flat_punch, named, sphere
+from sim.metrics import force_scale
 from sim.result import Result
 from sim.scene import through
 
@@ -68,6 +69,27 @@ def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: fl
     truths = np.array([-truth[2] for truth in task.truths])
     off = np.abs(-result.force[list(task.frames), 2] - truths)
     assert (off <= percent / 100 * np.maximum(truths, 0.1 * truths.max())).all()
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        Scene(named("hemisphere"), press([0.1e-3, 0.3e-3])),
+        Scene(
+            flat_punch(4e-3, 0.8e-3).tilted(0.03, 0.0),
+            through([(5e-4, 0, 0), (5e-4, 0, -1e-4), (0, 5e-4, -1e-4)], speed=1e-2),
+            Body(16e-3, 16e-3, 2e-3),
+        ),
+    ],
+    ids=["hemisphere", "leaning and sliding"],
+)
+def test_its_estimate_covers_what_meshes_measure(scene: Scene) -> None:
+    result = simulate(scene, tolerance="20 %")
+    meshes = simulate(scene, "fem", tolerance="3 %")
+    assert (result.tier, meshes.tier) == ("layer", "fem")
+    off = np.abs(result.force - meshes.force).max(axis=1) / force_scale(meshes.force)
+    own, theirs = (np.array(one.record["error"]["force"]) for one in (result, meshes))
+    assert (off <= own + theirs).all()
 
 
 def test_meshes_go_on_where_its_estimate_is_above_and_the_look_is_counted() -> None:
