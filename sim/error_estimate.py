@@ -110,6 +110,20 @@ def fineness_of(result: Result) -> Array:
     return found
 
 
+def pixel_of(result: Result) -> float:
+    """Longer side of a pixel of the surface [m]."""
+    return float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
+
+
+def side_distance(result: Result) -> float | None:
+    """From what is ever touched to the nearest side [m], undeformed; None without contact."""
+    touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
+    if not touched.any():
+        return None
+    from_side = result.scene.body.from_side(result.surface_x[:, None], result.surface_y)
+    return float(from_side[touched].min())
+
+
 def _of_elements(result: Result) -> dict[str, Any]:
     unknown = unknown_at_side(result)
     if unknown is not None:
@@ -139,8 +153,8 @@ def _of_layer(result: Result) -> dict[str, Any]:
     deep = np.maximum(-np.array(result.scene.motion.tip)[:, 2], 0.0) / body.thickness
     share = LAYER_LEAST + LAYER_PER_DEPTH * deep
     width = np.maximum(result.quality.contact_width, 1e-12)
-    pixel = float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
-    share = share + np.where(result.force.any(axis=1), LAYER_PER_PIXEL * pixel / width, 0.0)
+    pixels = LAYER_PER_PIXEL * pixel_of(result) / width
+    share = share + np.where(result.force.any(axis=1), pixels, 0.0)
     share = np.maximum(_weighed(result, share), _missed(result))
     error = _told(result, "estimated", share, "depth over thickness, and pixels")
     if body.rim < RIM_UNEVEN * body.thickness:
@@ -149,15 +163,13 @@ def _of_layer(result: Result) -> dict[str, Any]:
             "why": f"the dome is {body.rim * 1e3:.3g} mm high at its rim, and 'layer' takes it for "
             "as thick there as at its apex (allowed: 'fem')",
         }
-    touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
-    if touched.any():
-        side = float(body.from_side(result.surface_x[:, None], result.surface_y)[touched].min())
-        if side < RIM * body.thickness:
-            return {
-                "status": "none",
-                "why": f"the contact is {side * 1e3:.3g} mm from a side of the body, of which "
-                "'layer' knows nothing (allowed: 'fem')",
-            }
+    side = side_distance(result)
+    if side is not None and side < RIM * body.thickness:
+        return {
+            "status": "none",
+            "why": f"the contact is {side * 1e3:.3g} mm from a side of the body, of which "
+            "'layer' knows nothing (allowed: 'fem')",
+        }
     return error
 
 

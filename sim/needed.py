@@ -237,7 +237,8 @@ def simulate_needed(
     spent = found.joint.value(wanted.kind)
     rest = _text(wanted.kind, wanted.value - spent)
     try:
-        result = simulate_within(found.needed, rest, device=device, progress=progress)
+        # Errors of effects and mesh are added, markers' too, which 'layer' does not state.
+        result = simulate_within(found.needed, rest, tier="fem", device=device, progress=progress)
     except SceneError as refusal:
         raise SceneError(
             f"{refusal} (of {tolerance!r}, {with_unit(wanted.kind, spent)} is for "

@@ -32,16 +32,17 @@ def simulate(
 
     Args:
         scene: What is simulated.
-        tier: `fem` unless given. `layer`: spectral bonded layer, small strain, no free sides;
-            `fem`: finite elements, large strain; `mpm`: explicit material points.
+        tier: `fem` unless given, or a tolerance is. `layer`: spectral bonded layer, small strain,
+            no free sides; `fem`: finite elements, large strain; `mpm`: explicit material points.
         numerics: `Numerics` of `fem`, `MpmNumerics` of `mpm`; `layer` has none to choose.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of tier and numerics: meshes finer
-            and finer until the error that two of them tell is below (`sim.tolerance`), told in
-            `record["error"]` and `record["plan"]`.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of numerics: `layer` where its
+            estimate is below and was shown to hold, else meshes of `fem` finer and finer until the
+            error that two of them tell is below (`sim.tolerance`), told in `record["error"]` and
+            `record["plan"]`. With a tier that one is taken or refused: `layer` by its estimate.
         effects: "needed", with a tolerance: leave out what of the scene's effects the tolerance
             allows, a third of it at most (`sim.needed`), told in `record["effects"]`. None: all.
         error_bar: Solve a coarser mesh as well: `record["error"]` is measured then, and
-            `record["error_bar"]` has it too. With a tolerance it is measured anyway.
+            `record["error_bar"]` has it too. With a tolerance: by meshes, not `layer`.
         extrapolate: Solve a coarser mesh as well, and give the forces that both lead to
             (`sim.extrapolation`); of `fem`.
         device: Where `fem` and `mpm` run, `cpu` or `cuda:0` and the like; `layer` runs on the CPU.
@@ -58,18 +59,24 @@ def simulate(
     if extrapolate:
         return _extrapolated(scene, tier, tolerance, error_bar, numerics, device, progress)
     if tolerance is not None:
-        if tier is not None or numerics is not None:
-            raise SceneError(
-                f"tolerance: {tolerance!r} with a tier or numerics; allowed: either the one or the "
-                "other"
-            )
+        if numerics is not None:
+            raise SceneError(f"numerics: {numerics!r} with a tolerance; allowed: None")
+        if error_bar:  # a measured error
+            if tier == "layer":
+                raise SceneError(
+                    f"error_bar: True with tolerance {tolerance!r} and tier {tier!r}; allowed: "
+                    "tier None or 'fem', or no tolerance"
+                )
+            tier = "fem" if tier is None and effects is None else tier
         if effects is not None:
+            if tier is not None:
+                raise SceneError(f"tier: {tier!r} with effects {effects!r}; allowed: None")
             from sim.needed import simulate_needed
 
             return simulate_needed(scene, tolerance, device=device, progress=progress)
         from sim.tolerance import simulate_within
 
-        return simulate_within(scene, tolerance, device=device, progress=progress)
+        return simulate_within(scene, tolerance, tier=tier, device=device, progress=progress)
     if error_bar and tier == "mpm":
         raise SceneError(f"error_bar: True with tier {tier!r}; allowed: 'fem', 'layer'")
     outcome = simulate_one(

@@ -5,10 +5,14 @@ eighth of the time. The force of the answer is what both lead to (Richardson 191
 error is taken as a share of that step, which held in presses solved by other means
 (`python -m benchmarks independent --tolerance "1 %"`). Surface and markers are those of the finer
 mesh; their error is the difference of both times what is left of it at order 2.
+
+Before any mesh comes `layer`, which takes a tenth of a second: where its estimate is below a
+tolerance of the force, in scenes that it was held against (`sim.layer_within`), it is the answer.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -17,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.error_estimate import measured, unknown_at_side
-from sim.errors import SceneError
+from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
+from sim.layer_within import not_shown, solved_by_layer, why_trusted, worth_a_look
 from sim.metrics import (
     Tolerance,
     force_scale,
@@ -31,7 +36,7 @@ from sim.metrics import (
 from sim.result import Result
 from sim.scene import Scene
 from sim.symmetry import vanishing_share, with_symmetry
-from sim.tiers import part_of, simulate_one
+from sim.tiers import Tier, part_of, simulate_one
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
@@ -70,27 +75,36 @@ def simulate_within(
     scene: Scene,
     tolerance: str,
     *,
+    tier: Tier | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
-    """The scene solved on meshes finer and finer until the measured error is below `tolerance`.
+    """The scene by `layer` if its estimate may stand, else on meshes until the error is small.
 
-    `record["error"]` says what it is and how it was measured, `record["plan"]` what was tried.
+    `record["error"]` says what the error is and how it is known: `estimated` of `layer`, `measured`
+    of meshes. `record["plan"]` says what was taken (`chosen`, `why`, `notes`), what was `tried`
+    before, and the `seconds` that all of it took.
 
     Args:
         scene: What is simulated.
         tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `sim.metrics.Tolerance`.
-        device: Where it runs.
-        progress: Called with the share done, 0 to 1, of each mesh in turn.
+        tier: `layer` or `fem`: nothing else is tried. None: `layer` first, where it was shown to
+            be as exact as it estimates (`sim.layer_within`), then `fem`.
+        device: Where meshes are solved; `layer` runs on the CPU.
+        progress: Called with the share done, 0 to 1, of `layer` and each mesh in turn.
 
     Raises:
-        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach; an
-            indenter in the side wall of a round body.
+        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach; with
+            tier `layer`, one below what it estimates; a tier without an error; a device that is
+            not there; an indenter in the side wall of a round body.
         SimulationDiverged: A mesh found no solution.
     """
     from sim.fem.numerics import Numerics
 
+    began = time.perf_counter()
     wanted = tolerance_of(tolerance)
+    if tier not in (None, "layer", "fem"):
+        raise SceneError(f"tier: {tier!r} with a tolerance; allowed: None, 'layer', 'fem'")
     if wanted.kind == "share" and wanted.value < FLOOR:
         raise SceneError(
             f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more: meshes tell no less"
@@ -100,6 +114,10 @@ def simulate_within(
     fineness = float(np.clip((EXPECTED / share) ** 0.5, FIRST_LEAST, FIRST_MOST))
     solved: dict[float, Result] = {}
     tried: list[str] = []
+    if tier == "layer" or (tier is None and worth_a_look(scene, wanted)):
+        linear = _of_layer(scene, wanted, tier, tried, device, progress)
+        if linear is not None:
+            return _with_plan(linear, wanted, tried, began, why_trusted(linear))
     best: tuple[float, Result] | None = None
     for _round in range(ROUNDS):
         pair = []
@@ -124,13 +142,45 @@ def simulate_within(
             best = error, found
         limited = pair[1].record["mesh"]["fineness"] < 0.97 * fineness
         if error <= wanted.value:
-            return _with_plan(found, wanted, tried)
+            return _with_plan(found, wanted, tried, began)
         finer = (error / wanted.value) ** 0.5 * 1.05
         if limited or pair[1].record["mesh"]["elements"] * finer**3 > HOPELESS * most:
             break
         fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
     allowed = "none" if best is None else f"{with_unit(wanted.kind, 1.001 * best[0])} or more"
     raise SceneError(f"tolerance: {tolerance!r}; tried: {'; '.join(tried)}; allowed: {allowed}")
+
+
+def _of_layer(
+    scene: Scene,
+    wanted: Tolerance,
+    tier: Tier | None,
+    tried: list[str],
+    device: str,
+    progress: Progress | None,
+) -> Result | None:
+    """The answer of `layer`; None where meshes are to give it. What came of it goes to `tried`."""
+    from sim.device import ready_device
+
+    if device != "cpu":
+        ready_device(device)  # which meshes would refuse
+    try:
+        found, error, said = solved_by_layer(scene, wanted, progress=progress)
+    except SimulationDiverged as diverged:
+        if tier == "layer":
+            raise
+        tried.append(f"layer: {diverged}")
+        return None
+    unfit = None if tier == "layer" else not_shown(found)
+    tried.append(unfit or said)
+    if unfit is None and error <= wanted.value:
+        return found
+    if tier == "layer":
+        allowed = "tier 'fem'"
+        if np.isfinite(error):
+            allowed = f"{with_unit(wanted.kind, 1.001 * error)} or more, or {allowed}"
+        raise SceneError(f"tolerance: '{wanted}' with tier 'layer'; {said}; allowed: {allowed}")
+    return None
 
 
 def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, float]:
@@ -234,7 +284,15 @@ def _beside_elements(result: Result, numerics: Numerics, device: str) -> Result:
     return replace(result, record={**result.record, "error": error, "error_bar": bar})
 
 
-def _with_plan(result: Result, wanted: Tolerance, tried: list[str]) -> Result:
-    plan = {"tolerance": str(wanted), "chosen": "fem", "why": tried[-1], "tried": tried[:-1]}
-    plan["notes"] = []
+def _with_plan(
+    result: Result, wanted: Tolerance, tried: list[str], began: float, *notes: str
+) -> Result:
+    plan = {
+        "tolerance": str(wanted),
+        "chosen": result.tier,
+        "why": tried[-1],
+        "tried": tried[:-1],
+        "notes": list(notes),
+        "seconds": round(time.perf_counter() - began, 4),
+    }
     return replace(result, record={**result.record, "plan": plan})

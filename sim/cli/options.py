@@ -352,18 +352,18 @@ def numerics_of(options: argparse.Namespace) -> Numerics | None:
     Raises:
         SceneError: An option that tier `layer` or a tolerance does not have.
     """
-    if options.tolerance is not None:
-        for name, default in (("tier", None), ("mesh", None), ("precision", "auto")):
-            if getattr(options, name) != default:
-                raise SceneError(
-                    f"--{name}: {getattr(options, name)!r} with --tolerance; allowed: either"
-                )
-        return None
     if options.tier == "layer":
         for name, default in (("mesh", None), ("precision", "auto"), ("device", "cpu")):
             if getattr(options, name) != default:
                 raise SceneError(
                     f"--{name}: {getattr(options, name)!r} with --tier layer; allowed: --tier fem"
+                )
+        return None
+    if options.tolerance is not None:
+        for name, default in (("mesh", None), ("precision", "auto")):
+            if getattr(options, name) != default:
+                raise SceneError(
+                    f"--{name}: {getattr(options, name)!r} with --tolerance; allowed: either"
                 )
         return None
     from sim.fem.numerics import FOR_EDGES, Numerics
@@ -482,8 +482,8 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--tolerance",
         metavar="ERROR",
-        help='the error that is accepted, "2 %%", "0.05 N" or "0.5 px": in place of --tier, '
-        "--mesh and --precision, the cheapest that keeps it",
+        help='the error that is accepted, "2 %%", "0.05 N" or "0.5 px": in place of --mesh and '
+        "--precision; without --tier, layer where its estimate keeps it, else meshes of fem",
     )
     group.add_argument(
         "--error-bar", action="store_true", help="solve a coarser mesh too, and tell the error"

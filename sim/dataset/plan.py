@@ -197,7 +197,8 @@ def _again(
 def _within(scene: Scene, tolerance: str, device: str) -> Solved:
     """Solved on meshes finer and finer until the tolerance is kept."""
     try:
-        result = simulate(scene, tolerance=tolerance, device=device)
+        # Images are of the skin, whose error 'layer' does not state.
+        result = simulate(scene, "fem", tolerance=tolerance, device=device)
     except SimulationDiverged as diverged:
         failed = [_reason(f"within {tolerance}", diverged)]
         return Solved(None, {"tolerance": tolerance, "device": device, "failed": failed})

@@ -112,7 +112,7 @@ def test_effects_of_no_strength_are_left_out_without_a_probe(
         ({"effects": "some", "tolerance": "2 %"}, "effects: 'some'; allowed: 'needed', or None"),
         ({"effects": "needed"}, "effects: 'needed' without a tolerance; allowed: with one"),
         ({"effects": "needed", "tolerance": "2"}, "tolerance: '2'; allowed: a number above 0"),
-        ({"effects": "needed", "tolerance": "2 %", "tier": "fem"}, "with a tier or numerics"),
+        ({"effects": "needed", "tolerance": "2 %", "tier": "fem"}, "tier: .fem. with effects"),
     ],
 )
 def test_wrong_words_are_refused(options: dict[str, Any], said: str) -> None:
