@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.cg import Columns
+from sim.fem.cg import Lines
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.matrix import Stencil
@@ -416,7 +416,7 @@ class Assembly:
             half=False if "inertia" in self.effects else None,
         )
         """Tangent of the state last linearised."""
-        self.columns = Columns(mesh, real, environments, device)
+        self.lines = Lines(mesh, real, environments, device)
         """Its preconditioner."""
         self.coefficients = [getattr(s.effects.friction, "coefficient", 0.0) for s in scenes]
         self.state = State(self, scenes)
@@ -604,7 +604,7 @@ class Assembly:
         self._convex.assign(convex.astype(np.int32))
 
     def linearise(self, active, u, damping: np.ndarray, anew=None) -> None:
-        """Fill `stencil` and `columns` with the tangent of the state last evaluated, which is `u`.
+        """Fill `stencil` and `lines` with the tangent of the state last evaluated, which is `u`.
 
         `damping` (B,) [E / T^2] stiffens it against any motion, not the residual. The elastic part
         is that of `u` where `anew` (B,) says so, or everywhere; else as it was last.
@@ -620,7 +620,7 @@ class Assembly:
             self._convex,
             anew,
         )
-        self.columns.factor(active, self.stencil.matrix)
+        self.lines.factor(active, self.stencil.matrix)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the present state of the chosen environments (B,) the start of their next step."""

@@ -63,7 +63,7 @@ class Newton:
         self._assembly = assembly
         count, nodes = assembly.environments, len(assembly.mesh.nodes)
         self._cg = ConjugateGradient(
-            assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.columns
+            assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.lines
         )
         self._start = wp.zeros_like(assembly.state.u)
         self._friction = "friction" in assembly.effects
@@ -142,6 +142,7 @@ class Newton:
             assembly.numerics.cg_max,
         )
         self.cg[running] += used[running]
+        assembly.lines.learn(np.where(running, used, 0))
         self.iterations[running] += 1
         slope, concave = self._cg.verdict()
         state.put_tip(predicting)

@@ -382,6 +382,9 @@ FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
 to it; and how many of those a step has, its end included."""
 POISSON_FLOAT32 = 0.4995
 """Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""
+ROUNDING, ROUNDED_MOST = 10.0, 2
+"""Residual of a failed step over the tolerance, below which rounding is what keeps it from balance:
+smaller steps end there too. After so many `auto` goes on in float64."""
 ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
 """Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory."""
 
@@ -746,7 +749,7 @@ class _Batch:
         self._failed: dict[int, SimulationDiverged] = {}
         count = len(scenes)
         self._busy = np.zeros(count, bool)
-        self._augmented = np.zeros(count, int)
+        self._augmented, self._rounded = np.zeros((2, count), int)
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
         self._duration, self._load = np.ones(count), np.ones(count)
@@ -829,9 +832,18 @@ class _Batch:
             self._collectors[i].spent.steps += 1
             said = f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             self._last[i] = -1
-            if not self._paths[i].refuse(self._share[i], said):
+            self._rounded[i] += self._is_rounding(i)
+            more = self._paths[i].refuse(self._share[i], said)
+            if not more or self._rounded[i] >= ROUNDED_MOST:
                 self._failed[i] = self._diverged(i)
         self._busy &= ~(good | bad)
+
+    def _is_rounding(self, env: int) -> bool:
+        """Whether a step failed so near to balance that float64 is what it lacks."""
+        if self._numerics.precision != "auto" or self._assembly.precision != "float32":
+            return False
+        tolerance = self._numerics.tolerance
+        return bool(tolerance < self._newton.residual[env] < ROUNDING * tolerance)
 
     def _augmentations(self, env: int) -> int:
         touched = self._assembly.sums.contact[env].any()

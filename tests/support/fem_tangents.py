@@ -184,9 +184,14 @@ def spread_out(matrix: Array) -> Array:
     return dense
 
 
-def columns_of(dense: Array) -> Array:
-    """What of a dense tangent couples nodes of one column (3N, 3N), with 1 for held nodes."""
-    column = np.arange(COUNT) // (GRID.cells[2] + 1)
-    kept = dense * (column[:, None] == column)[:, None, :, None]
+def columns_of(dense: Array, axis: int = 2) -> Array:
+    """What of a dense tangent couples nodes of one column (3N, 3N), with 1 for held nodes.
+
+    Of a line along x or y where `axis` is 0 or 1.
+    """
+    shape = tuple(cells + 1 for cells in GRID.cells)
+    place = np.stack(np.unravel_index(np.arange(COUNT), shape))
+    others = place[[one for one in range(3) if one != axis]]
+    kept = dense * (others[:, :, None] == others[:, None]).all(axis=0)[:, None, :, None]
     kept = kept.reshape(3 * COUNT, 3 * COUNT)
     return kept + np.diag(np.repeat(~GRID.free, 3).astype(float))
