@@ -42,6 +42,9 @@ convex, and where it was, damped."""
 EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
 """Residual below which a tangent that was made convex is exact again; times the second whenever
 that was too early."""
+PATIENCE, BETTER = 25, 0.7
+"""Iterations without a residual below so much of the best one, after which a step has failed: where
+skin folds, states wander without an end."""
 CONVEX_MOST = 10
 """Iterations of a step with a tangent that was made convex, after which the exact one is damped:
 where a body turns far, the convex one is too stiff to get anywhere."""
@@ -83,6 +86,7 @@ class Newton:
         self._convex, self._switched = np.zeros((2, count), bool)
         self._exact_below = np.full(count, EXACT_BELOW)
         self._convex_left = np.full(count, CONVEX_MOST)
+        self._best, self._best_at = np.full(count, np.inf), np.zeros(count, int)
 
     def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
         """Start on a step of the chosen environments, from `state.u` on; all (B,).
@@ -108,6 +112,7 @@ class Newton:
         self.iterations[chosen], self.cg[chosen] = 0, 0
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
         self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
+        self._best[chosen], self._best_at[chosen] = np.inf, 0
         self._switch(chosen & self._convex)
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
@@ -165,7 +170,10 @@ class Newton:
             assembly.evaluate_contact(
                 self.mask(running & self._switched), state.u, self._cg.solution
             )
+        better = running & (self.residual < BETTER * self._best)
+        self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
         spent = self.iterations >= assembly.numerics.newton_max
+        spent |= self.iterations - self._best_at >= PATIENCE
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
 
