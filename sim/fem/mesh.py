@@ -17,7 +17,17 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.fem.numerics import CELLS_MAX, Grading, Numerics
-from sim.fem.sizing import DEEPEST, GROWTH, GROWTH_DOWN, Sizes, Span, places_of, stages_of
+from sim.fem.sizing import (
+    DEEPEST,
+    GROWTH,
+    GROWTH_DOWN,
+    LEVELS,
+    Sizes,
+    Span,
+    extent_of,
+    places_of,
+    stages_of,
+)
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
@@ -489,9 +499,6 @@ def _in_buckets(counted: Array, place: Array, *, at_least: int) -> Array:
 
 # Where an indenter comes: the part of a body that is meshed finely.
 
-SAMPLES, LEVELS, PASSES = 61, 6, 2
-"""Points along x and y, and heights, at which an indenter is looked at;
-the second pass looks only where the first has found it."""
 MARGIN = 1.0
 """Width of the rim around the footprint that is meshed finely too, in fine elements."""
 
@@ -556,21 +563,12 @@ def _sides(indenter: Indenter, depth: float, reach: float) -> Window:
 
 @functools.lru_cache(maxsize=1024)
 def _footprint(indenter: Indenter, depth: float, sides: Window) -> tuple[Array, Array]:
-    """Least and greatest x and y [m] of an indenter's lowest `depth`, inside of a box around it.
-
-    Found on a grid of points, and widened by what may lie between them.
-    """
+    """Least and greatest x and y [m] of an indenter's lowest `depth`, inside of a box around it."""
     low, high = np.transpose(sides)
     heights = np.linspace(0.0, depth, LEVELS)
-    for _pass in range(PASSES):
-        x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
+
+    def covered(x: Array, y: Array) -> NDArray[np.bool_]:
         places = np.stack(np.meshgrid(x, y, heights, indexing="ij"), axis=-1)
-        covered = indenter.distance(places)[0].min(axis=2) <= 0
-        if not covered.any():
-            return np.zeros(2), np.zeros(2)
-        between = (high - low) / (SAMPLES - 1)
-        in_x, in_y = (np.unique(place) for place in np.nonzero(covered))
-        least = np.array([x[in_x[0]], y[in_y[0]]]) - between
-        most = np.array([x[in_x[-1]], y[in_y[-1]]]) + between
-        low, high = np.maximum(least, low), np.minimum(most, high)
-    return low, high
+        return np.asarray(indenter.distance(places)[0].min(axis=2) <= 0)
+
+    return extent_of(covered, low, high) or (np.zeros(2), np.zeros(2))

@@ -12,7 +12,7 @@ Lengths in metres, in the contact frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -416,10 +416,7 @@ def _heights(body: Body, x: Array, y: Array) -> Array:
 
 
 def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | None:
-    """Least and greatest (x, y) of the untouched top that an indenter at `tip` overlaps; or None.
-
-    Found on a grid of points, and widened by what may lie between them.
-    """
+    """Least and greatest (x, y) of the untouched top that an indenter at `tip` overlaps, if any."""
     half = np.array([body.size_x, body.size_y]) / 2
     highest = float(_heights(body, np.array([tip[0]]), np.array([tip[1]]))[0, 0])
     deep = max(0.0, max(highest, 0.0) - float(tip[2]))
@@ -428,20 +425,39 @@ def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | Non
     high = np.minimum(bounds[:, 1] + tip[:2], half)
     if (low >= high).any():
         return None
-    for _pass in range(PASSES):
-        x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
+
+    def overlaps(x: Array, y: Array) -> Mask:
         top = _heights(body, x, y)
         under = np.linspace(0.0, 1.0, LEVELS) * np.maximum(top - tip[2], 0.0)[..., None]
         places = np.empty((SAMPLES, SAMPLES, LEVELS, 3))
         places[..., 0] = x[:, None, None] - tip[0]
         places[..., 1] = y[None, :, None] - tip[1]
         places[..., 2] = under
-        overlaps = (indenter.distance(places)[0].min(axis=2) <= 0) & (top >= tip[2])
-        overlaps &= body.covers(x[:, None], y)
-        if not overlaps.any():
+        inside = (indenter.distance(places)[0].min(axis=2) <= 0) & (top >= tip[2])
+        return np.asarray(inside & body.covers(x[:, None], y))
+
+    return extent_of(overlaps, low, high)
+
+
+def extent_of(
+    holds: Callable[[Array, Array], Mask], low: Array, high: Array
+) -> tuple[Array, Array] | None:
+    """Least and greatest (x, y) at which something holds, within a box; None where it never does.
+
+    Found on a grid of points, and widened by what may lie between them.
+
+    Args:
+        holds: From x (X,) and y (Y,) to whether it does (X, Y).
+        low: Least x and y of the box (2,).
+        high: Greatest (2,).
+    """
+    for _pass in range(PASSES):
+        x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
+        found = holds(x, y)
+        if not found.any():
             return None
         between = (high - low) / (SAMPLES - 1)
-        in_x, in_y = (np.unique(place) for place in np.nonzero(overlaps))
+        in_x, in_y = (np.unique(place) for place in np.nonzero(found))
         least = np.array([x[in_x[0]], y[in_y[0]]]) - between
         most = np.array([x[in_x[-1]], y[in_y[-1]]]) + between
         low, high = np.maximum(least, low), np.minimum(most, high)
