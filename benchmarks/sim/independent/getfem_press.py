@@ -230,8 +230,11 @@ class Solver:
                 sums[index] = 0.0
         return np.asarray(copies * sums)
 
-    def move(self, tip: Array) -> bool:
-        """Newton's method to a tip at `tip`; whether it balances."""
+    def move(self, tip: Array, guess: Array | float = 0.0) -> bool:
+        """Newton's method to a tip at `tip`; whether it balances.
+
+        It starts from the body as it is, displaced by `guess` [mm] at its nodes.
+        """
         model, before = self.model, self.model.variable("u")
         travel = tip - model.variable("tip")
         if self.case.friction:
@@ -239,6 +242,7 @@ class Solver:
             model.set_variable("travel", travel)
         was = model.variable("tip")
         model.set_variable("tip", tip)
+        model.set_variable("u", before + guess)
         first = math.inf
         for _ in range(ITERATIONS):
             model.assembly("build_all")
@@ -298,15 +302,23 @@ def main(name: str, scale: float) -> int:
     """Solve a case; print each of its forces."""
     case = next(case for case in CASES if case.name == name)
     solver = Solver(case, scale)
-    tip = np.array([case.path[0][0], case.path[0][1], 0.0])
+    start = np.array([case.path[0][0], case.path[0][1], 0.0])
+    heading = np.zeros(3)
     for x, y, depth in case.path:
         aim = np.array([x, y, -depth])
+        length = float(np.linalg.norm(aim - start))
+        # How the body moved per way of the tip, of the last step in this direction: without it, the
+        # indenter is so deep in the body that Newton's method starts from pressures a hundredfold.
+        if heading @ (aim - start) < 0.99 * length:
+            rate = np.zeros(solver.field.nbdof())
+        heading = (aim - start) / length
         parts = 6 if case.friction else 3
         share, step = 0.0, 1.0 / parts
-        start = tip
         while share < 1 - 1e-9:
             ahead = min(1.0, share + step)
-            if solver.move(start + ahead * (aim - start)):
+            before, way = solver.model.variable("u"), (ahead - share) * length
+            if solver.move(start + ahead * length * heading, way * rate):
+                rate = (solver.model.variable("u") - before) / way
                 share = ahead
             else:
                 step /= 2
@@ -314,7 +326,7 @@ def main(name: str, scale: float) -> int:
                     print(f"{name}: no balance", file=sys.stderr)
                     return 1
         solver.settle()
-        tip = aim
+        start = aim
         force = [float(value) for value in solver.force()]
         print(json.dumps({"force": force, "elements": solver.elements}), flush=True)
     return 0
