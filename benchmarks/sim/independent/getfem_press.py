@@ -37,6 +37,8 @@ BASE, TOP = 1, 2
 """Numbers of regions."""
 STIFFNESS = 300.0
 """Of contact, in modulus per millimetre of contact radius."""
+STUCK = 50.0
+"""Friction with which hardly anything slips."""
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 """First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements."""
@@ -243,23 +245,37 @@ class Solver:
         was = model.variable("tip")
         model.set_variable("tip", tip)
         model.set_variable("u", before + guess)
+        # With friction, first as if all stuck: were the body left where it is, all of it would slip
+        # at the first iteration, and nothing would hold it sideways.
+        if self.case.friction:
+            model.set_variable("mu", STUCK)
+            if not self._balanced():
+                model.set_variable("u", before + guess)
+            model.set_variable("mu", self.case.friction)
+        if self._balanced():
+            self._remember()
+            return True
+        model.set_variable("u", before)
+        model.set_variable("tip", was)
+        return False
+
+    def _balanced(self) -> bool:
+        """Newton's method from the body as it is; whether it converges."""
+        model = self.model
         first = math.inf
         for _ in range(ITERATIONS):
             model.assembly("build_all")
             right = np.asarray(model.rhs())[self.free]
             norm = float(np.linalg.norm(right))
             if not math.isfinite(norm) or norm > 1e4 * first:
-                break
+                return False
             first = min(first, norm)
             push = max(float(np.linalg.norm(self.force())), 1e-9)
             if norm < CONVERGED * push:
-                self._remember()
                 return True
             change = np.zeros(self.field.nbdof())
             change[self.free] = self._solve(right)
             model.set_variable("u", model.variable("u") + change)
-        model.set_variable("u", before)
-        model.set_variable("tip", was)
         return False
 
     def _remember(self) -> None:
@@ -319,7 +335,7 @@ def main(name: str, scale: float) -> int:
             before, way = solver.model.variable("u"), (ahead - share) * length
             if solver.move(start + ahead * length * heading, way * rate):
                 rate = (solver.model.variable("u") - before) / way
-                share = ahead
+                share, step = ahead, min(1.0 / parts, 1.5 * step)
             else:
                 step /= 2
                 if step < 1e-3:
