@@ -12,6 +12,7 @@ from benchmarks.sim.independent.axisymmetric import Layer, Press
 from benchmarks.sim.independent.cases import CASES, Case
 from benchmarks.sim.independent.comparison import foreign_scene, own_error, scene_of
 from benchmarks.sim.independent.element import Elastic, Grid
+from benchmarks.sim.independent.foreign import load as load_foreign
 from benchmarks.sim.independent.foreign_cases import CASES as FOREIGN
 from benchmarks.sim.independent.mesh import layer_grid
 from benchmarks.sim.independent.profile import Profile, cone, punch, sphere, torus, tube
@@ -162,6 +163,17 @@ def test_the_stored_truths_are_of_these_cases_and_good_enough() -> None:
         case = next(case for case in CASES if case.name == row.case)
         assert row.depth_mm in case.depths
         assert row.error_percent < 0.6, row
+
+
+def test_the_stored_truths_by_a_foreign_program_are_of_these_cases_and_good_enough() -> None:
+    rows = load_foreign()
+    assert len({row.case for row in rows}) >= 9
+    for row in rows:
+        case = next(case for case in FOREIGN if case.name == row.case)
+        assert (row.x_mm, row.y_mm, row.depth_mm) == case.path[row.point]
+        assert (row.shape, row.measures, row.friction) == (case.shape, case.text, case.friction)
+        assert row.error_percent < 1.6, row
+        assert row.force_z_n < 0
 
 
 def test_what_a_result_says_of_its_error_is_read() -> None:

@@ -37,6 +37,8 @@ BASE, TOP = 1, 2
 """Numbers of regions."""
 STIFFNESS = 300.0
 """Of contact, in modulus per millimetre of contact radius."""
+STUCK = 50.0
+"""Friction with which hardly anything slips."""
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 """First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements."""
@@ -230,8 +232,11 @@ class Solver:
                 sums[index] = 0.0
         return np.asarray(copies * sums)
 
-    def move(self, tip: Array) -> bool:
-        """Newton's method to a tip at `tip`; whether it balances."""
+    def move(self, tip: Array, guess: Array | float = 0.0) -> bool:
+        """Newton's method to a tip at `tip`; whether it balances.
+
+        It starts from the body as it is, displaced by `guess` [mm] at its nodes.
+        """
         model, before = self.model, self.model.variable("u")
         travel = tip - model.variable("tip")
         if self.case.friction:
@@ -239,23 +244,38 @@ class Solver:
             model.set_variable("travel", travel)
         was = model.variable("tip")
         model.set_variable("tip", tip)
+        model.set_variable("u", before + guess)
+        # With friction, first as if all stuck: were the body left where it is, all of it would slip
+        # at the first iteration, and nothing would hold it sideways.
+        if self.case.friction:
+            model.set_variable("mu", STUCK)
+            if not self._balanced():
+                model.set_variable("u", before + guess)
+            model.set_variable("mu", self.case.friction)
+        if self._balanced():
+            self._remember()
+            return True
+        model.set_variable("u", before)
+        model.set_variable("tip", was)
+        return False
+
+    def _balanced(self) -> bool:
+        """Newton's method from the body as it is; whether it converges."""
+        model = self.model
         first = math.inf
         for _ in range(ITERATIONS):
             model.assembly("build_all")
             right = np.asarray(model.rhs())[self.free]
             norm = float(np.linalg.norm(right))
             if not math.isfinite(norm) or norm > 1e4 * first:
-                break
+                return False
             first = min(first, norm)
             push = max(float(np.linalg.norm(self.force())), 1e-9)
             if norm < CONVERGED * push:
-                self._remember()
                 return True
             change = np.zeros(self.field.nbdof())
             change[self.free] = self._solve(right)
             model.set_variable("u", model.variable("u") + change)
-        model.set_variable("u", before)
-        model.set_variable("tip", was)
         return False
 
     def _remember(self) -> None:
@@ -298,23 +318,31 @@ def main(name: str, scale: float) -> int:
     """Solve a case; print each of its forces."""
     case = next(case for case in CASES if case.name == name)
     solver = Solver(case, scale)
-    tip = np.array([case.path[0][0], case.path[0][1], 0.0])
+    start = np.array([case.path[0][0], case.path[0][1], 0.0])
+    heading = np.zeros(3)
     for x, y, depth in case.path:
         aim = np.array([x, y, -depth])
+        length = float(np.linalg.norm(aim - start))
+        # How the body moved per way of the tip, of the last step in this direction: without it, the
+        # indenter is so deep in the body that Newton's method starts from pressures a hundredfold.
+        if heading @ (aim - start) < 0.99 * length:
+            rate = np.zeros(solver.field.nbdof())
+        heading = (aim - start) / length
         parts = 6 if case.friction else 3
         share, step = 0.0, 1.0 / parts
-        start = tip
         while share < 1 - 1e-9:
             ahead = min(1.0, share + step)
-            if solver.move(start + ahead * (aim - start)):
-                share = ahead
+            before, way = solver.model.variable("u"), (ahead - share) * length
+            if solver.move(start + ahead * length * heading, way * rate):
+                rate = (solver.model.variable("u") - before) / way
+                share, step = ahead, min(1.0 / parts, 1.5 * step)
             else:
                 step /= 2
                 if step < 1e-3:
                     print(f"{name}: no balance", file=sys.stderr)
                     return 1
         solver.settle()
-        tip = aim
+        start = aim
         force = [float(value) for value in solver.force()]
         print(json.dumps({"force": force, "elements": solver.elements}), flush=True)
     return 0
