@@ -40,6 +40,8 @@ STIFFNESS = 300.0
 STUCK = 50.0
 """Friction with which hardly anything slips."""
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of a change that Newton's method proposes, tried in turn."""
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 """First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements."""
 
@@ -261,22 +263,35 @@ class Solver:
 
     def _balanced(self) -> bool:
         """Newton's method from the body as it is; whether it converges."""
-        model = self.model
-        first = math.inf
+        norm = self._residual(self.model.variable("u"))
         for _ in range(ITERATIONS):
-            model.assembly("build_all")
-            right = np.asarray(model.rhs())[self.free]
-            norm = float(np.linalg.norm(right))
-            if not math.isfinite(norm) or norm > 1e4 * first:
+            if not math.isfinite(norm):
                 return False
-            first = min(first, norm)
-            push = max(float(np.linalg.norm(self.force())), 1e-9)
-            if norm < CONVERGED * push:
+            if norm < CONVERGED * max(float(np.linalg.norm(self.force())), 1e-9):
                 return True
-            change = np.zeros(self.field.nbdof())
-            change[self.free] = self._solve(right)
-            model.set_variable("u", model.variable("u") + change)
+            norm = self._improved(norm)
         return False
+
+    def _residual(self, u: Array) -> float:
+        """Length of the forces that are out of balance with displacements `u` [N]."""
+        self.model.set_variable("u", u)
+        self.model.assembly("build_all")
+        return float(np.linalg.norm(np.asarray(self.model.rhs())[self.free]))
+
+    def _improved(self, norm: float) -> float:
+        """One change by Newton's method, or the share of it that is best; what is left [N]."""
+        start, change = self.model.variable("u"), np.zeros(self.field.nbdof())
+        change[self.free] = self._solve(np.asarray(self.model.rhs())[self.free])
+        left = {}
+        for share in SHARES:
+            left[share] = self._residual(start + share * change)
+            # NaN, of an element turned inside out, is not less either.
+            if left[share] < norm:
+                return left[share]
+        finite = [share for share in SHARES if math.isfinite(left[share])]
+        if not finite:
+            return math.nan
+        return self._residual(start + min(finite, key=lambda share: left[share]) * change)
 
     def _remember(self) -> None:
         if self.case.friction:
