@@ -317,8 +317,6 @@ class ConjugateGradient:
 # lifted, to their absolute values at least; L D L^T with positive pivots is positive definite
 # whatever L is.
 
-ABOVE = CENTRE + 1
-"""Slot of the node above."""
 BLOCK = 64
 """Columns that one block of a GPU's threads takes, whose sums it adds up."""
 PIVOT_LEAST = 1e-5
@@ -388,6 +386,45 @@ def _column_kernels(real):
             pivot_out[env, line, k] = inverse
             upper_out[env, line, k] = upper
 
+    @wp.func
+    def eliminated(
+        upper: wp.array3d(dtype=mat33),
+        env: int,
+        line: int,
+        k: int,
+        n: int,
+        y: vec3,
+        z_out: wp.array2d(dtype=vec3),
+    ):
+        """Keep the solution by L, `y`, of the line's node k; what is to be taken from the next."""
+        z_out[env, n] = y
+        return wp.transpose(upper[env, line, k]) * y
+
+    @wp.func
+    def substituted(
+        pivot: wp.array3d(dtype=mat33),
+        upper: wp.array3d(dtype=mat33),
+        r: wp.array2d(dtype=vec3),
+        env: int,
+        line: int,
+        begin: int,
+        stride: int,
+        z_out: wp.array2d(dtype=vec3),
+    ):
+        """Solve by D L^T, backwards from what L left in `z_out`; the line's r.z and r.r."""
+        length = pivot.shape[2]
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        z = vec3()
+        for j in range(length):
+            k = length - 1 - j
+            n = begin + k * stride
+            z = pivot[env, line, k] * z_out[env, n] - upper[env, line, k] * z
+            z_out[env, n] = z
+            rz += wp.float64(wp.dot(r[env, n], z))
+            rr += wp.float64(wp.dot(r[env, n], r[env, n]))
+        return rz, rr
+
     @wp.kernel(enable_backward=False, module="unique")
     def along(
         # How the numbers of nodes run along a line, and where the shares of the sums begin
@@ -401,9 +438,9 @@ def _column_kernels(real):
         pivot: wp.array3d(dtype=mat33),
         upper: wp.array3d(dtype=mat33),
         r: wp.array2d(dtype=vec3),
-        # Between: what L leaves
-        between: wp.array2d(dtype=vec3),
-        # In and out: preconditioned residual, to which this line's is added
+        # Out: what this line makes of the residual
+        own_out: wp.array2d(dtype=vec3),
+        # In and out: preconditioned residual, to which that is added
         z_out: wp.array2d(dtype=vec3),
         # Out: shares of r.z
         sums_out: wp.array3d(dtype=wp.float64),
@@ -419,54 +456,13 @@ def _column_kernels(real):
         length = pivot.shape[2]
         carried = vec3()
         for k in range(length):
-            y = r[env, begin + k * stride] - carried
-            between[env, begin + k * stride] = y
-            carried = wp.transpose(upper[env, line, k]) * y
-        rz = wp.float64(0.0)
-        z = vec3()
-        for j in range(length):
-            k = length - 1 - j
             n = begin + k * stride
-            z = pivot[env, line, k] * between[env, n] - upper[env, line, k] * z
-            z_out[env, n] = z_out[env, n] + z
-            rz += wp.float64(wp.dot(r[env, n], z))
+            carried = eliminated(upper, env, line, k, n, r[env, n] - carried, own_out)
+        rz, _rr = substituted(pivot, upper, r, env, line, begin, stride, own_out)
+        for k in range(length):
+            n = begin + k * stride
+            z_out[env, n] = z_out[env, n] + own_out[env, n]
         sums_out[env, first + line, 0] = rz
-
-    @wp.func
-    def eliminated(
-        upper: wp.array3d(dtype=mat33),
-        env: int,
-        column: int,
-        k: int,
-        y: vec3,
-        z_out: wp.array2d(dtype=vec3),
-    ):
-        """Keep node k's solution by L, `y`; what is to be taken from the node above."""
-        z_out[env, column * upper.shape[2] + k] = y
-        return wp.transpose(upper[env, column, k]) * y
-
-    @wp.func
-    def substituted(
-        pivot: wp.array3d(dtype=mat33),
-        upper: wp.array3d(dtype=mat33),
-        r: wp.array2d(dtype=vec3),
-        env: int,
-        column: int,
-        z_out: wp.array2d(dtype=vec3),
-    ):
-        """Solve by D L^T, downwards from what L left in `z_out`; the column's r.z and r.r."""
-        levels = pivot.shape[2]
-        rz = wp.float64(0.0)
-        rr = wp.float64(0.0)
-        z = vec3()
-        for j in range(levels):
-            k = levels - 1 - j
-            n = column * levels + k
-            z = pivot[env, column, k] * z_out[env, n] - upper[env, column, k] * z
-            z_out[env, n] = z
-            rz += wp.float64(wp.dot(r[env, n], z))
-            rr += wp.float64(wp.dot(r[env, n], r[env, n]))
-        return rz, rr
 
     @wp.kernel(enable_backward=False, module="unique")
     def step(
@@ -509,9 +505,9 @@ def _column_kernels(real):
             levels = pivot.shape[2]
             carried = vec3()
             for k in range(levels):
-                y = r[env, column * levels + k] - carried
-                carried = eliminated(upper, env, column, k, y, z_out)
-            rz, rr = substituted(pivot, upper, r, env, column, z_out)
+                n = column * levels + k
+                carried = eliminated(upper, env, column, k, n, r[env, n] - carried, z_out)
+            rz, rr = substituted(pivot, upper, r, env, column, column * levels, 1, z_out)
         block_rz = wp.tile_sum(wp.tile(rz))
         block_rr = wp.tile_sum(wp.tile(rr))
         if column % BLOCK == 0:
@@ -546,12 +542,55 @@ def _column_kernels(real):
             solution_out[env, n] = solution_out[env, n] + p[env, n] * length
             r = r_out[env, n] - product[env, n] * length
             r_out[env, n] = r
-            carried = eliminated(upper, env, column, k, r - carried, z_out)
-        rz, rr = substituted(pivot, upper, r_out, env, column, z_out)
+            carried = eliminated(upper, env, column, k, n, r - carried, z_out)
+        rz, rr = substituted(pivot, upper, r_out, env, column, column * levels, 1, z_out)
         sums_out[env, column, 0] = rz
         sums_out[env, column, 1] = rr
 
     return factor, along, step, sweep, advance
+
+
+class _Factors:
+    """Factors of the lines of nodes along one axis, of B environments on one grid.
+
+    Args:
+        mesh: Grid, and which nodes are held.
+        axis: 0, 1 or 2: x, y or z.
+        real: Warp's scalar type.
+        environments: How many, B.
+        device: Where.
+        parallel: Whether line numbers run fastest in memory.
+    """
+
+    def __init__(
+        self, mesh: Mesh, axis: int, real, environments: int, device: str, *, parallel: bool
+    ) -> None:
+        self._kernel = _column_kernels(real)[0]
+        self._environments, self._device = environments, device
+        x, y, z = (cells + 1 for cells in mesh.cells)
+        # First nodes that stand side by side, and the way from one lot of them to the next; the way
+        # from node to node along the line.
+        self.order = ((y * z, 0, y * z), (z, y * z, z), (1, z, 1))[axis]
+        """How the numbers of nodes run along lines."""
+        self._next_slot = (CENTRE + 9, CENTRE + 3, CENTRE + 1)[axis]
+        length = (x, y, z)[axis]
+        self.lines = len(mesh.nodes) // length
+        """How many lines there are."""
+        shape = (length, self.lines) if parallel else (self.lines, length)
+        stored = wp.zeros((2, environments, *shape), matrix_of(real), device=device)
+        stored = stored.transpose((0, 1, 3, 2)) if parallel else stored
+        self.pivot, self.upper = stored[0], stored[1]
+        self._free = wp.array(mesh.free.astype(np.int32), dtype=wp.int32, device=device)
+
+    def make(self, active, matrix) -> None:
+        """Factor the lines of active environments, from the blocks (B, N, 27) of a `Stencil`."""
+        wp.launch(
+            self._kernel,
+            dim=(self._environments, self.lines),
+            inputs=[self._free, *self.order, self._next_slot, active, matrix],
+            outputs=[self.pivot, self.upper],
+            device=self._device,
+        )
 
 
 class Columns:
@@ -574,30 +613,15 @@ class Columns:
         """
         self._device = device
         on_gpu = self._on_gpu = wp.get_device(device).is_cuda
-        self._factor, _along, self._step, self._sweep, self._advance = _column_kernels(real)
-        levels = mesh.cells[2] + 1
-        columns = len(mesh.nodes) // levels
-        self._launched = (environments, columns)
-        self._order = 1, levels, 1, ABOVE
-        self.parts = -(-columns // BLOCK) if on_gpu else columns
+        _factor, _along, self._step, self._sweep, self._advance = _column_kernels(real)
+        parallel = on_gpu if parallel is None else parallel
+        found = self._factors = _Factors(mesh, 2, real, environments, device, parallel=parallel)
+        self.parts = -(-found.lines // BLOCK) if on_gpu else found.lines
         """How many shares `advance` writes of each sum."""
-        if on_gpu if parallel is None else parallel:
-            stored = wp.zeros((2, environments, levels, columns), matrix_of(real), device=device)
-            stored = stored.transpose((0, 1, 3, 2))
-        else:
-            stored = wp.zeros((2, environments, columns, levels), matrix_of(real), device=device)
-        self._pivot, self._upper = stored[0], stored[1]
-        self._free = wp.array(mesh.free.astype(np.int32), dtype=wp.int32, device=device)
 
     def factor(self, active, matrix) -> None:
         """Factor the columns of active environments, from the blocks (B, N, 27) of a `Stencil`."""
-        wp.launch(
-            self._factor,
-            dim=self._launched,
-            inputs=[self._free, *self._order, active, matrix],
-            outputs=[self._pivot, self._upper],
-            device=self._device,
-        )
+        self._factors.make(active, matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
         """Go a step of conjugate gradients, and precondition the residual that it leaves.
@@ -613,8 +637,8 @@ class Columns:
         if not self._on_gpu:
             wp.launch(
                 self._advance,
-                dim=(len(which), self._launched[1]),
-                inputs=[which, self._pivot, self._upper, scalars, *along],
+                dim=(len(which), self._factors.lines),
+                inputs=[which, self._factors.pivot, self._factors.upper, scalars, *along],
                 outputs=[*vectors, sums],
                 device=self._device,
             )
@@ -630,7 +654,7 @@ class Columns:
         wp.launch(
             self._sweep,
             dim=(len(which), self.parts * BLOCK),
-            inputs=[which, self._pivot, self._upper, r],
+            inputs=[which, self._factors.pivot, self._factors.upper, r],
             outputs=[z, sums],
             device=self._device,
             block_dim=BLOCK,
@@ -664,23 +688,17 @@ class Lines:
         self, mesh: Mesh, real, environments: int, device: str, *, parallel: bool | None = None
     ) -> None:
         self._columns = Columns(mesh, real, environments, device, parallel=parallel)
-        self._real, self._device = real, device
+        self._mesh, self._real, self._device = mesh, real, device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
-        self._factor, self._along, *_others = _column_kernels(real)
+        self._along = _column_kernels(real)[1]
         x, y, z = (cells + 1 for cells in mesh.cells)
-        # Along x and along y: nodes side by side and the step to the next lot of them; the step
-        # along the line, the slot there, and how many lines of how many nodes there are.
-        self._orders = ((y * z, 0, y * z, CENTRE + 9), (z, y * z, z, CENTRE + 3))
-        self._counts = ((y * z, x), (x * z, y))
-        self._environments, self._nodes = environments, x * y * z
         self.parts = self._columns.parts + y * z + x * z
         """How many shares `advance` writes of each sum."""
         self.hard = np.zeros(environments, bool)
         """Which environments have lines along all axes (B,)."""
         self._hard = wp.zeros(environments, dtype=wp.int32, device=device)
-        self._free = wp.array(mesh.free.astype(np.int32), dtype=wp.int32, device=device)
-        self._factors: list = []
-        self._between = None
+        self._factors: list[_Factors] = []
+        self._own = None
 
     @property
     def ways(self) -> int:
@@ -696,60 +714,43 @@ class Lines:
         self._hard.assign(hard.astype(np.int32))
         if self._factors:
             return
-        for lines, length in self._counts:
-            order = (length, lines) if self._parallel else (lines, length)
-            stored = wp.zeros(
-                (2, self._environments, *order), matrix_of(self._real), device=self._device
-            )
-            self._factors.append(stored.transpose((0, 1, 3, 2)) if self._parallel else stored)
-        shape = self._environments, self._nodes
-        self._between = wp.zeros(shape, vector_of(self._real), device=self._device)
+        real, count, device = self._real, len(hard), self._device
+        self._factors = [
+            _Factors(self._mesh, axis, real, count, device, parallel=self._parallel)
+            for axis in (0, 1)
+        ]
+        shape = count, len(self._mesh.nodes)
+        self._own = wp.zeros(shape, vector_of(real), device=device)
 
     def factor(self, active, matrix) -> None:
         """As `Columns.factor`."""
         self._columns.factor(active, matrix)
         if not self._factors:
             return
-        chosen = wp.array(
-            (active.numpy().astype(bool) & self.hard).astype(np.int32),
-            dtype=wp.int32,
-            device=self._device,
-        )
-        for order, (lines, _length), stored in zip(
-            self._orders, self._counts, self._factors, strict=True
-        ):
-            wp.launch(
-                self._factor,
-                dim=(self._environments, lines),
-                inputs=[self._free, *order, chosen, matrix],
-                outputs=[stored[0], stored[1]],
-                device=self._device,
-            )
+        chosen = (active.numpy().astype(bool) & self.hard).astype(np.int32)
+        chosen = wp.array(chosen, dtype=wp.int32, device=self._device)
+        for factors in self._factors:
+            factors.make(chosen, matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
         """As `Columns.advance`."""
         self._columns.advance(which, scalars, along, vectors, sums)
-        if not self._factors:
-            return
         _solution, r, z = vectors
         first = self._columns.parts
-        for order, (lines, _length), stored in zip(
-            self._orders, self._counts, self._factors, strict=True
-        ):
+        for factors in self._factors:
             wp.launch(
                 self._along,
-                dim=(len(which), lines),
+                dim=(len(which), factors.lines),
                 inputs=[
-                    *order[:3],
+                    *factors.order,
                     first,
                     which,
                     self._hard,
-                    stored[0],
-                    stored[1],
+                    factors.pivot,
+                    factors.upper,
                     r,
-                    self._between,
                 ],
-                outputs=[z, sums],
+                outputs=[self._own, z, sums],
                 device=self._device,
             )
-            first += lines
+            first += factors.lines
