@@ -23,7 +23,7 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
-_MOVED = ("refine", "hard-cases", "effects", "accuracy", "cost-table", "speed")
+_MOVED = ("refine", "hard-cases", "effects", "accuracy", "speed")
 """Verbs that measured; each is a benchmark of the same name now."""
 
 
