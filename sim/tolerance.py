@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,7 +211,7 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, f
 def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cpu") -> Result:
     """The same result, its error measured by a coarser mesh; `record["error_bar"]` has it too.
 
-    That of a `layer` result is its difference from elements, and what those state of their own.
+    For a `layer` result it is the difference from a `fem` result plus the error that one states.
 
     Args:
         result: Of `fem` or `layer`.
@@ -250,13 +250,7 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
     scale = force_scale(result.force)
     share = np.maximum(left * difference / scale, FLOOR * (size > 0))
     error = measured(result, share, "a coarser mesh", second_mesh=dict(second.record["mesh"]))
-    bar = {
-        "force_share": error["percent"] / 100,
-        "force": left * apart["force"],
-        "marker_rms": left * apart["marker"],
-        "second_mesh": error["second_mesh"],
-    }
-    return replace(result, record={**result.record, "error": error, "error_bar": bar})
+    return _with_bar(result, error, left * apart["force"], left * apart["marker"])
 
 
 def elements_ratio(coarse: Result, fine: Result) -> float:
@@ -275,11 +269,17 @@ def _beside_elements(result: Result, numerics: Numerics, device: str) -> Result:
     share = difference / force_scale(second.force) + np.array(own["force"])
     mesh = dict(second.record["mesh"])
     error = measured(result, share, "elements, and what they state themselves", second_mesh=mesh)
+    own_force = own["percent"] / 100 * np.linalg.norm(second.force, axis=1).max()
+    return _with_bar(result, error, apart["force"] + own_force, apart["marker"])
+
+
+def _with_bar(result: Result, error: dict[str, Any], force: float, marker: float) -> Result:
+    """The result with its measured `error`, and as a bar: of the force [N], of the markers [px]."""
     bar = {
         "force_share": error["percent"] / 100,
-        "force": apart["force"] + own["percent"] / 100 * np.linalg.norm(second.force, axis=1).max(),
-        "marker_rms": apart["marker"],
-        "second_mesh": mesh,
+        "force": force,
+        "marker_rms": marker,
+        "second_mesh": error["second_mesh"],
     }
     return replace(result, record={**result.record, "error": error, "error_bar": bar})
 

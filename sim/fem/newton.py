@@ -337,7 +337,7 @@ class Path:
     @property
     def length(self) -> float:
         """Length of the present segment."""
-        return float(np.linalg.norm(self.corners[self.segment + 1] - self.corners[self.segment]))
+        return self._length_of(self.segment)
 
     @property
     def limit(self) -> float:
@@ -349,13 +349,16 @@ class Path:
         """Steps of all segments, if none is halved."""
         return sum(self._steps_of(segment) for segment in range(len(self.corners) - 1))
 
+    def _length_of(self, segment: int) -> float:
+        return float(np.linalg.norm(self.corners[segment + 1] - self.corners[segment]))
+
     def _steps_of(self, segment: int) -> float:
         duration = self.times[segment + 1] - self.times[segment]
         by_time = min(STEPS_MAX, max(1.0, duration / self.shortest_time * RELAXATION_STEPS))
         if not segment:
             by_time = 1.0
-        length = np.linalg.norm(self.corners[segment + 1] - self.corners[segment])
-        return float(max(1.0, np.ceil(length / self.longest), np.ceil(by_time)))
+        by_way = np.ceil(self._length_of(segment) / self.longest)
+        return float(max(1.0, by_way, np.ceil(by_time)))
 
     def goal(self) -> tuple[float, Array, float]:
         """Share of the segment after the next step, the tip there (3,), and the step's time [s]."""

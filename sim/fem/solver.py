@@ -383,8 +383,8 @@ to it; and how many of those a step has, its end included."""
 POISSON_FLOAT32 = 0.4995
 """Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""
 ROUNDING, ROUNDED_MOST = 10.0, 2
-"""Residual of a failed step over the tolerance, below which rounding is what keeps it from balance:
-smaller steps end there too. After so many `auto` goes on in float64."""
+"""A step that fails with a residual below this many tolerances lacks digits: a smaller step would
+fail too. After this many such steps `auto` starts again in float64."""
 ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
 """Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory."""
 

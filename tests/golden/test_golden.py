@@ -11,7 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from cases import CASES
-from golden import CHECKOUT, Case, compare, run_case
+from golden import CHECKOUT, Case
+from replay import replayed
 
 
 def _marks(case: Case) -> list[pytest.MarkDecorator]:
@@ -23,5 +24,5 @@ def _marks(case: Case) -> list[pytest.MarkDecorator]:
     "case", [pytest.param(case, id=case.name, marks=_marks(case)) for case in CASES]
 )
 def test_it_is_as_it_was(case: Case) -> None:
-    lines, _ = compare(case, run_case(case, CHECKOUT))
+    lines, _note, _took = replayed(case, CHECKOUT)
     assert not lines, "\n".join(lines)

@@ -87,8 +87,8 @@ creases, in one of many ways, and no answer is the answer.
   on a CPU and in one launch on a GPU, all over 18. **Memory**: on a CPU the most that a process of
   its own held, Python and libraries (about 220 MiB) included; on a GPU the most its arrays held.
 - **fem** has a mesh that follows the contact; its default has the fineness 1. **tolerance** is
-  met by measuring, and its seconds are of all meshes that it took. **fem even** has elements of
-  one size, whatever touches.
+  met by measuring, or by `layer` where its estimate is trusted, and its seconds are of everything
+  that was tried. **fem even** has elements of one size, whatever touches.
 - **Reference**: {reference}; viscous motions in time steps a third as long. The grey line is its
   difference from elements {coarser:g} times as large: errors below are not known. It is computed
   once and kept in `build/accuracy`.

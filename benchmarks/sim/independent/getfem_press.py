@@ -279,7 +279,7 @@ class Solver:
         return float(np.linalg.norm(np.asarray(self.model.rhs())[self.free]))
 
     def _improved(self, norm: float) -> float:
-        """One change by Newton's method, or the share of it that is best; what is left [N]."""
+        """Take one Newton step, shortened where that helps; the force still out of balance [N]."""
         start, change = self.model.variable("u"), np.zeros(self.field.nbdof())
         change[self.free] = self._solve(np.asarray(self.model.rhs())[self.free])
         left = {}
