@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.contact_size import touched_by
 from sim.metrics import WEAK, force_scale
 from sim.result import SIDES, Result
 from sim.symmetry import vanishing_share, with_symmetry
@@ -27,9 +26,6 @@ PER_SQUARE = 0.016
 square of the elements' size. 0.012 covered 110 of the 133 forces of `benchmarks independent`."""
 RESOLVED = 0.5
 """Fineness below which the error grows with the elements' size itself."""
-FLATTER = 2.5
-"""Height of the topmost elements over that of a mesh that follows the contact, at which it costs as
-much as their sides: forces hang on it much less."""
 PER_EDGE = 0.03
 """Error of the force where the smallest elements are as long as an edge's radius, which falls with
 the square too."""
@@ -94,20 +90,8 @@ def fineness_of(result: Result) -> Array:
 
     1 are 12 elements from one side of the contact to the other; inf without contact.
     """
-    from sim.fem.sizing import coarser_than_asked, sizes_of
-
-    thickness = result.scene.body.thickness
-    found = np.full(len(result.wrench), np.inf)
-    for frame in range(len(found)):
-        touched = touched_by(result.traction[frame])
-        if not touched.any():
-            continue
-        x, y = result.surface_x, result.surface_y
-        asked = sizes_of(touched, x, y, thickness)
-        coarser = coarser_than_asked(asked, x, y)
-        height = result.record["mesh"].get("topmost", 0.0) / (FLATTER * asked.top)
-        found[frame] = 1.0 / max(coarser, height, 1e-6)
-    return found
+    told = result.record["mesh"]["resolved"]
+    return np.array([np.inf if one is None else one for one in told], float)
 
 
 def pixel_of(result: Result) -> float:
@@ -125,15 +109,20 @@ def side_distance(result: Result) -> float | None:
 
 
 def _of_elements(result: Result) -> dict[str, Any]:
+    from sim.fem.sizing import squeeze
+
     unknown = unknown_at_side(result)
     if unknown is not None:
         return unknown
     stages = result.record.get("stages", [])
     fineness = fineness_of(result)
+    layers = np.full(len(fineness), result.record["mesh"]["cells"][2])
     for stage in stages:  # meshes of their own, which follow contacts as small as theirs
         fineness[: stage["waypoints"]] = stage["mesh"]["fineness"]
+        layers[: stage["waypoints"]] = stage["mesh"]["cells"][2]
     # Quadratic where the contact is resolved, linear where it hardly is.
     share = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
+    share = share + squeeze(result.scene, result.quality.contact_width) / layers**2
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])

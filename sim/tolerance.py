@@ -54,7 +54,8 @@ LEFT = 1.0
 """Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
 leaves 0.86 of it, of 3 half of it; the rest is for chance."""
 RATIO_LEAST = 1.2
-"""Elements of one mesh over those of the other below which both say nothing of an error."""
+"""Elements of one mesh over those of the other, along each axis, below which both say nothing of an
+error: a wide contact's is in the layers, a narrow one's across it."""
 FLOOR = 1e-3
 """Least error that two meshes can tell of a force, over the force: what states are solved to."""
 WHOLE = 1.5
@@ -133,14 +134,17 @@ def simulate_within(
         unknown = unknown_at_side(pair[1], measured=True)
         if unknown is not None:
             raise SceneError(f"tolerance: {tolerance!r}; {unknown['why']}")
-        if elements_ratio(*pair) < RATIO_LEAST:
+        limited = pair[1].record["mesh"]["fineness"] < 0.97 * fineness
+        if least_ratio(*pair) < RATIO_LEAST:
             tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
-            break
+            if limited:
+                break
+            fineness *= COMPANION
+            continue
         found, error = _of_both(pair[0], pair[1], wanted)
         tried.append(f"fineness {fineness:.3g}: {with_unit(wanted.kind, error)}")
         if best is None or error < best[0]:
             best = error, found
-        limited = pair[1].record["mesh"]["fineness"] < 0.97 * fineness
         if error <= wanted.value:
             return _with_plan(found, wanted, tried, began)
         finer = (error / wanted.value) ** 0.5 * 1.05
@@ -191,10 +195,12 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, f
     found = with_symmetry(replace(fine, wrench=fine.wrench + step))
     size = np.linalg.norm(found.force, axis=1)
     scale = force_scale(found.force)
-    newton = np.maximum(LEFT * np.abs(step[:, :3]).max(axis=1), vanishing_share(found) * scale)
+    apart = np.abs(fine.force - coarse.force).max(axis=1)
+    unsure = LEFT * left_of_difference(least_ratio(coarse, fine)) * apart
+    newton = np.maximum(unsure, vanishing_share(found) * scale)
     share = np.maximum(newton / scale, FLOOR * (size > 0))
-    apart = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
-    pixels = MARKERS * left * float(np.sqrt(np.mean(apart**2, axis=1)).max(initial=0.0))
+    moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
+    pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))
     by = f"two meshes, elements {ratio:.2g} times as long in the coarser one"
     error = measured(
         found,
@@ -236,7 +242,7 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
         spacing = min(numerics.height(body) * COMPANION, coarsest_spacing(body))
         coarser = replace(numerics, spacing=spacing)
     second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
-    ratio = elements_ratio(second, result)
+    ratio = least_ratio(second, result)
     if ratio < RATIO_LEAST:
         cells = result.record["mesh"]["cells"]
         raise SceneError(
@@ -255,8 +261,17 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
 
 def elements_ratio(coarse: Result, fine: Result) -> float:
     """Length of elements of one mesh over that of the other, by their numbers."""
+    return float(np.exp(np.mean(np.log(_ratios(coarse, fine)))))
+
+
+def least_ratio(coarse: Result, fine: Result) -> float:
+    """The same along the axis where it is least: what both meshes tell of errors along any axis."""
+    return float(_ratios(coarse, fine).min())
+
+
+def _ratios(coarse: Result, fine: Result) -> Array:
     counts = [np.array(one.record["mesh"]["cells"], float) for one in (coarse, fine)]
-    return float(np.exp(np.mean(np.log(counts[1] / counts[0]))))
+    return np.asarray(counts[1] / counts[0])
 
 
 def _beside_elements(result: Result, numerics: Numerics, device: str) -> Result:

@@ -12,13 +12,16 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
+from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
+from sim.errors import SceneError
 from sim.fem.mesh import meshes_of
 from sim.fem.newton import path_of
 from sim.fem.numerics import Numerics
@@ -82,8 +85,11 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--device",
         default="cpu",
-        help="cpu, one scene after the other; cuda:0 and the like, all scenes side by side, whose "
-        "times are the mean (%(default)s)",
+        help="cpu, each scene by itself; cuda:0 and the like, all scenes side by side, whose times "
+        "are the mean (%(default)s)",
+    )
+    parser.add_argument(
+        "--processes", type=int, default=1, help="side by side on a CPU (%(default)s)"
     )
     parser.set_defaults(run=run)
 
@@ -97,22 +103,30 @@ def run(options: argparse.Namespace) -> int:
     from sim.device import ready_device
 
     tolerance_of(options.tolerance)
+    if options.processes < 1:
+        raise SceneError(f"--processes: {options.processes}; allowed: 1 or more")
     ready_device(options.device)
     numerics = Numerics(elements_max=options.elements)
     began = time.perf_counter()
     rows: list[Row] = []
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, done_counts(print):
         scenes = scenes_of(options.seed, options.scenes, Path(folder))
         together = 1 if options.device == "cpu" else len(scenes)
-        for first in range(0, len(scenes), together):
-            part = scenes[first : first + together]
-            for row in compared(part, options.tolerance, numerics, options.device):
+        parts = [scenes[first : first + together] for first in range(0, len(scenes), together)]
+        compare = partial(
+            compared, tolerance=options.tolerance, numerics=numerics, device=options.device
+        )
+        processes = min(options.processes, len(parts))
+        for found in side_by_side(compare, parts, options.device, processes):
+            for row in found:
                 rows.append(row)
                 print(line(row), flush=True)
             left = (time.perf_counter() - began) * (len(scenes) / len(rows) - 1)
             print(f"{len(rows)}/{len(scenes)}, {duration(left)} left", file=sys.stderr)
     for text in summary(rows):
         print(text)
+    if len(rows) < options.scenes:
+        return INTERRUPTED
     return int(any(row.true is not None and row.value > _limit(row) for row in rows))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.sim.stability.chance.scenes import Drawn, drawn
 from benchmarks.sim.stability.chance.verdict import OutOfTime, time_limit
-from benchmarks.sim.stability.runner import side_by_side
+from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
 from sim.fem.numerics import Numerics
@@ -193,15 +193,19 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     began = time.perf_counter()
     rows: list[Row] = []
     chosen = scenes(options.scenes, options.seed)
-    for row in side_by_side(judge, chosen, options.device, min(options.processes, len(chosen))):
-        rows.append(row)
-        left = (time.perf_counter() - began) * (len(chosen) / len(rows) - 1)
-        say(f"[{len(rows)}/{len(chosen)}] {line(row)}   {duration(left)} left")
+    with done_counts(say):
+        for row in side_by_side(judge, chosen, options.device, min(options.processes, len(chosen))):
+            rows.append(row)
+            left = (time.perf_counter() - began) * (len(chosen) / len(rows) - 1)
+            say(f"[{len(rows)}/{len(chosen)}] {line(row)}   {duration(left)} left")
     if options.csv:
         with options.csv.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow([one.name for one in fields(Row)])
             writer.writerows(astuple(row) for row in rows)
-    say(summary(rows, options.tolerance))
+    if rows:
+        say(summary(rows, options.tolerance))
+    if len(rows) < len(chosen):
+        return INTERRUPTED
     given = [row for row in rows if row.kind in ("kept", "missed")]
     return int(sum(row.kind == "kept" for row in given) < 0.95 * len(given))

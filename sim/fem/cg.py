@@ -669,8 +669,9 @@ class Columns:
 # Decomposition, 1996), which makes a third to a fifth of the iterations, each 1.5 to 2 times as
 # long.
 
-HARD_FROM = 150
-"""Iterations of one solve from which an environment has lines along all axes."""
+HARD_FROM = {"cpu": 150, "cuda": 2000}
+"""Iterations of one solve from which an environment has lines along all axes. On a GPU one thread
+walks along each line: an iteration takes five times as long, which pays only as a last resort."""
 
 
 class Lines:
@@ -691,6 +692,7 @@ class Lines:
         self._mesh, self._real, self._device = mesh, real, device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
         self._along = _column_kernels(real)[1]
+        self._hard_from = HARD_FROM["cuda" if wp.get_device(device).is_cuda else "cpu"]
         x, y, z = (cells + 1 for cells in mesh.cells)
         self.parts = self._columns.parts + y * z + x * z
         """How many shares `advance` writes of each sum."""
@@ -707,7 +709,7 @@ class Lines:
 
     def learn(self, used: np.ndarray) -> None:
         """Take what solves with columns have used (B,) for how hard each environment is."""
-        hard = self.hard | (used >= HARD_FROM)
+        hard = self.hard | (used >= self._hard_from)
         if (hard == self.hard).all():
             return
         self.hard = hard

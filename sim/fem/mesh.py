@@ -22,10 +22,12 @@ from sim.fem.sizing import (
     GROWTH,
     GROWTH_DOWN,
     LEVELS,
+    SQUEEZE_ERROR,
     Sizes,
     Span,
     extent_of,
     places_of,
+    squeeze,
     stages_of,
 )
 from sim.indenters import Indenter
@@ -460,6 +462,7 @@ def following_mesh(
     if body.dome_radius is not None:
         longest = min(longest, float(np.sqrt(8 * body.dome_radius * DOME_SHARE * unit)))
     top = min(sizes.top, (LONGEST_EVEN if whole else DEEPEST) * unit)
+    squeezed = float(np.sqrt(squeeze(scene, sizes.width) / SQUEEZE_ERROR))
     while True:
         along = [
             places_of(spans, -side / 2, side / 2, growth=GROWTH, longest=longest, fineness=fineness)
@@ -477,7 +480,7 @@ def following_mesh(
             _in_buckets(*counted, at_least=least)
             for counted, least in zip(along, at_least, strict=True)
         )
-        layers = max(3, int(np.ceil(down[0][-1])))
+        layers = max(3, int(np.ceil(max(down[0][-1], fineness * squeezed))))
         layers += layers % 2 if layers > MANY_LAYERS else 0
         if (len(x) - 1) * (len(y) - 1) * layers <= elements_max or fineness <= COARSEST_FINENESS:
             break

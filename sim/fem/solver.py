@@ -7,9 +7,12 @@ from __future__ import annotations
 import json
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path as File
+from typing import Self
 
 import numpy as np
 import warp as wp
@@ -28,6 +31,7 @@ from sim.fem.sizing import (
     coarser_than_asked,
     covered,
     finer_at,
+    resolved,
     sizes_of,
     stages_of,
 )
@@ -62,7 +66,7 @@ class ContactPoints:
 class Snapshot:
     """Arrays of the state last evaluated, on the host, of some of the environments.
 
-    A GPU hands over each array that is asked for once, for all of them; a CPU copies nothing.
+    Of a GPU they are copies, which stay as they are when the state goes on; a CPU copies nothing.
 
     Args:
         assembly: Whose state.
@@ -74,38 +78,65 @@ class Snapshot:
         self, assembly: Assembly, environments: Sequence[int], *, gather: bool | None = None
     ) -> None:
         self.assembly = assembly
-        self._gathers = wp.get_device(assembly.device).is_cuda if gather is None else gather
-        self._row = {env: row if self._gathers else env for row, env in enumerate(environments)}
-        self._indices = None
-        self._arrays: dict[int, np.ndarray] = {}
+        gathers = wp.get_device(assembly.device).is_cuda if gather is None else gather
+        self._row = {env: row if gathers else env for row, env in enumerate(environments)}
+        state = assembly.state
+        arrays = {
+            "u": state.u,
+            "touched": assembly.touched,
+            "pressure": state.pressure,
+            "carried": state.carried,
+            "normal": state.normal,
+            "face_force": assembly.face_force,
+            "face_overlap": assembly.face_overlap,
+            "element_energy": assembly.element_energy,
+        }
+        if "friction" in assembly.effects:
+            arrays["traction"] = state.traction
+        if "inertia" in assembly.effects:
+            arrays["predicted"] = state.predicted
+        if "gravity" in assembly.effects:
+            arrays["weight"] = state.weight
+        self._arrays: dict[str, np.ndarray] = {}
+        indices = wp.array(list(self._row), dtype=wp.int32, device=assembly.device)
+        for name, array in arrays.items():
+            part = wp.indexedarray(array, [indices, *[None] * (array.ndim - 1)])
+            self._arrays[name] = part.numpy() if gathers else array.numpy()
+        self._base, self._det = assembly.sums.base, assembly.sums.det
+        self._rates = state.rates if "inertia" in assembly.effects else None
+        if gathers:
+            self._base, self._det = self._base.copy(), self._det.copy()
+            self._rates = None if self._rates is None else np.copy(self._rates)
 
-    def of(self, env: int, array) -> np.ndarray:
-        """The part of environment `env` of an array whose first axis is the environment."""
-        found = self._arrays.get(id(array))
-        if found is None:
-            found = self._arrays[id(array)] = self._fetched(array)
-        return found[self._row[env]]
+    def of(self, env: int, name: str) -> np.ndarray:
+        """The part of environment `env` of an array."""
+        return self._arrays[name][self._row[env]]
 
-    def _fetched(self, array) -> np.ndarray:
-        if not self._gathers:
-            return array.numpy()
-        if self._indices is None:
-            self._indices = wp.array(list(self._row), dtype=wp.int32, device=array.device)
-        return wp.indexedarray(array, [self._indices, *[None] * (array.ndim - 1)]).numpy()
+    def base(self, env: int) -> np.ndarray:
+        """Force on the base of environment `env` (3,)."""
+        return self._base[env]
+
+    def det(self, env: int) -> float:
+        """Least determinant of the deformation gradient of environment `env`."""
+        return self._det[env]
+
+    def rate(self, env: int) -> float:
+        """What an acceleration is of a displacement ahead of the predicted one, `env`'s."""
+        return self._rates[env]
 
 
 def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
     """Pressure, force and place of the contact points of environment `env`, displaced by `u`."""
     assembly = held.assembly
-    state, mesh = assembly.state, assembly.meshes[env]
-    rows = np.flatnonzero(held.of(env, assembly.touched))
-    pressure = held.of(env, state.pressure)[rows].astype(float)
-    deep = (pressure - held.of(env, state.carried)[rows]) / assembly.numerics.penalty
-    push = held.of(env, state.normal)[rows] * pressure[:, :, None]
+    mesh = assembly.meshes[env]
+    rows = np.flatnonzero(held.of(env, "touched"))
+    pressure = held.of(env, "pressure")[rows].astype(float)
+    deep = (pressure - held.of(env, "carried")[rows]) / assembly.numerics.penalty
+    push = held.of(env, "normal")[rows] * pressure[:, :, None]
     excess = np.nan
     traction = np.zeros_like(push)
     if "friction" in assembly.effects:
-        traction = held.of(env, state.traction)[rows].astype(float)
+        traction = held.of(env, "traction")[rows].astype(float)
         most = assembly.coefficients[env] * pressure
         size = np.linalg.norm(traction, axis=2)
         excess = float((size - most).max(initial=0.0) / pressure.max(initial=1e-30))
@@ -129,8 +160,8 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
     mesh = assembly.meshes[env]
     nx, ny, nz = mesh.cells
     top = nx * ny
-    rows = np.flatnonzero(held.of(env, assembly.touched)[:top])
-    share = held.of(env, assembly.face_force)[rows].astype(float).reshape(-1, 3)
+    rows = np.flatnonzero(held.of(env, "touched")[:top])
+    share = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
     columns = mesh.faces[:top] // (nz + 1)  # of nodes, which are numbered upwards
     count = (nx + 1) * (ny + 1)
     touched = columns[rows].ravel()
@@ -150,9 +181,9 @@ def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray
     spring = assembly.numerics.stick * assembly.numerics.penalty
     springs = ((points.traction**2).sum(axis=2) * points.area).sum() / (2 * spring)
     if "gravity" in assembly.effects:
-        weight = assembly.state.weight.numpy()[env].astype(float)
+        weight = held.of(env, "weight").astype(float)
         springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
-    return float(held.of(env, assembly.element_energy).sum(dtype=float) + springs)
+    return float(held.of(env, "element_energy").sum(dtype=float) + springs)
 
 
 def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
@@ -160,13 +191,10 @@ def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
     assembly = held.assembly
     total = np.zeros(3)
     if "gravity" in assembly.effects:
-        total += (
-            assembly.state.weight.numpy()[env].astype(float)
-            * assembly.meshes[env].node_volume.sum()
-        )
+        total += held.of(env, "weight").astype(float) * assembly.meshes[env].node_volume.sum()
     if "inertia" in assembly.effects:
-        rate = assembly.state.rates[env]
-        ahead = u - held.of(env, assembly.state.predicted)
+        rate = held.rate(env)
+        ahead = u - held.of(env, "predicted")
         free = assembly.meshes[env].node_volume[:, None] * ahead
         total -= rate * free.sum(axis=0)
     return total
@@ -266,13 +294,13 @@ class Collector:
         """How far the skin stood below the base plane at most [m]."""
         self.worst = np.full(3, np.nan)
         """Where the skin stood deepest inside the indenter: the material point [m]."""
+        self._resolved = np.full(frames, np.inf)
         self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
         self._rest_directions = rest_directions(mesh)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
         self._tip = np.zeros(3)
         self._start: float | None = None
-        self.spent = Spent()
         self._round = None if mesh.share is None else Round(scene, mesh)
         self.at_side: dict[str, list[int]] = {"rim": [], "wall": []}
         """Waypoints at which a round body is touched at its rim, and in its side wall."""
@@ -281,7 +309,7 @@ class Collector:
         """Count the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
         self._work += work
         self._work_most = max(self._work_most, self._work)
-        self._tip = tip.copy()
+        self._tip = tip
 
     def passed(self, overlap: np.ndarray) -> None:
         """Count what a step's way overlapped, as `Assembly.overlap` has it (3,)."""
@@ -289,14 +317,20 @@ class Collector:
         self.below_base = max(self.below_base, float(overlap[2]) * self._unit)
 
     def keep(
-        self, frame: int, env: int, held: Snapshot, residual: float, overlap: np.ndarray
+        self,
+        frame: int,
+        env: int,
+        held: Snapshot,
+        residual: float,
+        overlap: np.ndarray,
+        spent: Spent,
     ) -> None:
         """Keep the state of environment `env`, last evaluated, as frame `frame`.
 
-        `overlap` is that of the state, as `Assembly.overlap` has it (3,).
+        `overlap` is that of the state, as `Assembly.overlap` has it (3,); `spent` what it has cost.
         """
         assembly, mesh = held.assembly, self._mesh
-        u = held.of(env, assembly.state.u).astype(float)
+        u = held.of(env, "u").astype(float)
         tip = self._tip
         points = contact_points(held, env, u)
         force = points.force.sum(axis=(0, 1))
@@ -310,7 +344,7 @@ class Collector:
         else:
             columns = self._round.continued(u)
             self._surface[frame] = columns[:, :, -1] * unit
-            if self._round.touched(np.flatnonzero(held.of(env, assembly.touched))):
+            if self._round.touched(np.flatnonzero(held.of(env, "touched"))):
                 self.at_side["rim"].append(frame)
             wall = self._round.wall(columns)
             if self._round.overlapped(wall, tip):
@@ -324,19 +358,17 @@ class Collector:
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
         scale = max(size, float(np.linalg.norm(external)), FORCE_FLOOR[assembly.precision])
-        quality["balance"][frame] = (
-            float(np.linalg.norm(external + assembly.sums.base[env])) / scale
-        )
+        quality["balance"][frame] = float(np.linalg.norm(external + held.base(env))) / scale
         stored = stored_energy(held, env, points, u)
         if self._start is None:
             self._start, self._work, self._work_most = stored, 0.0, 0.0
         lost = self._work - (stored - self._start)
         quality["energy_gap"][frame] = lost / self._work_most if self._work_most > 1e-9 else 0.0
-        quality["det_f_min"][frame] = assembly.sums.det[env]
+        quality["det_f_min"][frame] = held.det(env)
         quality["slip_excess"][frame] = points.slip_excess
         deepest, bound = overlap[:2] * self._unit
         if not frame or deepest > np.nanmax(quality["overlap"][:frame]):
-            face = int(np.argmax(held.of(env, assembly.face_overlap)[:, 0]))
+            face = int(np.argmax(held.of(env, "face_overlap")[:, 0]))
             self.worst = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
         quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
         quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
@@ -346,10 +378,17 @@ class Collector:
             self._self_place = mesh.nodes[node] * unit
         self._self_overlap[frame] = deep * unit
         touched = (np.abs(self._traction[frame]) > 0).any(axis=-1)
-        quality["contact_width"][frame] = width_of(touched, mesh.x * unit, mesh.y * unit)
+        x, y = mesh.x * unit, mesh.y * unit
+        quality["contact_width"][frame] = width_of(touched, x, y)
+        self._resolved[frame] = resolved(
+            self._traction[frame], x, y, body=self._scene.body, top=mesh.topmost * unit
+        )
         for name in self._counts:
-            self._counts[name][frame] = getattr(self.spent, name)
-        self.spent = Spent()
+            self._counts[name][frame] = getattr(spent, name)
+
+    def resolved(self) -> list[float | None]:
+        """How finely the contact of each frame is resolved, 1 by 12 elements; None without one."""
+        return [float(one) if np.isfinite(one) else None for one in self._resolved]
 
     def self_overlap(self) -> dict:
         """How deep the skin stands inside itself, frame by frame; where it is deepest [m]."""
@@ -728,6 +767,41 @@ def _check_device(device: str) -> None:
         raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
+AHEAD = 400
+"""Calls that a GPU may be ahead of its thread: frames that wait to be kept take memory."""
+
+
+class Aside:
+    """Calls that nothing waits for, done in their order by a thread, or at once: a context manager.
+
+    Leaving it waits for all of them; an error in one is raised there or by a later `do`.
+    """
+
+    def __init__(self, *, thread: bool) -> None:
+        self._executor = ThreadPoolExecutor(1) if thread else None
+        self._waiting: deque[Future[object]] = deque()
+
+    def do(self, call: Callable[..., object], *arguments: object) -> None:
+        """Have a call done."""
+        if self._executor is None:
+            call(*arguments)
+            return
+        self._waiting.append(self._executor.submit(call, *arguments))
+        while len(self._waiting) > AHEAD:
+            self._waiting.popleft().result()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if self._executor is None:
+            return
+        self._executor.shutdown(wait=True, cancel_futures=error is not None)
+        if error is None:
+            for call in self._waiting:
+                call.result()
+
+
 class _Batch:
     """Presses on meshes of one topology, each at its own step of its own path."""
 
@@ -748,6 +822,8 @@ class _Batch:
         self._seconds = {"mesh": meshed, "build": time.perf_counter() - began}
         self._failed: dict[int, SimulationDiverged] = {}
         count = len(scenes)
+        self._aside = Aside(thread=wp.get_device(device).is_cuda)
+        self._spent = [Spent() for _scene in scenes]
         self._busy = np.zeros(count, bool)
         self._augmented, self._rounded = np.zeros((2, count), int)
         self._last = np.zeros((count, 2))
@@ -758,17 +834,17 @@ class _Batch:
     def run(self) -> list[Outcome]:
         began = time.perf_counter()
         newton = self._newton
-        while True:
-            open_ = np.array(
-                [not path.finished and i not in self._failed for i, path in enumerate(self._paths)]
-            )
-            if not open_.any():
-                break
-            self._begin(open_ & ~self._busy)
-            running = self._busy & ~newton.converged & ~newton.failed
-            if running.any():
-                newton.sweep(running)
-            self._finish(self._busy & (newton.converged | newton.failed))
+        with self._aside:
+            while True:
+                paths = enumerate(self._paths)
+                open_ = np.array([not p.finished and i not in self._failed for i, p in paths])
+                if not open_.any():
+                    break
+                self._begin(open_ & ~self._busy)
+                running = self._busy & ~newton.converged & ~newton.failed
+                if running.any():
+                    newton.sweep(running)
+                self._finish(self._busy & (newton.converged | newton.failed))
         self._seconds["solve"] = time.perf_counter() - began
         record = self._record()
         return [
@@ -812,7 +888,7 @@ class _Batch:
         assembly, newton = self._assembly, self._newton
         again, good, bad = np.zeros((3, len(done)), bool)
         for i in np.flatnonzero(done).tolist():
-            spent = self._collectors[i].spent
+            spent = self._spent[i]
             spent.newton += int(newton.iterations[i])
             spent.cg += int(newton.cg[i])
             if not newton.converged[i]:
@@ -829,7 +905,7 @@ class _Batch:
         if bad.any():
             assembly.state.give_up(newton.mask(bad))
         for i in np.flatnonzero(bad).tolist():
-            self._collectors[i].spent.steps += 1
+            self._spent[i].steps += 1
             said = f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             self._last[i] = -1
             self._rounded[i] += self._is_rounding(i)
@@ -856,23 +932,25 @@ class _Batch:
         kept: dict[int, int] = {}
         work = self._newton.work(good, self._duration)
         for i in np.flatnonzero(good).tolist():
-            path, collector = self._paths[i], self._collectors[i]
-            collector.spent.steps += 1
-            collector.moved(self._tip[i], work[i])
+            path = self._paths[i]
+            self._spent[i].steps += 1
+            self._aside.do(self._collectors[i].moved, self._tip[i].copy(), float(work[i]))
             self._last[i] = path.segment, self._share[i] - path.share
             frame = path.segment
             if path.accept(self._share[i]):
                 kept[i] = frame
         way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         for i in np.flatnonzero(good).tolist():
-            self._collectors[i].passed(way[i])
+            self._aside.do(self._collectors[i].passed, way[i].copy())
         keeping = np.isin(np.arange(len(good)), list(kept))
         overlap = way
         if keeping.any():
             overlap = assembly.overlap(self._newton.mask(keeping), samples=FRAME_SAMPLES)
-        held = Snapshot(assembly, list(kept))
+        held = Snapshot(assembly, list(kept)) if kept else None
         for i, frame in kept.items():
-            self._collectors[i].keep(frame, i, held, self._newton.residual[i], overlap[i])
+            told = float(self._newton.residual[i]), overlap[i].copy(), self._spent[i]
+            self._aside.do(self._collectors[i].keep, frame, i, held, *told)
+            self._spent[i] = Spent()
         assembly.accept(good, self._duration)
         if self._progress is not None:
             done = sum(path.segment + path.share - 1 for path in self._paths)
@@ -919,6 +997,7 @@ class _Batch:
         shape = self._record()["mesh"]
         shape["finest"] = mesh.finest * body.thickness
         shape["topmost"] = mesh.topmost * body.thickness
+        shape["resolved"] = collector.resolved()
         if self._numerics.follows:
             shape["fineness"] = round(mesh.fineness, 4)
         return {

@@ -151,7 +151,7 @@ def test_lines_along_all_axes_are_added_up_where_it_is_hard(
     tangents = Tangents(strain=0.005, contact=0.0)
     stencil, active = tangents.stencil(real), oracle.integers(tangents.active)
     lines, columns = Lines(GRID, real, 3, "cpu", parallel=parallel), Columns(GRID, real, 3, "cpu")
-    lines.learn(np.array([cg.HARD_FROM, cg.HARD_FROM - 1, 0]))
+    lines.learn(np.array([cg.HARD_FROM["cpu"], cg.HARD_FROM["cpu"] - 1, 0]))
     for one in (lines, columns):
         one.factor(active, stencil.matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
@@ -166,7 +166,7 @@ def test_lines_along_all_axes_are_added_up_where_it_is_hard(
 def test_products_of_lines_are_those_of_what_they_make() -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
     lines, active = Lines(GRID, wp.float64, 3, "cpu"), oracle.integers(tangents.active)
-    lines.learn(np.array([cg.HARD_FROM, 0, cg.HARD_FROM]))
+    lines.learn(np.array([cg.HARD_FROM["cpu"], 0, cg.HARD_FROM["cpu"]]))
     lines.factor(active, tangents.stencil(wp.float64).matrix)
     p, product, solution, r = np.random.default_rng(7).normal(0, 1, (4, 3, COUNT, 3))
     scalars = wp.array(np.outer([0.5, -2.0, 3.0], [0, 0, 1.0]), dtype=wp.float64, device="cpu")
@@ -184,7 +184,7 @@ def test_a_blade_takes_half_the_iterations_along_all_axes(monkeypatch: pytest.Mo
     blade = Scene(shapes.box(0.3e-3, 4e-3, 0.1e-3), press([0.05e-3]), Body(6e-3, 6e-3, 2e-3))
     found = []
     for hard_from in (10**9, 20):
-        monkeypatch.setattr(cg, "HARD_FROM", hard_from)
+        monkeypatch.setattr(cg, "HARD_FROM", {"cpu": hard_from})
         found.append(simulate(blade, numerics=Numerics(fineness=0.5, elements_max=2500)))
     by_columns, by_lines = found
     assert by_lines.quality.cg.sum() < 0.6 * by_columns.quality.cg.sum()

@@ -11,7 +11,7 @@ import pytest
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
 from sim.fem import solver
 from sim.fem.numerics import Numerics
-from sim.fem.solver import Snapshot
+from sim.fem.solver import Aside, Snapshot
 from sim.indenters import named
 from sim.result import Result
 
@@ -28,7 +28,13 @@ def found(monkeypatch: pytest.MonkeyPatch, *, gather: bool) -> list[Result]:
             kept.append(list(environments))
             super().__init__(assembly, environments, gather=gather)
 
+    class Beside(Aside):
+        def __init__(self, *, thread: bool) -> None:
+            assert not thread, "on a CPU frames are kept at once"
+            super().__init__(thread=gather)
+
     monkeypatch.setattr(solver, "Snapshot", Asked)
+    monkeypatch.setattr(solver, "Aside", Beside)
     numerics = Numerics(spacing=4e-3 / 3, one_topology=True)
     results = simulate_many(SCENES, numerics=numerics)
     assert [0, 1] in kept
@@ -51,3 +57,14 @@ def test_results_are_the_same_however_arrays_come_to_the_host(
             np.testing.assert_array_equal(
                 getattr(one.quality, name), getattr(other.quality, name), err_msg=name
             )
+
+
+def test_an_error_in_a_thread_is_raised_when_it_ends() -> None:
+    done: list[int] = []
+    aside = Aside(thread=True)
+    aside.do(done.append, 1)
+    aside.do(divmod, 1, 0)
+    aside.do(done.append, 2)
+    with pytest.raises(ZeroDivisionError):
+        aside.__exit__(None, None, None)
+    assert done == [1, 2]

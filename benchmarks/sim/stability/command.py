@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     from benchmarks.sim.stability.catalogue import CASES, chosen
     from benchmarks.sim.stability.page import page
     from benchmarks.sim.stability.planted import MISTAKES
-    from benchmarks.sim.stability.runner import run_cases
+    from benchmarks.sim.stability.runner import INTERRUPTED, run_cases
     from sim.device import ready_device
 
     if options.list:
@@ -123,6 +123,8 @@ def run(options: argparse.Namespace) -> int:
         return _catch(mistake, cases, options.device, processes)
     reports = run_cases(cases, device=options.device, processes=processes)
     failed = _tell(reports)
+    if len(reports) < len(cases):
+        return INTERRUPTED
     out = options.out or (None if options.only else Path("docs/results/stability.md"))
     if out is not None:
         print("planted mistakes:")
@@ -138,6 +140,7 @@ def _run_random(options: argparse.Namespace, processes: int) -> int:
     from benchmarks.sim.stability.chance.page import page
     from benchmarks.sim.stability.chance.run import Plan, judge_all, tell
     from benchmarks.sim.stability.chance.verdict import Settings
+    from benchmarks.sim.stability.runner import INTERRUPTED
     from sim.device import ready_device
 
     for name, least in (("random", 1), ("scene", 0), ("seconds", 1e-3)):
@@ -157,6 +160,8 @@ def _run_random(options: argparse.Namespace, processes: int) -> int:
     )
     told = judge_all(plan, processes=min(processes, options.random))
     wrong = tell(told)
+    if len(told) < plan.count:
+        return INTERRUPTED
     if options.out is not None:
         options.out.write_text(page(told, plan), encoding="utf-8")
         print(f"written: {options.out}")

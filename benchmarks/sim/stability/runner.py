@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -17,6 +17,7 @@ from benchmarks.sim.stability.case import Case, Solver
 from benchmarks.sim.stability.catalogue import BY_NAME
 from benchmarks.sim.stability.laws import Law
 from benchmarks.sim.stability.planted import planted
+from recorder.processes import Workers
 from sim.errors import SimulationDiverged
 from sim.progress import duration
 
@@ -75,19 +76,23 @@ def run_cases(
     processes: int = 2,
     say: Callable[[str], None] = print,
 ) -> list[Report]:
-    """Reports of all cases, in their order; each is told when it is done, with the time left."""
+    """Reports of all cases, in their order; each is told when it is done, with the time left.
+
+    After Ctrl-C, of those that were done.
+    """
     reports: dict[str, Report] = {}
     began = time.perf_counter()
     expected = {case.name: case.seconds for case in cases}
-    for report in _done(cases, device, mistake, processes):
-        reports[report.name] = report
-        spent = sum(expected[name] for name in reports)
-        left = sum(expected.values()) - spent
-        elapsed = time.perf_counter() - began
-        say(_line(report, len(reports), len(cases), left * elapsed / spent))
-        for failure in report.failures:
-            say(f"      {report.name}: {failure}")
-    return [reports[case.name] for case in cases]
+    with done_counts(say):
+        for report in _done(cases, device, mistake, processes):
+            reports[report.name] = report
+            spent = sum(expected[name] for name in reports)
+            left = sum(expected.values()) - spent
+            elapsed = time.perf_counter() - began
+            say(_line(report, len(reports), len(cases), left * elapsed / spent))
+            for failure in report.failures:
+                say(f"      {report.name}: {failure}")
+    return [reports[case.name] for case in cases if case.name in reports]
 
 
 def _done(
@@ -110,26 +115,31 @@ def side_by_side(
     if processes == 1:
         yield from map(run, items)
         return
-    # Spawned: Warp's state does not survive a fork.
-    executor = ProcessPoolExecutor(
-        processes,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin,
-        initargs=(device,),
-    )
     # One thread a process: NumPy's own would compete with the other process for the cores.
     before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
-        tasks = [executor.submit(run, item) for item in items]
-        for task in as_completed(tasks):
-            yield task.result()
+        with Workers(processes, _begin, device) as workers:
+            for task in as_completed([workers.submit(run, item) for item in items]):
+                yield task.result()
     finally:
-        executor.shutdown(cancel_futures=True)
         if before is None:
             del os.environ["OMP_NUM_THREADS"]
         else:
             os.environ["OMP_NUM_THREADS"] = before
+
+
+INTERRUPTED = 130
+"""Exit code of a run that Ctrl-C ended, as of any program."""
+
+
+@contextmanager
+def done_counts(say: Callable[[str], None]) -> Iterator[None]:
+    """Ctrl-C ends the block and no more: what came out of it until then is kept and told."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say("interrupted; what follows is of those that were done")
 
 
 def _begin(device: str) -> None:

@@ -13,7 +13,7 @@ from benchmarks.sim.stability.chance.scenes import FOLDER, drawn
 from benchmarks.sim.stability.chance.shrink import failure, shrunk, snippet, store
 from benchmarks.sim.stability.chance.verdict import CLASSES, Settings, Verdict, judge
 from benchmarks.sim.stability.planted import planted
-from benchmarks.sim.stability.runner import side_by_side
+from benchmarks.sim.stability.runner import done_counts, side_by_side
 from sim.progress import duration
 
 WRONG = frozenset({"silent", "crash"})
@@ -66,16 +66,20 @@ def judge_one(plan: Plan, index: int) -> Told:
 
 
 def judge_all(plan: Plan, *, processes: int = 2, say: Callable[[str], None] = print) -> list[Told]:
-    """What came of all scenes, in their order; each is told when it is done, with the time left."""
+    """What came of all scenes, in their order; each is told when it is done, with the time left.
+
+    After Ctrl-C, of those that were done.
+    """
     began = time.perf_counter()
     indices = range(plan.first, plan.first + plan.count)
     told: list[Told] = []
-    for one in side_by_side(partial(judge_one, plan), indices, plan.settings.device, processes):
-        told.append(one)
-        left = (time.perf_counter() - began) * (plan.count / len(told) - 1)
-        say(_line(one, len(told), plan.count, left))
-        if one.plain is not None and one.plain.scene is not None:
-            say(f"      {one.stored}\n{_indented(snippet(one.plain.scene))}")
+    with done_counts(say):
+        for one in side_by_side(partial(judge_one, plan), indices, plan.settings.device, processes):
+            told.append(one)
+            left = (time.perf_counter() - began) * (plan.count / len(told) - 1)
+            say(_line(one, len(told), plan.count, left))
+            if one.plain is not None and one.plain.scene is not None:
+                say(f"      {one.stored}\n{_indented(snippet(one.plain.scene))}")
     return sorted(told, key=lambda one: int(one.name.split("/")[1]))
 
 
