@@ -91,7 +91,10 @@ def fineness_of(result: Result) -> Array:
     1 are 12 elements from one side of the contact to the other; inf without contact.
     """
     told = result.record["mesh"]["resolved"]
-    return np.array([np.inf if one is None else one for one in told], float)
+    found = np.array([np.inf if one is None else one for one in told], float)
+    for stage in result.record.get("stages", []):  # meshes of their own, for contacts that small
+        found[: stage["waypoints"]] = stage["mesh"]["fineness"]
+    return found
 
 
 def pixel_of(result: Result) -> float:
@@ -114,11 +117,9 @@ def _of_elements(result: Result) -> dict[str, Any]:
     unknown = unknown_at_side(result)
     if unknown is not None:
         return unknown
-    stages = result.record.get("stages", [])
     fineness = fineness_of(result)
     layers = np.full(len(fineness), result.record["mesh"]["cells"][2])
-    for stage in stages:  # meshes of their own, which follow contacts as small as theirs
-        fineness[: stage["waypoints"]] = stage["mesh"]["fineness"]
+    for stage in result.record.get("stages", []):
         layers[: stage["waypoints"]] = stage["mesh"]["cells"][2]
     # Quadratic where the contact is resolved, linear where it hardly is.
     share = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)

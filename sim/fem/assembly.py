@@ -504,7 +504,7 @@ class Assembly:
         return self.sums
 
     def overlap(self, active, *, samples: int, states: int = 1) -> Array:
-        """How far skin overlaps indenter and base plane (B, `COLUMNS`) [T]; see `sim.fem.overlap`.
+        """How far skin overlaps indenter and base plane (B, `COLUMNS`); see `sim.fem.overlap`.
 
         Args:
             active: Of which environments.

@@ -8,18 +8,25 @@ skin and tip are taken to move straight. A signed distance changes by no more th
 point moves, so no point of a face is deeper than its deepest sample and the way to the next one.
 Inside a wall a signed distance ends at half the wall's width; steps are shorter than that.
 
+Skin can only meet other skin where some of it has turned by a right angle or more; whether any has
+nearly done so is told too, and `sim.fem.self_overlap` looks closer where it has.
+
 Lengths in thicknesses. One thread a face of one environment.
 """
 
 import functools
+import math
 
 import warp as wp
 
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.scalars import vector_of
 
-COLUMNS = 3
-"""What is measured: deepest sample, what nothing is deeper than, depth below the base plane."""
+COLUMNS = 4
+"""What is measured: deepest sample, what nothing is deeper than, depth below the base plane, and 1
+where a face is folded."""
+FOLDED = math.cos(math.radians(80))
+"""Cosine of the angle to its rest normal from which a face counts as folded."""
 
 
 @functools.cache
@@ -29,6 +36,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
     zero, half, one, quarter = real(0.0), real(0.5), real(1.0), real(0.25)
+    turned = real(FOLDED)
 
     @wp.kernel(enable_backward=False, module="unique")
     def overlap(
@@ -60,6 +68,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
         deepest = zero
         bound = zero
         below = zero
+        folded = zero
         for k in range(states):
             left = one - real(k + 1) / real(states)
             at = tip[env] + (tip_old[env] - tip[env]) * left
@@ -94,11 +103,18 @@ def overlap_kernel(real, traits: Traits = PLAIN):
                         found = distance(table, env, place - at)
                         deepest = wp.max(deepest, -found[3])
                         bound = wp.max(bound, spacing - found[3])
+            if k == states - 1:
+                now = wp.cross(x3 - x0, x2 - x1)
+                rest = wp.cross(nodes[m, n3] - nodes[m, n0], nodes[m, n2] - nodes[m, n1])
+                if wp.dot(rest, now) < turned * wp.length(rest) * wp.length(now):
+                    folded = one
         face_out[env, s, 0] = deepest
         face_out[env, s, 1] = bound
         face_out[env, s, 2] = below
+        face_out[env, s, 3] = folded
         wp.atomic_max(most_out, env, 0, deepest)
         wp.atomic_max(most_out, env, 1, bound)
         wp.atomic_max(most_out, env, 2, below)
+        wp.atomic_max(most_out, env, 3, folded)
 
     return overlap

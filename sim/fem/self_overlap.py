@@ -5,24 +5,21 @@ nearly as far, the nodes of the surface are looked for in all elements around th
 as a corner. A node inside one has passed through the skin there: as deep as the way to the skin
 above, or beside, the same material point of that element.
 
-Lengths in thicknesses. On the host: a few milliseconds where something folds, else next to nothing.
+Lengths in thicknesses. On the host: a few milliseconds, and asked only where a face has folded.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sim.fem.mesh import CORNERS, Mesh
+from sim.fem.overlap import FOLDED
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-FOLDED = math.cos(math.radians(80))
-"""Cosine of the angle to its rest normal from which a face counts as folded."""
 NEWTON = 12
 """Iterations that look for a point in an element; near its middle 3 or 4 are enough."""
 ON_SKIN = 1e-6
@@ -30,30 +27,21 @@ ON_SKIN = 1e-6
 SIGNS = 2.0 * np.array(CORNERS) - 1.0
 
 
-def rest_directions(mesh: Mesh) -> Array:
-    """Unit normals (3, S) of faces before anything touches them, as `folded_faces` takes them."""
-    rest = _normals(mesh.nodes, mesh.faces)
-    return np.asarray(rest / np.sqrt(_dot(rest, rest)))
-
-
-def folded_faces(mesh: Mesh, places: Array, rest: Array | None = None) -> NDArray[np.bool_]:
-    """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3).
-
-    `rest` is `rest_directions(mesh)`, for who asks again and again.
-    """
-    rest = rest_directions(mesh) if rest is None else rest
-    now = _normals(places, mesh.faces)
+def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
+    """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
+    rest, now = _normals(mesh.nodes, mesh.faces), _normals(places, mesh.faces)
     along = _dot(rest, now)
-    return np.asarray((along < 0) | (along * along < FOLDED**2 * _dot(now, now)))
+    least = FOLDED**2 * _dot(rest, rest) * _dot(now, now)
+    return np.asarray((along < 0) | (along * along < least))
 
 
-def self_overlap(mesh: Mesh, u: Array, rest: Array | None = None) -> tuple[float, int]:
+def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
     """How deep the skin stands inside itself, displaced by `u` (N, 3), and its deepest node.
 
-    0 and -1 where it does not. `rest` as for `folded_faces`.
+    0 and -1 where it does not.
     """
     places = mesh.nodes + u
-    folded = folded_faces(mesh, places, rest)
+    folded = folded_faces(mesh, places)
     if not folded.any():
         return 0.0, -1
     nodes, elements = _near(mesh, places, mesh.faces[folded])

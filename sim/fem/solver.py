@@ -25,7 +25,7 @@ from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of
 from sim.fem.numerics import Numerics
-from sim.fem.self_overlap import rest_directions, self_overlap
+from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
     Sizes,
     coarser_than_asked,
@@ -296,7 +296,6 @@ class Collector:
         """Where the skin stood deepest inside the indenter: the material point [m]."""
         self._resolved = np.full(frames, np.inf)
         self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
-        self._rest_directions = rest_directions(mesh)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
         self._tip = np.zeros(3)
@@ -312,7 +311,7 @@ class Collector:
         self._tip = tip
 
     def passed(self, overlap: np.ndarray) -> None:
-        """Count what a step's way overlapped, as `Assembly.overlap` has it (3,)."""
+        """Count what a step's way overlapped, as `Assembly.overlap` has it (4,)."""
         self._overlap_path = max(self._overlap_path, float(overlap[0]))
         self.below_base = max(self.below_base, float(overlap[2]) * self._unit)
 
@@ -327,7 +326,7 @@ class Collector:
     ) -> None:
         """Keep the state of environment `env`, last evaluated, as frame `frame`.
 
-        `overlap` is that of the state, as `Assembly.overlap` has it (3,); `spent` what it has cost.
+        `overlap` is that of the state, as `Assembly.overlap` has it (4,); `spent` what it has cost.
         """
         assembly, mesh = held.assembly, self._mesh
         u = held.of(env, "u").astype(float)
@@ -373,10 +372,11 @@ class Collector:
         quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
         quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
         self._overlap_path = 0.0
-        deep, node = self_overlap(mesh, u, self._rest_directions)
-        if deep * unit > self._self_overlap.max():
-            self._self_place = mesh.nodes[node] * unit
-        self._self_overlap[frame] = deep * unit
+        if overlap[3]:
+            deep, node = self_overlap(mesh, u)
+            if deep * unit > self._self_overlap.max():
+                self._self_place = mesh.nodes[node] * unit
+            self._self_overlap[frame] = deep * unit
         touched = (np.abs(self._traction[frame]) > 0).any(axis=-1)
         x, y = mesh.x * unit, mesh.y * unit
         quality["contact_width"][frame] = width_of(touched, x, y)
@@ -767,7 +767,7 @@ def _check_device(device: str) -> None:
         raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
-AHEAD = 400
+AHEAD = 32
 """Calls that a GPU may be ahead of its thread: frames that wait to be kept take memory."""
 
 
@@ -800,6 +800,30 @@ class Aside:
         if error is None:
             for call in self._waiting:
                 call.result()
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """Steps that environments have taken at once, and what is known of the states they led to."""
+
+    steps: list[int]
+    """Of which environments."""
+    tip: np.ndarray
+    """Where their tips are (B, 3) [T]."""
+    work: np.ndarray
+    """Of the steps (B,) [E T^3]."""
+    way: np.ndarray
+    """Overlap on the way, as `Assembly.overlap` has it (B, 4)."""
+    frames: dict[int, int]
+    """The frames that some of them reached, by environment."""
+    held: Snapshot | None
+    """Their states; None where no frame was reached."""
+    residual: np.ndarray
+    """Out-of-balance force over force (B,)."""
+    overlap: np.ndarray
+    """Of the states of the frames (B, 4)."""
+    spent: dict[int, Spent]
+    """What the frames have cost."""
 
 
 class _Batch:
@@ -931,31 +955,47 @@ class _Batch:
         assembly = self._assembly
         kept: dict[int, int] = {}
         work = self._newton.work(good, self._duration)
-        for i in np.flatnonzero(good).tolist():
+        steps = np.flatnonzero(good).tolist()
+        for i in steps:
             path = self._paths[i]
             self._spent[i].steps += 1
-            self._aside.do(self._collectors[i].moved, self._tip[i].copy(), float(work[i]))
             self._last[i] = path.segment, self._share[i] - path.share
             frame = path.segment
             if path.accept(self._share[i]):
                 kept[i] = frame
         way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
-        for i in np.flatnonzero(good).tolist():
-            self._aside.do(self._collectors[i].passed, way[i].copy())
-        keeping = np.isin(np.arange(len(good)), list(kept))
         overlap = way
-        if keeping.any():
+        if kept:
+            keeping = np.isin(np.arange(len(good)), list(kept))
             overlap = assembly.overlap(self._newton.mask(keeping), samples=FRAME_SAMPLES)
-        held = Snapshot(assembly, list(kept)) if kept else None
-        for i, frame in kept.items():
-            told = float(self._newton.residual[i]), overlap[i].copy(), self._spent[i]
-            self._aside.do(self._collectors[i].keep, frame, i, held, *told)
+        taken = _Taken(
+            steps=steps,
+            tip=self._tip.copy(),
+            work=work,
+            way=way,
+            frames=kept,
+            held=Snapshot(assembly, list(kept)) if kept else None,
+            residual=self._newton.residual.copy(),
+            overlap=overlap,
+            spent={i: self._spent[i] for i in kept},
+        )
+        for i in kept:
             self._spent[i] = Spent()
+        self._aside.do(self._collect, taken)
         assembly.accept(good, self._duration)
         if self._progress is not None:
             done = sum(path.segment + path.share - 1 for path in self._paths)
             whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
             self._progress(max(done, 0.0) / whole)
+
+    def _collect(self, taken: _Taken) -> None:
+        """Count the steps that were taken, and keep the frames that they reached."""
+        for i in taken.steps:
+            self._collectors[i].moved(taken.tip[i], float(taken.work[i]))
+            self._collectors[i].passed(taken.way[i])
+        for i, frame in taken.frames.items():
+            told = float(taken.residual[i]), taken.overlap[i], taken.spent[i]
+            self._collectors[i].keep(frame, i, taken.held, *told)
 
     def _diverged(self, env: int) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]

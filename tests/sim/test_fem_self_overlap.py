@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from sim import Body, Effects, Friction, Motion, Scene, SimulationDiverged, press, simulate
 from sim.fem import solver
+from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, build_mesh
 from sim.fem.numerics import Numerics
 from sim.fem.self_overlap import folded_faces, self_overlap
@@ -69,6 +71,17 @@ def test_walls_that_face_each_other_do_not_overlap() -> None:
         assert self_overlap(mesh, places - mesh.nodes) == (0.0, -1)
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_the_solver_notices_folds_as_they_are(precision: Literal["float32", "float64"]) -> None:
+    scene, mesh = Scene(sphere(1e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.25e-3)
+    assembly = Assembly([mesh], [scene], Numerics(), precision, "cpu")
+    for lean in (-math.pi / 2, math.radians(-20), math.radians(-9), math.radians(-11), 0.0):
+        places = _rolled(mesh, lean)
+        assembly.state.u.assign((places - mesh.nodes)[None].astype(np.float32))
+        found = assembly.overlap(assembly.state.everyone, samples=2)
+        assert found[0, 3] == folded_faces(mesh, places).any()
+
+
 def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
     """The right half rolled over by half a turn, its end 0.05 thicknesses deep in the left half."""
     mesh = build_mesh(STRIP, 0.25e-3)
@@ -98,6 +111,14 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
     numerics = Numerics(spacing=4e-3 / 3)
     depth = 0.5e-3 / SMALL.thickness
+    overlap = Assembly.overlap
+
+    def folded(assembly: Assembly, *given: Any, **named: Any) -> Array:
+        found = overlap(assembly, *given, **named)
+        found[:, 3] = 1.0
+        return found
+
+    monkeypatch.setattr(Assembly, "overlap", folded)
     monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.05 * depth, 10))
     result = simulate(scene, numerics=numerics)
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
