@@ -37,8 +37,8 @@ PRODUCT_CODECS = {"imagecodecs_jpeg"}
 TIMES = {"seconds", "seconds_by_stage", "cpu_seconds", "wall_s"}
 """Keys of JSON whose values are never compared: they say how long it took."""
 ITERATIONS = {"newton", "cg", "residual", "contact", "balance", "slip_excess"}
-"""Keys of JSON, and arrays, that count or measure what an iteration left: their numbers count on the
-same machine only."""
+"""Keys of JSON, and arrays, that count or measure what an iteration left: their numbers count on
+the same machine only."""
 MEASURING = {
     *("refine", "hard-cases", "effects", "accuracy", "cost-table", "speed"),
     *("faults", "endurance", "bench-recorder", "bench", "tables"),
