@@ -45,6 +45,7 @@ COVERS: tuple[tuple[str, str], ...] = (
     (r"too coarse|too small|few elements|not resolved", rf"{AMOUNTS}|touches|within-bounds"),
     (r"base plane|below the base", r"above-base"),
     (r"buckle", rf"{AMOUNTS}|within-bounds"),
+    (r"its own image in the plane", r"symmetric"),
     (r"touch|light|round-off", r"touches|lets-go|same-place|within-bounds"),
 )
 """Words of a warning, and the laws that it owns up to: that a force depends on the mesh does not
