@@ -44,8 +44,7 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
     folded = folded_faces(mesh, places)
     if not folded.any():
         return 0.0, -1
-    nodes, elements = _near(mesh, places, mesh.faces[folded])
-    node, element = _pairs(mesh, places, nodes, elements)
+    node, element = _pairs(mesh, places, *_near(mesh, places, mesh.faces[folded]))
     if not len(node):
         return 0.0, -1
     point = places[node]
@@ -71,8 +70,11 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
-def _near(mesh: Mesh, places: Array, folded: NDArray[np.int32]) -> tuple[Indices, Indices]:
-    """Nodes of the surface, and elements, in a box around folded faces (T, 4)."""
+def _near(
+    mesh: Mesh, places: Array, folded: NDArray[np.int32]
+) -> tuple[NDArray[np.bool_], Indices, Array, Array]:
+    """What is in a box around folded faces (T, 4): which nodes (N,) are, of the surface; elements
+    (E,), with the least and greatest of their own boxes (E, 3)."""
     corner = places[folded]
     longest = float(np.ptp(corner, axis=1).max())
     low, high = corner.min(axis=(0, 1)) - longest, corner.max(axis=(0, 1)) + longest
@@ -89,20 +91,24 @@ def _near(mesh: Mesh, places: Array, folded: NDArray[np.int32]) -> tuple[Indices
         least = np.minimum(least[first], least[second])
         most = np.maximum(most[first], most[second])
     reaches = ((most >= low) & (least <= high)).all(axis=-1)
-    return np.flatnonzero(here), np.flatnonzero(reaches)
+    return here, np.flatnonzero(reaches), least[reaches], most[reaches]
 
 
-def _pairs(mesh: Mesh, places: Array, nodes: Indices, elements: Indices) -> tuple[Indices, Indices]:
+def _pairs(
+    mesh: Mesh, places: Array, here: NDArray[np.bool_], elements: Indices, low: Array, high: Array
+) -> tuple[Indices, Indices]:
     """Nodes and elements (P,) whose boxes overlap, where the node is no corner of the element."""
-    corner = places[mesh.elements[elements]]
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    reach = np.linalg.norm(high - low, axis=1) / 2
-    found = cKDTree(places[nodes]).query_ball_point((low + high) / 2, reach)
-    counts = np.array([len(one) for one in found])
-    if not counts.sum():
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    row = np.repeat(np.arange(len(elements)), counts)
-    node = nodes[np.concatenate([one for one in found if one]).astype(np.int64)]
+    nodes, none = np.flatnonzero(here), np.empty(0, np.int64)
+    if not len(nodes) or not len(elements):
+        return none, none
+    tree, middle = cKDTree(places[nodes]), (low + high) / 2
+    reach = (1 + 1e-9) * np.linalg.norm(high - low, axis=1) / 2
+    own = here[mesh.elements[elements]].sum(axis=1)
+    others = tree.query_ball_point(middle, reach, return_length=True) > own
+    elements, low, high = elements[others], low[others], high[others]
+    found = tree.query_ball_point(middle[others], reach[others])
+    row = np.repeat(np.arange(len(elements)), [len(one) for one in found])
+    node = nodes[np.concatenate([none, *found]).astype(np.int64)]
     apart = (mesh.elements[elements[row]] != node[:, None]).all(axis=1)
     apart &= ((places[node] >= low[row]) & (places[node] <= high[row])).all(axis=1)
     return node[apart], elements[row[apart]]
