@@ -73,8 +73,10 @@ def _dot(a: Array, b: Array) -> Array:
 def _near(
     mesh: Mesh, places: Array, folded: NDArray[np.int32]
 ) -> tuple[NDArray[np.bool_], Indices, Array, Array]:
-    """What is in a box around folded faces (T, 4): which nodes (N,) are, of the surface; elements
-    (E,), with the least and greatest of their own boxes (E, 3)."""
+    """Nodes of the surface (N,), and elements (E,), in a box around folded faces (T, 4).
+
+    With the least and greatest corners of the elements' own boxes (E, 3).
+    """
     corner = places[folded]
     longest = float(np.ptp(corner, axis=1).max())
     low, high = corner.min(axis=(0, 1)) - longest, corner.max(axis=(0, 1)) + longest
