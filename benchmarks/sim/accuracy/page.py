@@ -56,10 +56,10 @@ GOALS = (0.1, 0.03, 0.01, 0.003)
 
 _INTRO = """# What accuracy costs
 
-Every way to an answer on seven presses: what it misses, and what it takes. Lines join the meshes
+Every way to an answer on {count} presses: what it misses, and what it takes. Lines join the meshes
 of one solver, coarse to fine; discs were measured on a CPU, diamonds on a GPU; below the grey line
 the reference cannot tell. Made by `make accuracy`; measurements are in `{folder}`, one file a
-device, and `python -m benchmarks accuracy --only page` draws them again.
+device, and `python -m benchmarks accuracy --only page` draws them again.{unmeasured}
 
 {machines}
 
@@ -110,12 +110,23 @@ def write_page(path: Path, folder: Path, measured: Sequence[Measured]) -> None:
         f"{'GPU' if one.device != 'cpu' else 'CPU'}: {one.machine}." for one in measured
     )
     reference = "; ".join(dict.fromkeys(one.reference for one in measured))
-    lines = [_INTRO.format(folder=folder, machines=machines, images="images")]
+    cases = _cases(measured)
+    missing = [f"`{case.name}` ({case.title})" for case in CASES if case not in cases]
+    unmeasured = f"\nNot measured yet: {', '.join(missing)}." if missing else ""
+    lines = [
+        _INTRO.format(
+            folder=folder,
+            count=len(cases),
+            machines=machines,
+            unmeasured=unmeasured,
+            images="images",
+        )
+    ]
     lines += _goal_lines(measured)
     for chart in CHARTS[1:]:
         lines += ["", f"![{chart.title}](images/{chart.file})"]
     lines.append(_METHOD.format(reference=reference, coarser=COARSER))
-    for case in _cases(measured):
+    for case in cases:
         lines += _case_lines(case, measured)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
