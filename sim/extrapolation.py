@@ -13,8 +13,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.error_estimate import measured, unknown_at_side
+from sim.error_estimate import fineness_of, measured, unknown_at_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import force_scale
 from sim.result import Outcome, Result
@@ -26,8 +27,13 @@ if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
 
 
+Array = NDArray[np.float64]
+
 ORDER = 2.0
 """Power of the elements' size that the error falls with: linear elements, smooth pressure."""
+SQUARE_FROM = 0.375
+"""How finely the coarser mesh has to resolve a contact for errors to fall as the square of the
+elements' size. Below, what is left may be more by as many times, up to what order 1 would leave."""
 COARSER = 5 / 3
 """Size of the coarser elements over that of the finer ones at most: what is left to chance in both
 forces is multiplied by 1 / (COARSER^2 - 1)."""
@@ -99,13 +105,14 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
             f"extrapolated: {cells[0]} and {cells[1]} elements over the depth; allowed: fewer, "
             "then more"
         )
-    more = (fine.wrench - coarse.wrench) * left_of_difference(cells[1] / cells[0])
+    ratio = cells[1] / cells[0]
+    more = (fine.wrench - coarse.wrench) * left_of_difference(ratio)
     largest = float(np.linalg.norm(fine.force, axis=1).max())
     share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
     found = with_symmetry(replace(fine, wrench=fine.wrench + more))
-    apart = np.abs(more[:, :3]).max(axis=1) / force_scale(found.force)
+    apart = np.abs(fine.force - coarse.force).max(axis=1) / force_scale(found.force)
     error = unknown_at_side(fine, measured=True) or measured(
-        found, apart, "two meshes, extrapolated"
+        found, apart * most_of_difference(coarse, ratio), "two meshes, extrapolated"
     )
     how = {"order": ORDER, "cells": cells, "force_share": share}
     return replace(found, record={**found.record, "extrapolated": how, "error": error})
@@ -114,6 +121,12 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
 def left_of_difference(ratio: float) -> float:
     """Error of the finer of two meshes over the difference of both, `ratio` of their elements."""
     return 1.0 / (float(ratio**ORDER) - 1.0)
+
+
+def most_of_difference(coarse: Result, ratio: float) -> Array:
+    """The same of each frame (F,), where the `coarse` mesh may hardly resolve the contact."""
+    more = np.clip(SQUARE_FROM / fineness_of(coarse), 1.0, ratio + 1.0)
+    return np.asarray(left_of_difference(ratio) * more)
 
 
 def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.error_estimate import fineness_of, measured, unknown_at_side
+from sim.error_estimate import measured, unknown_at_side
 from sim.errors import SceneError, SimulationDiverged
-from sim.extrapolation import left_of_difference
+from sim.extrapolation import left_of_difference, most_of_difference
 from sim.layer_within import not_shown, solved_by_layer, why_trusted, worth_a_look
 from sim.metrics import (
     Tolerance,
@@ -53,9 +53,6 @@ FIRST_LEAST, FIRST_MOST = 0.6, 1.5
 LEFT = 1.0
 """Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
 leaves 0.86 of it, of 3 half of it; the rest is for chance."""
-SQUARE_FROM = 0.375
-"""How finely the coarser mesh has to resolve a contact for errors to fall as the square of the
-elements' size. Below, what is left may be more by as many times, up to what order 1 would leave."""
 RATIO_LEAST = 1.2
 """Elements of one mesh over those of the other, along each axis, below which both say nothing of an
 error: a wide contact's is in the layers, a narrow one's across it."""
@@ -199,9 +196,7 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance) -> tuple[Result, f
     size = np.linalg.norm(found.force, axis=1)
     scale = force_scale(found.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
-    least = least_ratio(coarse, fine)
-    unsure = LEFT * left_of_difference(least) * apart
-    unsure *= np.clip(SQUARE_FROM / fineness_of(coarse), 1.0, least + 1.0)
+    unsure = LEFT * most_of_difference(coarse, least_ratio(coarse, fine)) * apart
     newton = np.maximum(unsure, vanishing_share(found) * scale)
     share = np.maximum(newton / scale, FLOOR * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
