@@ -637,6 +637,7 @@ SIM_CASES = (
             ),
         ),
         look=("x.markers.zarr",),
+        rtol_elsewhere=0.05,  # torques of light touches, as exact as the residual
         timeout=600,
         slow=True,
     ),
