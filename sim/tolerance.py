@@ -101,6 +101,7 @@ def simulate_within(
         SimulationDiverged: A mesh found no solution.
     """
     from sim.fem.numerics import Numerics
+    from sim.fem.solver import precision_for_finer
 
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)
@@ -126,6 +127,9 @@ def simulate_within(
             known = [each for each in solved if abs(each / one - 1) < 0.15]
             if not known:
                 numerics = Numerics(fineness=one, elements_max=most)
+                if solved:
+                    last = solved[max(solved)]
+                    numerics = replace(numerics, precision=precision_for_finer(last, numerics))
                 part = None if progress is None else part_of(progress, number, 2)
                 solved[one] = simulate_one(
                     scene, "fem", numerics=numerics, device=device, progress=part

@@ -50,6 +50,9 @@ ELASTIC_EVERY = 2
 """Iterations from one elastic part of the tangent to the next, where it is kept and steps go well:
 contact, which is taken anew each time, changes more (docs/decisions/0016)."""
 
+Precision = Literal["auto", "float32", "float64"]
+"""`auto` begins in float32 and goes on in float64 where that lacks digits."""
+
 
 @dataclass(frozen=True, slots=True)
 class Numerics:
@@ -77,7 +80,7 @@ class Numerics:
     one_topology: bool = False
     """Whether graded meshes of one call get as many elements as the largest of them: more elements,
     but all presses in one launch, which is what a GPU wants. No mesh becomes coarser."""
-    precision: Literal["auto", "float32", "float64"] = "auto"
+    precision: Precision = "auto"
     """`auto` begins in float32 and goes on in float64 where float32 cannot reach the tolerance."""
     tolerance: float = 1e-4
     """Out-of-balance nodal force over contact force (l2 norms) at which a state is accepted."""

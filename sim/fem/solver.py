@@ -24,7 +24,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Numerics, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
     Sizes,
@@ -424,6 +424,10 @@ POISSON_FLOAT32 = 0.4995
 ROUNDING, ROUNDED_MOST = 10.0, 2
 """A step that fails with a residual below this many tolerances lacks digits: a smaller step would
 fail too. After this many such steps `auto` starts again in float64."""
+HALVINGS_FLOAT32 = 1
+"""Times that `auto` halves a step to a waypoint in float32 before it starts again in float64: most
+of such steps lack digits, where forces or elements are small, and each costs as much as ten good
+ones."""
 ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
 """Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory."""
 
@@ -497,12 +501,26 @@ def _following(
             break
         for i in again:
             sizes[i] = sizes[i].joined(wanted[i])
-        some = _on_meshes(
-            [scenes[i] for i in again], numerics, [sizes[i] for i in again], device, None
-        )
-        for i, outcome in zip(again, some, strict=True):
-            outcomes[i] = _remeshed(outcome, attempt)
+        alike: dict[Precision, list[int]] = {}
+        for i in again:
+            alike.setdefault(precision_for_finer(outcomes[i], numerics), []).append(i)
+        for precision, chosen in alike.items():
+            some = _on_meshes(
+                [scenes[i] for i in chosen],
+                replace(numerics, precision=precision),
+                [sizes[i] for i in chosen],
+                device,
+                None,
+            )
+            for i, outcome in zip(chosen, some, strict=True):
+                outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
     return outcomes
+
+
+def precision_for_finer(found: Result, numerics: Numerics) -> Precision:
+    """What a finer mesh is solved in: float64 where `auto` has seen that float32 lacks digits."""
+    double = numerics.precision == "auto" and found.record["precision"] == "float64"
+    return "float64" if double else numerics.precision
 
 
 def _on_meshes(
@@ -590,11 +608,13 @@ def more_wanted(result: Result) -> Sizes | None:
     return wanted
 
 
-def _remeshed(outcome: Outcome, times: int) -> Outcome:
+def _remeshed(outcome: Outcome, times: int, before: Result) -> Outcome:
     if isinstance(outcome, SimulationDiverged):
         return outcome
-    mesh = {**outcome.record["mesh"], "made_anew": times}
-    return replace(outcome, record={**outcome.record, "mesh": mesh})
+    record = {**outcome.record, "mesh": {**outcome.record["mesh"], "made_anew": times}}
+    if record["precision"] == before.record["precision"] and "precision_reason" in before.record:
+        record.setdefault("precision_reason", before.record["precision_reason"])
+    return replace(outcome, record=record)
 
 
 def _judged(outcome: Outcome) -> Outcome:
@@ -711,7 +731,10 @@ def _part(progress: Progress, before: int, these: int, all_: int) -> Progress:
 def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
     """One batch, in the precision asked for or the one it takes."""
     first, reason = _first_precision(scenes, numerics)
-    outcomes = _Batch(scenes, meshes, numerics, first, device, meshed, progress).run()
+    trial = numerics
+    if numerics.precision == "auto" and first == "float32":
+        trial = replace(numerics, halvings=min(numerics.halvings, HALVINGS_FLOAT32))
+    outcomes = _Batch(scenes, meshes, trial, first, device, meshed, progress).run()
     if numerics.precision != "auto":
         return outcomes
     if first == "float64":

@@ -23,6 +23,7 @@ from sim import (
     simulate_many,
 )
 from sim.fem.numerics import Numerics
+from sim.fem.solver import precision_for_finer
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -100,6 +101,22 @@ def test_float32_that_reaches_the_tolerance_stays_and_gives_no_reason() -> None:
     record = simulate(SCENE, numerics=Numerics(spacing=SPACING)).record
     assert record["precision"] == "float32"
     assert "precision_reason" not in record
+
+
+def test_float32_is_given_up_when_a_halved_step_fails_too() -> None:
+    numerics = Numerics(spacing=SPACING, tolerance=1e-9, newton_max=12)
+    result = simulate(SCENE, numerics=numerics)
+    assert ": 2 steps failed" in result.record["precision_reason"]
+    with pytest.raises(SimulationDiverged, match=": 13 steps failed"):
+        simulate(SCENE, numerics=replace(numerics, precision="float32"))
+
+
+def test_finer_meshes_are_solved_in_float64_where_a_coarser_one_was() -> None:
+    single = simulate(SCENE, numerics=Numerics(spacing=SPACING))
+    double = simulate(SCENE, numerics=Numerics(spacing=SPACING, precision="float64"))
+    assert precision_for_finer(double, Numerics()) == "float64"
+    assert precision_for_finer(single, Numerics()) == "auto"
+    assert precision_for_finer(double, Numerics(precision="float32")) == "float32"
 
 
 def test_unlike_scenes_in_one_call_get_what_they_get_alone() -> None:

@@ -86,7 +86,7 @@ creases, in one of many ways, and no answer is the answer.
 - **Seconds**: wall time of the press with kernels compiled; of the 18 indenters, solved one by one
   on a CPU and in one launch on a GPU, all over 18. **Memory**: on a CPU the most that a process of
   its own held, Python and libraries (about 220 MiB) included; on a GPU the most its arrays held.
-- **fem** has a mesh that follows the contact; its default has the fineness 1. **tolerance** is
+- **fem** has a mesh that follows the contact; its default has the fineness 0.75. **tolerance** is
   met by measuring, or by `layer` where its estimate is trusted, and its seconds are of everything
   that was tried. **fem even** has elements of one size, whatever touches.
 - **Reference**: {reference}; viscous motions in time steps a third as long. The grey line is its
