@@ -33,7 +33,7 @@ ORDER = 2.0
 """Power of the elements' size that the error falls with: linear elements, smooth pressure."""
 SQUARE_FROM = 0.375
 """How finely the coarser mesh has to resolve a contact for errors to fall as the square of the
-elements' size. Below, what is left may be more by as many times, up to what order 1 would leave."""
+elements' size. Half as finely, the error may be twice as large, and so on up to that of order 1."""
 COARSER = 5 / 3
 """Size of the coarser elements over that of the finer ones at most: what is left to chance in both
 forces is multiplied by 1 / (COARSER^2 - 1)."""
@@ -124,7 +124,10 @@ def left_of_difference(ratio: float) -> float:
 
 
 def most_of_difference(coarse: Result, ratio: float) -> Array:
-    """The same of each frame (F,), where the `coarse` mesh may hardly resolve the contact."""
+    """Largest error of the finer of two meshes over the difference of both, of each frame (F,).
+
+    That is `left_of_difference`, or more where the `coarse` mesh hardly resolves the contact.
+    """
     more = np.clip(SQUARE_FROM / fineness_of(coarse), 1.0, ratio + 1.0)
     return np.asarray(left_of_difference(ratio) * more)
 

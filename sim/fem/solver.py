@@ -827,7 +827,7 @@ class Aside:
 
 @dataclass(frozen=True, slots=True)
 class _Taken:
-    """Steps that environments have taken at once, and what is known of the states they led to."""
+    """Steps that some environments completed in one sweep, and the states at their ends."""
 
     steps: list[int]
     """Of which environments."""

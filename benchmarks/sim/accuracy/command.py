@@ -41,8 +41,7 @@ def add_to(verbs: Verbs) -> None:
         type=float,
         default=2.0,
         metavar="FINENESS",
-        help="of the reference's mesh; that of `fem` by default is 0.75 (%(default)s); computed "
-        "once, then read",
+        help="of the reference's mesh (%(default)s); computed once, then read",
     )
     parser.add_argument(
         "--seconds",

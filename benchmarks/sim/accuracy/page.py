@@ -12,6 +12,7 @@ from benchmarks.sim.accuracy.cases import CASES, Case
 from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
 from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
+from sim.fem.numerics import Numerics
 
 COLOURS: dict[str, Colour] = {
     CLOSED_FORM: (128, 132, 142),
@@ -86,9 +87,9 @@ creases, in one of many ways, and no answer is the answer.
 - **Seconds**: wall time of the press with kernels compiled; of the 18 indenters, solved one by one
   on a CPU and in one launch on a GPU, all over 18. **Memory**: on a CPU the most that a process of
   its own held, Python and libraries (about 220 MiB) included; on a GPU the most its arrays held.
-- **fem** has a mesh that follows the contact; its default has the fineness 0.75. **tolerance** is
-  met by measuring, or by `layer` where its estimate is trusted, and its seconds are of everything
-  that was tried. **fem even** has elements of one size, whatever touches.
+- **fem** has a mesh that follows the contact; its default has the fineness {default:g}.
+  **tolerance** is met by measuring, or by `layer` where its estimate is trusted, and its seconds
+  are of everything that was tried. **fem even** has elements of one size, whatever touches.
 - **Reference**: {reference}; viscous motions in time steps a third as long. The grey line is its
   difference from elements {coarser:g} times as large: errors below are not known. It is computed
   once and kept in `build/accuracy`.
@@ -125,7 +126,8 @@ def write_page(path: Path, folder: Path, measured: Sequence[Measured]) -> None:
     lines += _goal_lines(measured)
     for chart in CHARTS[1:]:
         lines += ["", f"![{chart.title}](images/{chart.file})"]
-    lines.append(_METHOD.format(reference=reference, coarser=COARSER))
+    default = Numerics().fineness
+    lines.append(_METHOD.format(reference=reference, coarser=COARSER, default=default))
     for case in cases:
         lines += _case_lines(case, measured)
     path.parent.mkdir(parents=True, exist_ok=True)
