@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sim.fem.cg import Lines
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
-from sim.fem.matrix import Stencil
+from sim.fem.matrix import HALF_POISSON, Stencil
 from sim.fem.mesh import Mesh
 from sim.fem.numerics import Numerics
 from sim.fem.overlap import COLUMNS, overlap_kernel
@@ -406,6 +406,7 @@ class Assembly:
         """Sums over the state last evaluated."""
         self.residual = wp.zeros((environments, count), dtype=vec3, device=device)
         """Out-of-balance force of the state last evaluated (B, N) [E T^2]."""
+        poisson = max(scene.body.poisson for scene in scenes)
         self.stencil = Stencil(
             mesh,
             real,
@@ -413,7 +414,7 @@ class Assembly:
             device,
             viscous="viscosity" in self.effects,
             # Short steps make inertia stiff without a bound, and float16 has one.
-            half=False if "inertia" in self.effects else None,
+            half=False if "inertia" in self.effects or poisson > HALF_POISSON else None,
         )
         """Tangent of the state last linearised."""
         self.lines = Lines(mesh, real, environments, device)

@@ -12,9 +12,11 @@ the other, so that no two at a time share a node, and row by row; `finish` adds 
 belongs to a node. Contact is what changes most, so the elastic part may be kept for a while: half
 of a press on a CPU is assembling. On a GPU it is a sixth, and memory is what runs out.
 
-In float32 products read the matrix rounded to float16: half the bytes of what takes most of
-conjugate gradients' time. They solve for a Newton step to no more than three digits, and its
-residual is that of the equations themselves; iterations stay what they were.
+On a GPU, in float32 and up to `HALF_NODES` and `HALF_POISSON`, products read the matrix rounded to
+float16: half the bytes of what takes most of conjugate gradients' time. They solve for a Newton
+step to no more than three digits, and its residual is that of the equations themselves. On finer
+meshes, and in bodies that keep their volume, what is rounded outweighs the softest motions, and
+Newton's method takes three times the iterations or does not end (docs/decisions/0025).
 """
 
 import functools
@@ -28,28 +30,22 @@ from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots,
 from sim.fem.vectors import RUN
 from sim.scalars import matrix_of, vector_of
 
-# A row of the stencil in a CPU's wide registers: times a vector, and rounded.
+# A row of the stencil in a CPU's wide registers, times a vector.
 #
 # A row is 27 blocks of 3x3 in a piece, 243 numbers. Compiled block by block, a product takes twice
-# as long (docs/results/speed.md), and float16 is converted bit by bit. So rows are written here as
-# the lanes of eight that Clang offers for every CPU. Three neighbours in a line are next to each
-# other in memory: nine times three blocks make a row.
+# as long (docs/results/speed.md). So rows are written here as the lanes of eight that Clang offers
+# for every CPU. Three neighbours in a line are next to each other in memory: nine times three
+# blocks make a row.
 
-_NATIVE = {wp.float16: "_Float16", wp.float32: "float", wp.float64: "double"}
+_NATIVE = {wp.float32: "float", wp.float64: "double"}
 
-_TYPES = """
+_LINE = """
     typedef {real} number;
-    typedef {stored} kept;
     typedef number wide __attribute__((ext_vector_type(8)));
     typedef number four __attribute__((ext_vector_type(4), aligned(sizeof(number))));
-    typedef kept eight __attribute__((ext_vector_type(8), aligned(sizeof(kept))));
-"""
-
-_LINE = (
-    _TYPES
-    + """
-    const kept* m = (const kept*)((const char*)matrix.data + env * (size_t)matrix.strides[0]
-                                  + n * (size_t)matrix.strides[1]);
+    typedef number eight __attribute__((ext_vector_type(8), aligned(sizeof(number))));
+    const number* m = (const number*)((const char*)matrix.data + env * (size_t)matrix.strides[0]
+                                      + n * (size_t)matrix.strides[1]);
     const number* x = (const number*)((const char*)v.data + env * (size_t)v.strides[0]);
     const int last = v.shape[1] - 1;
     wide sum0 = 0, sum1 = 0, sum2 = 0;
@@ -64,65 +60,45 @@ _LINE = (
             y = clamped;
         }}
         const four a = *(const four*)y, b = *(const four*)(y + 3), c = *(const four*)(y + 5);
-        sum0 += __builtin_convertvector(*(const eight*)m, wide)
+        sum0 += *(const eight*)m
               * __builtin_shufflevector(a, a, 0, 1, 2, 0, 1, 2, 0, 1);
-        sum1 += __builtin_convertvector(*(const eight*)(m + 9), wide)
+        sum1 += *(const eight*)(m + 9)
               * __builtin_shufflevector(b, b, 0, 1, 2, 0, 1, 2, 0, 1);
-        sum2 += __builtin_convertvector(*(const eight*)(m + 18), wide)
+        sum2 += *(const eight*)(m + 18)
               * __builtin_shufflevector(c, c, 1, 2, 3, 1, 2, 3, 1, 2);
-        ninth += (number)m[8] * y[2] + (number)m[17] * y[5] + (number)m[26] * y[8];
+        ninth += m[8] * y[2] + m[17] * y[5] + m[26] * y[8];
     }}
     const wide sum = sum0 + sum1 + sum2;
     return wp::vec_t<3, number>(sum[0] + sum[1] + sum[2], sum[3] + sum[4] + sum[5],
                                 sum[6] + sum[7] + ninth);
 """
-)
-
-_ROUND = (
-    _TYPES
-    + """
-    const number* m = (const number*)((const char*)matrix.data + env * (size_t)matrix.strides[0]
-                                      + n * (size_t)matrix.strides[1]);
-    kept* out = (kept*)((char*)kept_out.data + env * (size_t)kept_out.strides[0]
-                        + n * (size_t)kept_out.strides[1]);
-    for (int i = 0; i < 243; ++i)
-        out[i] = (kept)m[i];
-"""
-)
 
 
 @functools.cache
-def wide_row(real, stored):
-    """Functions for one precision; `stored` is the scalar type of the matrix that products read.
+def wide_row(real):
+    """`line(offsets, matrix, v, env, n)` for one precision: row n of a matrix times a vector.
 
-    Returns:
-        `line(offsets, matrix, v, env, n)`: row n of a matrix (B, N, 27) times v (B, N), as the slow
-        one of `stencil`; and `round_row(matrix, env, n, kept_out)`, which copies one. The 27 blocks
-        of a row must be next to each other.
+    Of a matrix (B, N, 27) and v (B, N), as the slow one of `_kernels`. The 27 blocks of a row must
+    be next to each other.
     """
-    vec3, kept33 = vector_of(real), matrix_of(stored)
-    types = {"real": _NATIVE[real], "stored": _NATIVE[stored]}
+    vec3 = vector_of(real)
 
-    @wp.func_native(_LINE.format(**types))
+    @wp.func_native(_LINE.format(real=_NATIVE[real]))
     def line(
         offsets: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=kept33),
+        matrix: wp.array3d(dtype=matrix_of(real)),
         v: wp.array2d(dtype=vec3),
         env: int,
         n: int,
     ) -> vec3: ...
 
-    @wp.func_native(_ROUND.format(**types))
-    def round_row(
-        matrix: wp.array3d(dtype=matrix_of(real)),
-        env: int,
-        n: int,
-        kept_out: wp.array3d(dtype=kept33),
-    ): ...
-
-    return line, round_row
+    return line
 
 
+HALF_NODES, HALF_POISSON = 60_000, 0.49
+"""Nodes of a mesh whose products read the tangent in float16, and Poisson's ratio of its body, at
+most. Scenes drawn by chance on up to 64,000 elements took as many iterations with it, one on
+110,000 three times as many; with 0.499 float32 found no state that it finds without."""
 BLOCK = 128
 """Nodes that one block of a GPU's threads takes, whose sums it adds up."""
 
@@ -226,21 +202,7 @@ def _kernels(real, stored, wide: bool):
                     total += mat33(matrix[env, n, slot]) * v[env, other]
         return total
 
-    line = by_blocks
-    if wide:
-        line, round_row = wide_row(real, stored)
-
-        @wp.kernel(enable_backward=False, module="unique")
-        def store_rows(
-            # In:
-            active: wp.array(dtype=wp.int32),
-            matrix: wp.array3d(dtype=mat33),
-            # Out:
-            kept_out: wp.array3d(dtype=kept33),
-        ):
-            env, n = wp.tid()
-            if active[env] == 1:
-                round_row(matrix, env, n, kept_out)
+    line = wide_row(real) if wide else by_blocks
 
     @wp.kernel(enable_backward=False, module="unique")
     def product(
@@ -290,7 +252,7 @@ def _kernels(real, stored, wide: bool):
         if n % BLOCK == 0:
             sums_out[env, n // BLOCK, 0] = whole[0]
 
-    return clear, finish, store_rows if wide else store_blocks, product, block_product
+    return clear, finish, store_blocks, product, block_product
 
 
 class Stencil:
@@ -318,8 +280,8 @@ class Stencil:
             viscous: Whether stresses have a history.
             parallel: Whether threads run at once: colour by colour, a row of an element each, and
                 node numbers fastest in memory. On a GPU, when not said.
-            half: Whether products read a copy of the matrix in float16, 486 bytes more. In float32,
-                when not said.
+            half: Whether products read a copy of the matrix in float16, 486 bytes more; not good
+                above `HALF_POISSON`. In float32 on a GPU, up to `HALF_NODES`, when not said.
             keep: Whether the elastic part is a matrix of its own, which can be kept. On a CPU, when
                 not said.
         """
@@ -331,9 +293,10 @@ class Stencil:
         self._elements_kernel = kernel(real, viscous)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
-        half = real == wp.float32 if half is None else half
+        if half is None:
+            half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
         kept = wp.float16 if half else real
-        kernels = _kernels(real, kept, not self._parallel)
+        kernels = _kernels(real, kept, not self._parallel and not half)
         self._clear, self._finish, self._store, self._product, self._block_product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """How many shares `product` writes of each sum."""
@@ -423,7 +386,7 @@ class Stencil:
         if self._read is not self.matrix:
             wp.launch(
                 self._store,
-                dim=(self._environments, *((SLOTS,) if self._parallel else ()), self._nodes),
+                dim=(self._environments, SLOTS, self._nodes),
                 inputs=[active, self.matrix],
                 outputs=[self._read],
                 device=self._device,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -228,6 +228,9 @@ class Convolution:
 
     def full(self, traction: Array) -> Array:
         """Displacement (3, X, Y) by a traction (3, X, Y)."""
+        if not traction[:2].any():
+            z = self._forward(traction[2])
+            return self._back(np.stack([self._xz * z, self._yz * z, self._zz * z]))
         x, y, z = self._forward(traction)
         return self._back(
             np.stack(
@@ -277,14 +280,15 @@ class Convolutions:
 
     def within(self, shape: tuple[int, ...]) -> Elastic:
         """The layer within a window of `shape`, made once for each shape."""
-        if shape not in self._made:
+        found = self._made.get(shape)
+        if found is None:
             if len(self._made) == SHAPES_KEPT:
                 self._made.clear()
             local = self._kernel[:3, 0, 0]
-            self._made[shape] = Elastic(
+            found = self._made[shape] = Elastic(
                 self._cut(shape, self.dtype), float(local[2]), float(min(local[0], local[1]))
             )
-        return self._made[shape]
+        return found
 
     def _cut(self, shape: tuple[int, ...], dtype: DTypeLike) -> Convolution:
         """The convolution over a window of `shape`, without the period's images.
@@ -300,3 +304,9 @@ class Convolutions:
         spectrum = scipy.fft.rfft2(kernel)
         parts = np.concatenate([spectrum[:4].real, spectrum[4:].imag])
         return Convolution(parts, (shape[0], shape[1]), (padded[0], padded[1]), dtype)
+
+
+@lru_cache(maxsize=2)
+def convolutions(grid: Grid, dtype: np.dtype[Any]) -> Convolutions:
+    """The convolutions of a grid, made once for all presses on it that follow each other."""
+    return Convolutions(grid, dtype)

@@ -151,17 +151,19 @@ def test_a_runs_iterations_are_weighed_with_the_meshes_they_ran_on(
 def test_a_floor_is_the_larger_of_moving_and_computing() -> None:
     run = Run("presses", "all", newton_elements=10, newton_nodes=20, cg_nodes=1000)
     machine = Machine("m", "cpu", copy_rate=1e6, near_rate=1e9, flop_rate=1e9)
-    # 2 blocks of the preconditioner, 12 vectors, of 4 bytes a number; 27 blocks of 2, which were
-    # written beside those of 4, which were assembled, on a CPU for every other one, and copied.
-    cg_bytes = 4 * (2 * 9 + 12 * 3) + 2 * 27 * 9
-    newton_bytes = 4 * (2.5 * 27 * 9 + 4 * 9 + 4 * 3) + 2 * 27 * 9
+    # 2 blocks of the preconditioner, 12 vectors, 27 blocks of 4 bytes a number that are assembled,
+    # on a CPU for every other one, and copied; on a GPU products read 27 of 2, written beside them.
+    row, half_row = 4 * 27 * 9, 2 * 27 * 9
+    cg_bytes = 4 * (2 * 9 + 12 * 3)
+    newton_bytes = 2 * row + 4 * (4 * 9 + 4 * 3)
     near = floor_of(run, machine)
-    assert near.cg_bytes == 1000 * cg_bytes
-    assert near.newton_bytes == 10 * 720 + 20 * newton_bytes
+    assert near.cg_bytes == 1000 * (cg_bytes + row)
+    assert near.newton_bytes == 10 * 720 + 20 * (newton_bytes + 0.5 * row)
     assert near.byte_seconds == pytest.approx((near.cg_bytes + near.newton_bytes) / 1e9)
     machine = replace(machine, device="cuda:0")
     floor = floor_of(run, machine)
-    assert floor.newton_bytes == 10 * 896 + 20 * (newton_bytes + 4 * 0.5 * 27 * 9)
+    assert floor.cg_bytes == 1000 * (cg_bytes + half_row)
+    assert floor.newton_bytes == 10 * 896 + 20 * (newton_bytes + row + half_row)
     assert floor.seconds == (floor.cg_bytes + floor.newton_bytes) / 1e6
     assert floor_of(run, replace(machine, flop_rate=1.0)).seconds == floor.flops
     assert math.isnan(floor_of(run, Machine("m", "cpu")).seconds)

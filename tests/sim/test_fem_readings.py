@@ -61,10 +61,8 @@ def test_results_are_the_same_however_arrays_come_to_the_host(
 
 def test_an_error_in_a_thread_is_raised_when_it_ends() -> None:
     done: list[int] = []
-    aside = Aside(thread=True)
-    aside.do(done.append, 1)
-    aside.do(divmod, 1, 0)
-    aside.do(done.append, 2)
-    with pytest.raises(ZeroDivisionError):
-        aside.__exit__(None, None, None)
+    with pytest.raises(ZeroDivisionError), Aside(thread=True) as aside:
+        aside.do(done.append, 1)
+        aside.do(divmod, 1, 0)
+        aside.do(done.append, 2)
     assert done == [1, 2]

@@ -17,22 +17,22 @@ SLOTS = 27
 ROW_BYTES = SLOTS * BLOCK
 """A node's row of the tangent, all of it stored."""
 HALF_ROW_BYTES = SLOTS * 9 * HALF
-"""The same as products read it."""
+"""The same as products read it on a GPU."""
 PRECONDITIONER_BYTES = 2 * BLOCK
 """Pivot and coupling of a node, each read once."""
 VECTORS_BYTES = 10 * VECTOR
 """Direction, product, solution and residual read, the two last and the preconditioned residual
 written; then that one and the direction read, and the direction written."""
 CG_BYTES = HALF_ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
-"""Of a node and iteration of conjugate gradients; in the product a vector, which stays near, is
-read and one written."""
+"""Of a node and iteration of conjugate gradients on a GPU; in the product a vector, which stays
+near, is read and one written."""
 WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
-"""The same if products read the tangent as it was assembled."""
+"""The same where products read the tangent as it was assembled, as on a CPU."""
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
 """The product, three small products of the preconditioner, four vector updates and dot products."""
-NEWTON_NODE_BYTES = 2 * ROW_BYTES + HALF_ROW_BYTES + 4 * BLOCK + 4 * VECTOR
-"""The elastic part read, the tangent written in both, its columns factored, displacement and
-residual; beside them the elastic part is written where it is new."""
+NEWTON_NODE_BYTES = 2 * ROW_BYTES + 4 * BLOCK + 4 * VECTOR
+"""The elastic part read, the tangent written, its columns factored, displacement and residual;
+beside them the elastic part is written where it is new, and on a GPU the tangent in float16."""
 _GEOMETRY_BYTES = 8 * BLOCK + 8 * NUMBER + 8 * NUMBER
 """Inverse Jacobians, weights and node numbers of an element."""
 _FORCES_BYTES = 2 * 8 * VECTOR
@@ -77,11 +77,11 @@ class Floor:
 
 
 def floor_of(run: Run, machine: Machine) -> Floor:
-    """The floor of a run in float32, whose products read the tangent in float16."""
+    """The floor of a run in float32, whose products read the tangent in float16 on a GPU."""
     cpu = machine.device == "cpu"
-    of_node = NEWTON_NODE_BYTES + anew(cpu=cpu) * ROW_BYTES
+    of_node = NEWTON_NODE_BYTES + anew(cpu=cpu) * ROW_BYTES + (0 if cpu else HALF_ROW_BYTES)
     newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node
-    cg_bytes = run.cg_nodes * CG_BYTES
+    cg_bytes = run.cg_nodes * (WHOLE_CG_BYTES if cpu else CG_BYTES)
     flops = run.newton_elements * newton_element_flops(cpu=cpu) + run.cg_nodes * CG_FLOPS
     rate = machine.copy_rate
     if cpu and machine.near_rate > rate:

@@ -10,6 +10,7 @@ from benchmarks.sim.speed.cells import MISSING, or_missing, percent, row, second
 from benchmarks.sim.speed.floor import (
     CG_BYTES,
     HALF_ROW_BYTES,
+    WHOLE_CG_BYTES,
     floor_of,
     newton_element_bytes,
     newton_element_flops,
@@ -29,11 +30,12 @@ _FLOOR = """
 ## The floor
 
 Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
-iteration moves at least {cg} bytes a node ({row} of the tangent's row, which products read in
-float16, the rest vectors and preconditioner in float32); a Newton iteration moves {element:g} bytes
-an element besides writing and copying the tangent, and computes {flops:,.0f} operations an element,
-counted in the kernels' source: on a CPU, where every second one assembles the elastic part,
-{cpu_element:g} and {cpu_flops:,.0f}. Bytes are moved at the rate of a copy measured beside the run:
+iteration moves at least {cg} bytes a node on a GPU ({row} of the tangent's row, which products read
+in float16, the rest vectors and preconditioner in float32) and {whole} on a CPU, which reads it in
+float32. A Newton iteration moves {element:g} bytes an element besides writing and copying the
+tangent, and computes {flops:,.0f} operations an element, counted in the kernels' source: on a CPU,
+where every second one assembles the elastic part, {cpu_element:g} and {cpu_flops:,.0f}. Bytes are
+moved at the rate of a copy measured beside the run:
 of an array that no cache holds or, on a CPU where that is faster, of one as large as the tangent of
 one press.
 """
@@ -119,6 +121,7 @@ def floor_section(records: Sequence[Record]) -> list[str]:
         _FLOOR.format(
             cg=CG_BYTES,
             row=HALF_ROW_BYTES,
+            whole=WHOLE_CG_BYTES,
             element=newton_element_bytes(cpu=False),
             flops=newton_element_flops(cpu=False),
             cpu_element=newton_element_bytes(cpu=True),

@@ -1,0 +1,53 @@
+"""Tests of the solver accuracy and the meshes that a tolerance asks for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim import Effects, Scene, press
+from sim.effects import Viscosity
+from sim.fem.numerics import Numerics
+from sim.fem.sizing import Sizes, Span
+from sim.fem.solver import Asked, simulate_fem
+from sim.indenters import sphere
+from sim.result import Result
+from sim.tolerance import STATES_MOST, _states
+
+BALL = Scene(sphere(4e-3), press([0.3e-3]))
+WET = replace(BALL, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
+
+
+@pytest.mark.parametrize(
+    ("scene", "share", "tolerance", "path"),
+    [
+        (BALL, 0.01, 1e-3, 1e-2),
+        (BALL, 0.5, STATES_MOST, 10 * STATES_MOST),
+        (BALL, 1e-4, 1e-4, 1e-3),
+        (WET, 0.01, 1e-3, None),
+    ],
+    ids=["one per cent", "coarse", "finest", "history"],
+)
+def test_states_are_as_exact_as_a_tolerance_asks(
+    scene: Scene, share: float, tolerance: float, path: float | None
+) -> None:
+    states = _states(scene, share)
+    assert states.tolerance == pytest.approx(tolerance)
+    assert states.path_tolerance == (None if path is None else pytest.approx(path))
+
+
+def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None:
+    key = 0, len(BALL.motion)
+    far_too_coarse = Span(-3e-3, 3e-3, 1.5e-3)
+    asked: Asked = {key: Sizes((far_too_coarse,), (far_too_coarse,), 1.5e-3, 2e-3)}
+    numerics = Numerics(fineness=0.5, tolerance=1e-3)
+    (first,) = simulate_fem([BALL], numerics, asked=asked)
+    assert isinstance(first, Result)
+    assert first.record["mesh"]["made_anew"] >= 1
+    assert asked[key].x != (far_too_coarse,)
+    (second,) = simulate_fem([BALL], numerics, asked=asked)
+    assert isinstance(second, Result)
+    assert "made_anew" not in second.record["mesh"]
+    np.testing.assert_allclose(second.force, first.force, rtol=0.02, atol=1e-4)
