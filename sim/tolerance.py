@@ -71,6 +71,8 @@ HOPELESS = 8.0
 """Elements that a tolerance would take, over those that it may, from which it is not tried."""
 ROUNDS = 4
 """Meshes that are tried."""
+WHOLLY = 0.97
+"""Fineness of a mesh over that asked for, below which the limit on elements was in the way."""
 FINER_LEAST, FINER_MOST = 1.25, 2.0
 """How much finer the next mesh is."""
 ELEMENTS_MAX = {"cpu": 250_000, "cuda": 2_000_000}
@@ -105,8 +107,6 @@ def simulate_within(
             not there; an indenter in the side wall of a round body.
         SimulationDiverged: A mesh found no solution.
     """
-    from sim.fem.solver import precision_for_finer
-
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)
     if tier not in (None, "layer", "fem"):
@@ -118,9 +118,8 @@ def simulate_within(
     most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
     share = wanted.value if wanted.kind == "share" else 0.01
     fineness = float(np.clip((EXPECTED / share) ** 0.5, FIRST_LEAST, FIRST_MOST))
-    states = _states(scene, share)
-    solved: dict[float, Result] = {}
-    asked: Asked = {}
+    states = replace(_states(scene, share), elements_max=most)
+    meshes = _Meshes(scene, states, device, progress)
     tried: list[str] = []
     if tier == "layer" or (tier is None and worth_a_look(scene, wanted)):
         linear = _of_layer(scene, wanted, tier, tried, device, progress)
@@ -128,35 +127,28 @@ def simulate_within(
             return _with_plan(linear, wanted, tried, began, why_trusted(linear))
     best: tuple[float, Result] | None = None
     for _round in range(ROUNDS):
-        pair = []
-        for number, one in enumerate((fineness / COMPANION, fineness)):
-            known = [each for each in solved if abs(each / one - 1) < 0.15]
-            if not known:
-                numerics = replace(states, fineness=one, elements_max=most)
-                if solved:
-                    last = solved[max(solved)]
-                    numerics = replace(numerics, precision=precision_for_finer(last, numerics))
-                part = None if progress is None else part_of(progress, number, 2)
-                solved[one] = _on_mesh(scene, numerics, device, part, asked)
-            pair.append(solved[known[0] if known else one])
-        unknown = unknown_at_side(pair[1], measured=True)
+        coarse = meshes.solved(fineness / COMPANION, 0)
+        fine = meshes.solved(fineness, 1)
+        limited = _fineness(fine) < WHOLLY * fineness
+        if limited:
+            coarse = meshes.solved(_fineness(fine) / COMPANION, 0)
+        unknown = unknown_at_side(fine, measured=True)
         if unknown is not None:
             raise SceneError(f"tolerance: {tolerance!r}; {unknown['why']}")
-        limited = pair[1].record["mesh"]["fineness"] < 0.97 * fineness
-        if least_ratio(*pair) < RATIO_LEAST:
+        if least_ratio(coarse, fine) < RATIO_LEAST:
             tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
             if limited:
                 break
             fineness *= COMPANION
             continue
-        found, error = _of_both(pair[0], pair[1], wanted, max(FLOOR, states.tolerance / 2))
+        found, error = _of_both(coarse, fine, wanted, max(FLOOR, states.tolerance / 2))
         tried.append(f"fineness {fineness:.3g}: {with_unit(wanted.kind, error)}")
         if best is None or error < best[0]:
             best = error, found
         if error <= wanted.value:
             return _with_plan(found, wanted, tried, began)
         finer = (error / wanted.value) ** 0.5 * 1.05
-        if limited or pair[1].record["mesh"]["elements"] * finer**3 > HOPELESS * most:
+        if limited or fine.record["mesh"]["elements"] * finer**3 > HOPELESS * most:
             break
         fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
     allowed = "none" if best is None else f"{with_unit(wanted.kind, 1.001 * best[0])} or more"
@@ -175,16 +167,50 @@ def _states(scene: Scene, share: float) -> Numerics:
     return replace(plain, tolerance=tolerance, path_tolerance=10 * tolerance)
 
 
-def _on_mesh(
-    scene: Scene, numerics: Numerics, device: str, progress: Progress | None, asked: Asked
-) -> Result:
-    """The scene solved on a mesh built for what `asked` says of its contact, which it adds to."""
-    from sim.fem.solver import simulate_fem
+class _Meshes:
+    """One scene on meshes of one fineness after another, each built for what the others found."""
 
-    (outcome,) = simulate_fem([scene], numerics, device=device, progress=progress, asked=asked)
-    if isinstance(outcome, SimulationDiverged):
-        raise outcome
-    return with_estimate(outcome)
+    def __init__(
+        self, scene: Scene, states: Numerics, device: str, progress: Progress | None
+    ) -> None:
+        self._scene, self._states = scene, states
+        self._device, self._progress = device, progress
+        self._solved: list[Result] = []
+        self._finest = np.inf
+        self._asked: Asked = {}
+
+    def solved(self, fineness: float, part: int) -> Result:
+        """The scene on a mesh of about that fineness, solved unless it was; `part` 0 or 1 of 2.
+
+        The mesh is coarser where the limit on elements is in the way.
+        """
+        from sim.fem.solver import precision_for_finer, simulate_fem
+
+        fineness = min(fineness, self._finest)
+        for known in self._solved:
+            if abs(_fineness(known) / fineness - 1) < 0.15:
+                return known
+        numerics = replace(self._states, fineness=fineness)
+        if self._solved:
+            finest = max(self._solved, key=_fineness)
+            numerics = replace(numerics, precision=precision_for_finer(finest, numerics))
+        (outcome,) = simulate_fem(
+            [self._scene],
+            numerics,
+            device=self._device,
+            progress=None if self._progress is None else part_of(self._progress, part, 2),
+            asked=self._asked,
+        )
+        if isinstance(outcome, SimulationDiverged):
+            raise outcome
+        self._solved.append(with_estimate(outcome))
+        if _fineness(outcome) < WHOLLY * fineness:
+            self._finest = _fineness(outcome)
+        return self._solved[-1]
+
+
+def _fineness(result: Result) -> float:
+    return float(result.record["mesh"]["fineness"])
 
 
 def _of_layer(

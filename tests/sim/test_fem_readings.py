@@ -61,8 +61,13 @@ def test_results_are_the_same_however_arrays_come_to_the_host(
 
 def test_an_error_in_a_thread_is_raised_when_it_ends() -> None:
     done: list[int] = []
-    with pytest.raises(ZeroDivisionError), Aside(thread=True) as aside:
-        aside.do(done.append, 1)
-        aside.do(divmod, 1, 0)
-        aside.do(done.append, 2)
+
+    def three_calls() -> None:
+        with Aside(thread=True) as aside:
+            aside.do(done.append, 1)
+            aside.do(divmod, 1, 0)
+            aside.do(done.append, 2)
+
+    with pytest.raises(ZeroDivisionError):
+        three_calls()
     assert done == [1, 2]

@@ -66,7 +66,19 @@ def test_one_that_the_meshes_allowed_do_not_reach_is_refused_with_what_they_do(
         simulate(BALL, tolerance="0.11 %")
 
 
-def test_two_meshes_that_are_one_tell_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_on_elements_leaves_a_coarser_mesh_to_measure_by(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 1000)
+    scene = Scene(sphere(4e-3), press([0.3e-3]))
+    error = simulate(scene, "fem", tolerance="8 %").record["error"]
+    assert error["second_mesh"]["elements"] < 0.6 * 1000
+    with pytest.raises(SceneError, match=r"fineness 0\.6: 5\.\d+ %; allowed: 5\.\d+ % or more"):
+        simulate(scene, "fem", tolerance="3 %")
+
+
+def test_meshes_too_much_alike_tell_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 1000)
+    monkeypatch.setattr(tolerance, "RATIO_LEAST", 9.0)
     with pytest.raises(SceneError, match=r"no coarser mesh to measure by; allowed: none"):
         simulate(BALL, tolerance="0.3 %")

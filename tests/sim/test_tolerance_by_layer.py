@@ -29,7 +29,7 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_arguments: Any, **_options: Any) -> Result:
         raise AssertionError("fem was solved")
 
-    monkeypatch.setattr(module, "_on_mesh", refused)
+    monkeypatch.setattr(module._Meshes, "solved", refused)
     monkeypatch.setattr(module, "simulate_one", refused)
 
 
@@ -127,7 +127,7 @@ def test_scenes_that_it_was_not_held_against_are_not_tried(
         raise SimulationDiverged("a mesh was tried")
 
     monkeypatch.setattr(module, "solved_by_layer", solved)
-    monkeypatch.setattr(module, "_on_mesh", mesh)
+    monkeypatch.setattr(module._Meshes, "solved", mesh)
     tolerance = "30 %" if scene.motion.depth_max > 1e-3 else "8 %"
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
         simulate(scene, tolerance=tolerance)
@@ -161,7 +161,7 @@ def test_answers_that_are_no_such_thing_are_left_to_meshes(
         raise SimulationDiverged("a mesh was tried")
 
     monkeypatch.setattr(module, "_of_layer", kept)
-    monkeypatch.setattr(module, "_on_mesh", mesh)
+    monkeypatch.setattr(module._Meshes, "solved", mesh)
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
         simulate(scene, tolerance=tolerance)
     assert len(said) == 1
