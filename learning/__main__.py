@@ -8,6 +8,7 @@ from importlib import import_module
 
 from learning.command import EXIT_WRONG_INPUT, run
 
+# The module of each verb, below `learning`, and its line in the list of verbs.
 _VERBS = {
     # Data
     "markers": ("cli.markers", "make a marker archive of recorded sessions"),
@@ -61,7 +62,6 @@ _VERBS = {
         "translate, train, compensate, evaluate: all pairs of an archive, one report",
     ),
 }
-"""The module of each verb, below `learning`, and its line in the list of verbs."""
 
 
 def arguments(verb: str = "") -> argparse.ArgumentParser:
@@ -84,8 +84,8 @@ def arguments(verb: str = "") -> argparse.ArgumentParser:
     return parser
 
 
+# Verbs that measured, and the benchmark that each is now.
 _MOVED = {"bench": "latency", "tables": "learning-tables"}
-"""Verbs that measured, and the benchmark that each is now."""
 
 
 def main(argv: list[str] | None = None) -> int:

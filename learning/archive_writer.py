@@ -17,8 +17,8 @@ from recorder import MarkerArchive
 from recorder.archive import COLUMNS, ArchivePlan, ArchiveWriter, MarkerCount, SensorPlan
 from recorder.markers import MarkerCheck, find_blobs, unpack
 
+# Frames that are compressed together, and frames that are written at once.
 CHUNK_ROWS, UNIT_ROWS = 32, 256
-"""Frames that are compressed together, and frames that are written at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +100,8 @@ def _rows(writer: ArchiveWriter, name: str, unit: int) -> slice:
 
 # Frames whose markers are not those of their reference, told of where the frame comes from.
 
+# Keys of a line of provenance: what the marker count said, and why there is no frame.
 FLAG, INVALID = "marker_flag", "invalid"
-"""Keys of a line of provenance: what the marker count said, and why there is no frame."""
 
 
 class Flagger:

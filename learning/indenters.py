@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+# The paper's indenters; simulated archives have the same ones in the same order.
 NAMES = (
     "sphere",
     "sphere_s",
@@ -24,9 +25,8 @@ NAMES = (
     "moon",
     "random",
 )
-"""The paper's indenters; simulated archives have the same ones in the same order."""
+# Indenters that the paper's models are tested on and never trained on.
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
-"""Indenters that the paper's models are tested on and never trained on."""
 
 
 def coded(names: Iterable[str]) -> tuple[str, ...]:

@@ -17,8 +17,8 @@ from learning.errors import LearningError
 Floats = NDArray[np.float64]
 
 AXES = ("fx", "fy", "fz")
+# What has an error: the axes, and the magnitude of the force.
 MEASURED = (*AXES, "ft")
-"""What has an error: the axes, and the magnitude of the force."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
+# What takes less than this [s] says nothing.
 QUIET = 2.0
-"""What takes less than this [s] says nothing."""
+# Time between updates on a terminal, and between lines elsewhere [s].
 REWRITE_EVERY, LINE_EVERY = 0.5, 10.0
-"""Time between updates on a terminal, and between lines elsewhere [s]."""
 
 
 class Progress:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+# Everything that a check can find, by code.
 CODES = {
     "unfinished": "the session was not closed",
     "metadata": "a zarr.json that is missing or not as the format has it",
@@ -23,7 +24,6 @@ CODES = {
     "segment-outside": "a phase that its streams do not cover, or that points nowhere",
     "frames-length": "a frames view that does not fit the segments",
 }
-"""Everything that a check can find, by code."""
 
 
 @dataclass(frozen=True, slots=True)

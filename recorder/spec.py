@@ -15,12 +15,12 @@ from recorder.errors import SessionError
 FORMAT = "tactile-rig session"
 FORMAT_VERSION = 1
 
+# Phases of one target, by code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
-"""Phases of one target, by code."""
+# How a phase ended, by code.
 OUTCOMES = ("complete", "force_limited", "interrupted", "stopped")
-"""How a phase ended, by code."""
+# What a session's `status` may say.
 STATUSES = ("recording", "complete", "stopped", "recovered")
-"""What a session's `status` may say."""
 
 _DTYPES = ("uint8", "int8", "int16", "int32", "int64", "float32", "float64")
 _WRENCH_UNITS = "N, N m"
@@ -191,6 +191,7 @@ def taxels_spec(rate_hz: float, **attrs: Any) -> StreamSpec:
     return StreamSpec("taxels", (value, _device_t(), _seq(), _t_ns()), rate_hz, attrs)
 
 
+# One row per recorded phase.
 SEGMENTS = StreamSpec(
     "segments",
     (
@@ -204,8 +205,8 @@ SEGMENTS = StreamSpec(
     rate_hz=1.0,
     attrs={"phases": list(PHASES), "outcomes": list(OUTCOMES)},
 )
-"""One row per recorded phase."""
 
+# One row per no-contact moment.
 REFERENCE = StreamSpec(
     "reference",
     (
@@ -241,12 +242,11 @@ REFERENCE = StreamSpec(
     rate_hz=1.0,
     attrs={},
 )
-"""One row per no-contact moment."""
 
+# Units and description of the columns of `targets`.
 TARGET_UNITS: Mapping[str, tuple[str, str]] = {
     "point": ("1", "number of the contact point"),
     "depth": ("m", "planned indentation"),
     "direction": ("1", "number of the shear direction, 0 along +x, counter-clockwise; -1 for none"),
     "planned": ("m", "planned place of the tip at full shear, in the robot's base frame"),
 }
-"""Units and description of the columns of `targets`."""

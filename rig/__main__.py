@@ -40,8 +40,8 @@ def _arguments(words: Sequence[str]) -> argparse.ArgumentParser:
     return parser
 
 
+# Verbs that measured, and the benchmark that each is now.
 _MOVED = {"bench-recorder": "recording", "endurance": "endurance", "faults": "faults"}
-"""Verbs that measured, and the benchmark that each is now."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -23,8 +23,8 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
+# Verbs that measured; each is a benchmark of the same name now.
 _MOVED = ("refine", "hard-cases", "effects", "accuracy", "speed")
-"""Verbs that measured; each is a benchmark of the same name now."""
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -12,8 +12,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+# Share of the largest traction of a frame below which it does not count as contact.
 FAINT = 0.02
-"""Share of the largest traction of a frame below which it does not count as contact."""
 
 
 def touched_by(traction: NDArray[np.floating[Any]]) -> Mask:

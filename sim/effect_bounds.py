@@ -25,13 +25,13 @@ from sim.tiers import simulate_one
 
 Array = NDArray[np.float64]
 
+# Slope of a force over depth, over force / depth, at most: 1 for a flat punch, 1.5 for a sphere, 2
+# for a cone, more as the layer fills up.
 STIFFENING = 3.0
-"""Slope of a force over depth, over force / depth, at most: 1 for a flat punch, 1.5 for a sphere, 2
-for a cone, more as the layer fills up."""
+# Share of the force that friction changes over its coefficient, at most: 1 on a flat contact.
 ALONG = 3.0
-"""Share of the force that friction changes over its coefficient, at most: 1 on a flat contact."""
+# Coefficient above which friction has no bound: it may change anything.
 SLIPPERY = 0.01
-"""Coefficient above which friction has no bound: it may change anything."""
 
 
 @dataclass(frozen=True, slots=True)

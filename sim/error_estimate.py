@@ -21,28 +21,28 @@ from sim.symmetry import vanishing_share, with_symmetry
 
 Array = NDArray[np.float64]
 
+# Error of the force with a fineness of 1 (12 elements across the contact): it falls with the square
+# of the elements' size. 0.012 covered 110 of the 133 forces of `benchmarks independent`.
 PER_SQUARE = 0.016
-"""Error of the force with a fineness of 1 (12 elements across the contact): it falls with the
-square of the elements' size. 0.012 covered 110 of the 133 forces of `benchmarks independent`."""
+# Fineness below which the error grows with the elements' size itself.
 RESOLVED = 0.5
-"""Fineness below which the error grows with the elements' size itself."""
+# Error of the force where the smallest elements are as long as an edge's radius, which falls with
+# the square too.
 PER_EDGE = 0.03
-"""Error of the force where the smallest elements are as long as an edge's radius, which falls with
-the square too."""
+# Most that an edge which no element resolves is worth: of a sharp punch, a fifth of the force.
 EDGE_MOST = 0.2
-"""Most that an edge which no element resolves is worth: of a sharp punch, a fifth of the force."""
+# Error of `layer` over depth over thickness: it knows small strains alone.
 LAYER_PER_DEPTH = 0.7
-"""Error of `layer` over depth over thickness: it knows small strains alone."""
+# Error of `layer` over the pixel's side over the contact's width. With both numbers the error
+# covers all 136 forces of `benchmarks independent --tier layer --set axisymmetric`.
 LAYER_PER_PIXEL = 1.2
-"""Error of `layer` over the pixel's side over the contact's width. With both numbers the error
-covers all 136 forces of `benchmarks independent --tier layer --set axisymmetric`."""
+# Error of `layer` where neither matters.
 LAYER_LEAST = 0.003
-"""Error of `layer` where neither matters."""
+# Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
+# no sides.
 RIM = 1.0
-"""Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
-no sides."""
+# Height of a dome's rim over the thickness below which it is nothing like a layer.
 RIM_UNEVEN = 0.5
-"""Height of a dome's rim over the thickness below which it is nothing like a layer."""
 
 
 def unknown_at_side(result: Result, *, measured: bool = False) -> dict[str, Any] | None:

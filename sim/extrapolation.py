@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Power of the elements' size that the error falls with: linear elements, smooth pressure.
 ORDER = 2.0
-"""Power of the elements' size that the error falls with: linear elements, smooth pressure."""
+# How finely the coarser mesh has to resolve a contact for errors to fall as the square of the
+# elements' size. Half as finely, the error may be twice as large, and so on up to that of order 1.
 SQUARE_FROM = 0.375
-"""How finely the coarser mesh has to resolve a contact for errors to fall as the square of the
-elements' size. Half as finely, the error may be twice as large, and so on up to that of order 1."""
+# Size of the coarser elements over that of the finer ones at most: what is left to chance in both
+# forces is multiplied by 1 / (COARSER^2 - 1).
 COARSER = 5 / 3
-"""Size of the coarser elements over that of the finer ones at most: what is left to chance in both
-forces is multiplied by 1 / (COARSER^2 - 1)."""
+# Elements over the depth of the coarser mesh at least.
 COARSEST_CELLS = 3
-"""Elements over the depth of the coarser mesh at least."""
+# Sides of the finest elements over their height at most: under wider ones the contact jumps from
+# node to node, and the error does not fall evenly.
 FINER = 0.5
-"""Sides of the finest elements over their height at most: under wider ones the contact jumps from
-node to node, and the error does not fall evenly."""
 
 
 def simulate_extrapolated(

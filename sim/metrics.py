@@ -99,9 +99,8 @@ def check_same(one: Outcome, other: Outcome, body: Body) -> None:
 
 # Where a camera below the gel sees markers that stick to its top: the paper's pinhole.
 
+# Markers along each side of the body.
 MARKERS = 14
-
-"""Markers along each side of the body."""
 
 
 def marker_places(body: Body) -> tuple[Array, Array]:
@@ -123,13 +122,12 @@ def seen(place: Array) -> Array:
 
 Array = NDArray[np.float64]
 
+# Points along each side of the grid on which surfaces are compared.
 POINTS = 121
 
-"""Points along each side of the grid on which surfaces are compared."""
 
+# Share of the largest force below which a frame's error is no longer divided by its own force.
 WEAK = 0.1
-
-"""Share of the largest force below which a frame's error is no longer divided by its own force."""
 
 
 @dataclass(frozen=True, slots=True)

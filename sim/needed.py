@@ -34,27 +34,27 @@ from sim.tolerance import FLOOR, simulate_within
 
 Progress = Callable[[float], None]
 
+# Share of a tolerance that effects left out may take; what they do not take is the mesh's.
 PART = 1 / 3
-"""Share of a tolerance that effects left out may take; what they do not take is the mesh's."""
+# Error of leaving effects out on a finer mesh over that of the probes, at most: up to 1.34 in 22
+# random scenes, but for one whose error was below `NOISE` (`python -m benchmarks needed`).
 SAFETY = 1.5
-"""Error of leaving effects out on a finer mesh over that of the probes, at most: up to 1.34 in 22
-random scenes, but for one whose error was below `NOISE` (`python -m benchmarks needed`)."""
+# Least error of a force, over the force, that probes tell of leaving effects out: states are found
+# along other steps, with what is left of the penetration.
 NOISE = 5e-4
-"""Least error of a force, over the force, that probes tell of leaving effects out: states are found
-along other steps, with what is left of the penetration."""
+# Share of that part which a bound must be below for an effect to be spared a probe.
 BOUND_PART = 0.1
-"""Share of that part which a bound must be below for an effect to be spared a probe."""
+# The same without a tolerance: a tenth of what two meshes tell of a force, and pixels.
 NEGLIGIBLE: dict[Kind, float] = {"share": 1e-4, "marker": 0.01}
-"""The same without a tolerance: a tenth of what two meshes tell of a force, and pixels."""
+# Of the probes' meshes.
 FINENESS, ELEMENTS_MAX = 0.3, 1500
-"""Of the probes' meshes."""
+# Tolerances of the probes' states, and of those between waypoints: they move a worth by less than
+# 1e-4 of the force.
 STATES, PATHS = 1e-3, 1e-2
-"""Tolerances of the probes' states, and of those between waypoints: they move a worth by less than
-1e-4 of the force."""
+# What a probe may try: one that takes more would cost more than it can save, and tells nothing.
 NEWTON_MAX, CG_MAX, HALVINGS = 30, 1500, 3
-"""What a probe may try: one that takes more would cost more than it can save, and tells nothing."""
+# Iterations of the linear solver that take as long as one Newton iteration beside them.
 NEWTON = 50
-"""Iterations of the linear solver that take as long as one Newton iteration beside them."""
 
 
 @dataclass(frozen=True, slots=True)

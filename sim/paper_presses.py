@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+# Coulomb coefficient of the paper's presses.
 FRICTION = 0.8
-"""Coulomb coefficient of the paper's presses."""
 DEPTHS_MM = (0.3, 0.6, 0.9, 1.2, 1.5)
+# Of the tip, along x and y.
 PLACES_MM = (-4.0, 0.0, 4.0)
-"""Of the tip, along x and y."""

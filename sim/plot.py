@@ -20,11 +20,11 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
+# Points along each side that the surface is refined to, at least, before it is drawn.
 FINE = 200
-"""Points along each side that the surface is refined to, at least, before it is drawn."""
+# Rounds of the search for what moved to a place, and the share of the miss that each makes up for:
+# converges unless the surface folds over or is stretched to more than 2.8 times its length.
 ROUNDS, RELAXATION = 40, 0.7
-"""Rounds of the search for what moved to a place, and the share of the miss that each makes up
-for: converges unless the surface folds over or is stretched to more than 2.8 times its length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +120,12 @@ def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y
 
 SOFT_BODY, SKIN = (206, 220, 222), (52, 104, 140)
 METAL, PLATE = (152, 158, 168), (92, 98, 108)
+# Drawn this much larger and reduced: Pillow's edges are not smooth.
 SMOOTH = 3
-"""Drawn this much larger and reduced: Pillow's edges are not smooth."""
+# Free height above the untouched surface, in thicknesses.
 HEADROOM = 0.35
-"""Free height above the untouched surface, in thicknesses."""
+# Height of the plate below the body, in thicknesses.
 PLATE_SHARE = 0.08
-"""Height of the plate below the body, in thicknesses."""
 
 
 def section_size(result: Result, surface: Surface, width: int) -> tuple[int, int]:
@@ -177,10 +177,10 @@ def draw_section(
 
 Scale = tuple[tuple[int, int, int], ...]
 
+# Deep is dark blue, high is light sand; evenly spaced, brighter all the way.
 HEIGHT: Scale = ((24, 44, 84), (40, 92, 134), (84, 148, 160), (166, 200, 180), (244, 236, 208))
-"""Deep is dark blue, high is light sand; evenly spaced, brighter all the way."""
+# None is paper, the most is dark red; evenly spaced, darker all the way.
 PRESSURE: Scale = ((250, 250, 248), (253, 220, 150), (244, 150, 80), (208, 62, 60), (104, 16, 56))
-"""None is paper, the most is dark red; evenly spaced, darker all the way."""
 
 
 def coloured(share: Array, scale: Scale) -> Array:
@@ -208,13 +208,13 @@ def round_below(value: float) -> float:
 
 Box = tuple[int, int, int, int]
 
+# Direction to the lamp: upper left.
 LIGHT = np.array([-0.55, 0.55, 0.63])
-"""Direction to the lamp: upper left."""
+# Steepest slope that the shading shows; flatter reliefs are raised up to `RAISED_MOST` times.
 RELIEF = 0.7
-"""Steepest slope that the shading shows; flatter reliefs are raised up to `RAISED_MOST` times."""
 RAISED_MOST = 12.0
+# Colour of the body's outline.
 RIM = (176, 182, 192)
-"""Colour of the body's outline."""
 BAR_GAP, BAR_WIDTH = 14, 14
 
 
@@ -315,8 +315,8 @@ def _bar(
 # One page a result: relief and pressure of its strongest frame, a section, and the force.
 
 WIDTH, MARGIN = 1160, 40
+# Longer side of a map [px].
 MAP = 450
-"""Longer side of a map [px]."""
 COLUMN = (WIDTH - 3 * MARGIN) // 2
 PLOT_HEIGHT = 250
 NORMAL, SHEAR = (196, 78, 62), (62, 118, 196)

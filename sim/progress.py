@@ -9,14 +9,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
 
+# What takes less than this [s] says nothing.
 QUIET = 2.0
-"""What takes less than this [s] says nothing."""
+# Time between lines where one cannot be rewritten [s].
 LINE_EVERY = 10.0
-"""Time between lines where one cannot be rewritten [s]."""
+# Share that must be done before a rest is estimated from it.
 ESTIMATE_FROM = 0.01
-"""Share that must be done before a rest is estimated from it."""
+# Time between two looks [s].
 BLINK = 0.25
-"""Time between two looks [s]."""
 
 
 class Progress:

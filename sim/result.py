@@ -90,8 +90,8 @@ class Result:
         return self.wrench[:, :3]
 
 
+# What becomes of a scene.
 Outcome = Result | SimulationDiverged
-"""What becomes of a scene."""
 
 
 def with_beginning(whole: Result, beginning: Result) -> Result:
@@ -134,6 +134,8 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     )
 
 
+# What is wrong with a contact at the side of a round body, by the entry of the record which says at
+# what waypoints: `wall` and `rim`.
 SIDES = {
     "wall": "the indenter stands in the side wall of the round body, which is no contact face: "
     "contact with it is not computed (allowed: presses on the top)",
@@ -141,16 +143,14 @@ SIDES = {
     "force is less exact than rules for whole elements say (allowed: a contact within the rim, or "
     "an error bar)",
 }
-"""What is wrong with a contact at the side of a round body, by the entry of the record which says
-at what waypoints: `wall` and `rim`."""
 
 
 # Scenes and other values to and from JSON: everything they are, so that the same can be built.
 
 Value = TypeVar("Value")
 
+# Constant of a class that names it among others, and the key that keeps it.
 _KIND, _WORD = "KIND", "kind"
-"""Constant of a class that names it among others, and the key that keeps it."""
 _IN_WORDS = {int: "a whole number", bool: "true or false"}
 
 

@@ -7,8 +7,8 @@ import functools
 import numpy as np
 import warp as wp
 
+# Warp's scalar type by the word a user chooses it with.
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
-"""Warp's scalar type by the word a user chooses it with."""
 
 
 @functools.cache

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 Places = NDArray[np.floating[Any]]
 
 Footprint = Literal["rectangle", "ellipse"]
+# Least height of a dome at its lowest place, over the thickness.
 RIM_LEAST = 0.05
-"""Least height of a dome at its lowest place, over the thickness."""
 
 
 @dataclass(frozen=True, slots=True)

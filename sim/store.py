@@ -27,6 +27,7 @@ FORMAT = "tactile-rig simulation"
 VERSION = 1
 
 XYZ = "component"
+# Unit, dimension names and meaning of each array; `time` and `tip` repeat the scene's motion.
 ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "time": ("s", ("frame",), "when the tip is at each waypoint"),
     "tip": ("m", ("frame", XYZ), "the indenter's lowest point, contact frame"),
@@ -45,7 +46,6 @@ ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
         "traction of the indenter on those points, per untouched area",
     ),
 }
-"""Unit, dimension names and meaning of each array; `time` and `tip` repeat the scene's motion."""
 
 
 def save_results(path: Path, results: Sequence[Result]) -> None:
@@ -116,8 +116,8 @@ def result_count(path: Path) -> int:
     return int(count)
 
 
+# Entries of `Quality` in metres; the others have no unit.
 LENGTHS = ("overlap", "overlap_bound", "overlap_path", "contact_width")
-"""Entries of `Quality` in metres; the others have no unit."""
 
 
 def _write(root: zarr.Group, name: str, result: Result) -> None:

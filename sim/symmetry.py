@@ -22,23 +22,23 @@ from sim.scene import Scene
 Array = NDArray[np.float64]
 Normal = tuple[float, float]
 
+# Planes that a body can be mirrored in, and their unit normals (x, y).
 PLANES: dict[str, Normal] = {
     "x = 0": (1.0, 0.0),
     "y = 0": (0.0, 1.0),
     "x = y": (math.sqrt(0.5), -math.sqrt(0.5)),
     "x = -y": (math.sqrt(0.5), math.sqrt(0.5)),
 }
-"""Planes that a body can be mirrored in, and their unit normals (x, y)."""
+# Distance of a waypoint from a plane, over the thickness, that is rounding.
 OFF_PLANE = 1e-9
-"""Distance of a waypoint from a plane, over the thickness, that is rounding."""
+# Difference of an indenter from its image, over the depth of the press, that does not count: it
+# moves the force by as little.
 ALIKE = 5e-3
-"""Difference of an indenter from its image, over the depth of the press, that does not count: it
-moves the force by as little."""
+# Places along x and y, and heights, at which an indenter is compared with its image: a few that
+# tell most that have none, then many.
 COLUMNS, LEVELS = (10, 40), 6
-"""Places along x and y, and heights, at which an indenter is compared with its image: a few that
-tell most that have none, then many."""
+# Share of the force that is worth a warning.
 WORTH_SAYING = 0.01
-"""Share of the force that is worth a warning."""
 NOTE = "the scene is its own image in the plane"
 
 

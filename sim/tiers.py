@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from sim.mpm import MpmNumerics
 
 Tier = Literal["layer", "fem", "mpm"]
+# `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
+# the paper's method, dearer and less exact than `fem`, to compare with and to see waves.
 TIERS: tuple[Tier, ...] = ("layer", "fem", "mpm")
-"""`layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
-the paper's method, dearer and less exact than `fem`, to compare with and to see waves."""
 
 
 def simulate_one(
@@ -115,8 +115,8 @@ def _by_tier(
     return simulate_fem(scenes, numerics, device=device, progress=progress)
 
 
+# What is allowed where a worker was killed for lack of memory.
 FEWER = "fewer processes or a coarser mesh"
-"""What is allowed where a worker was killed for lack of memory."""
 
 
 def check_processes(processes: int, device: str) -> None:

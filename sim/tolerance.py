@@ -45,38 +45,38 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
+# Sides of the coarser mesh's elements over those of the finer one.
 COMPANION = 1.6
-"""Sides of the coarser mesh's elements over those of the finer one."""
+# Error of an extrapolated force with a fineness of 1, where the search begins.
 EXPECTED = 0.009
-"""Error of an extrapolated force with a fineness of 1, where the search begins."""
+# Fineness that the search begins with.
 FIRST_LEAST, FIRST_MOST = 0.6, 1.5
-"""Fineness that the search begins with."""
+# Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
+# leaves 0.86 of it, of 3 half of it; the rest is for chance.
 LEFT = 1.0
-"""Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
-leaves 0.86 of it, of 3 half of it; the rest is for chance."""
+# Elements of one mesh over those of the other, along each axis, below which both say nothing of an
+# error: a wide contact's is in the layers, a narrow one's across it.
 RATIO_LEAST = 1.2
-"""Elements of one mesh over those of the other, along each axis, below which both say nothing of an
-error: a wide contact's is in the layers, a narrow one's across it."""
+# Least error that two meshes can tell of a force, over the force.
 FLOOR = 1e-3
-"""Least error that two meshes can tell of a force, over the force."""
+# Out-of-balance force of the states over the error that the force may have, and its most. On 16
+# scenes drawn by chance 0.003 moved forces by 0.06 % at most and took 1.1 to 1.7 times less time
+# than 0.0001; 0.01 moved light touches by 2.5 %.
 STATES, STATES_MOST = 0.1, 3e-3
-"""Out-of-balance force of the states over the error that the force may have, and its most. On 16
-scenes drawn by chance 0.003 moved forces by 0.06 % at most and took 1.1 to 1.7 times less time than
-0.0001; 0.01 moved light touches by 2.5 %."""
+# Error of a force that is not extrapolated, over the step that extrapolation would go.
 WHOLE = 1.5
-"""Error of a force that is not extrapolated, over the step that extrapolation would go."""
+# Error of markers over what is left of the difference of both meshes.
 MARKERS = 1.5
-"""Error of markers over what is left of the difference of both meshes."""
+# Elements that a tolerance would take, over those that it may, from which it is not tried.
 HOPELESS = 8.0
-"""Elements that a tolerance would take, over those that it may, from which it is not tried."""
+# Meshes that are tried.
 ROUNDS = 4
-"""Meshes that are tried."""
+# Fineness of a mesh over that asked for, below which the limit on elements was in the way.
 WHOLLY = 0.97
-"""Fineness of a mesh over that asked for, below which the limit on elements was in the way."""
+# How much finer the next mesh is.
 FINER_LEAST, FINER_MOST = 1.25, 2.0
-"""How much finer the next mesh is."""
+# Elements beyond which a tolerance is refused: a quarter of an hour on a CPU.
 ELEMENTS_MAX = {"cpu": 250_000, "cuda": 2_000_000}
-"""Elements beyond which a tolerance is refused: a quarter of an hour on a CPU."""
 
 
 def simulate_within(

@@ -139,12 +139,13 @@ GROUPS = {
     "Lab": LAB,
 }
 COMMANDS = {command.words: command for group in GROUPS.values() for command in group}
+# First words that are followed by a second one.
 FAMILIES = {
     "session": "look after recorded sessions and marker archives",
     "sim": "press rigid indenters into a soft layer; lengths in mm, forces in N",
     "train": "train translators and force models",
 }
-"""First words that are followed by a second one."""
+# Whose `run(parser, argv)` runs the verbs of a package: its errors, its exit codes.
 FRONTS = {
     "rig": "rig.cli.ending",
     "recorder": "recorder.__main__",
@@ -152,6 +153,5 @@ FRONTS = {
     "learning": "learning.command",
     "tactile": "tactile.init",
 }
-"""Whose `run(parser, argv)` runs the verbs of a package: its errors, its exit codes."""
+# What has to be installed for the verbs of a package.
 EXTRAS = {"rig": "rig", "recorder": "", "sim": "sim", "learning": "learning", "tactile": ""}
-"""What has to be installed for the verbs of a package."""

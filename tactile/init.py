@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 EXIT_WRONG_INPUT = 2
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
+# Names of what is in the way that are told.
 SHOWN = 5
-"""Names of what is in the way that are told."""
 
 
 def add_to(verbs: Verbs) -> None:

@@ -57,8 +57,8 @@ VENDORS = {
     "trimesh": {"sim/indenters"},
     "distributed": {"sim/dataset"},
 }
+# What a module may import inside of its functions alone.
 LAZY = {"rig/mock/world/simulated.py": {"sim"}, "rig/monitor/predictor.py": {"learning"}}
-"""What a module may import inside of its functions alone."""
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()
 )

@@ -11,8 +11,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
+# Texts that tell what was: the names of that time stay in them.
 HISTORY = ("CHANGELOG.md", "docs/decisions/", "docs/reference/moved-modules.md")
-"""Texts that tell what was: the names of that time stay in them."""
 _PATH = re.compile(
     rf"(?<![\w./-])((?:{PACKAGES}|tests|docs|examples)/[\w./-]*\w\.(?:py|md|csv|sh))\b"
 )

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+# Names of the phases; their index is the code that is stored.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
-"""Names of the phases; their index is the code that is stored."""
 
+# A position of the indenter's tip in the contact frame [m].
 Point = tuple[float, float, float]
-"""A position of the indenter's tip in the contact frame [m]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ from trajectories.press_shear import PressShear
 from trajectories.taps import Taps
 from trajectories.touch import Touch
 
+# Every spec there is, by the word that names it.
 KINDS: dict[str, type[Any]] = {spec.KIND: spec for spec in (PressShear, ForceDepth, Touch, Taps)}
-"""Every spec there is, by the word that names it."""
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from benchmarks.faults.trial import Hangs, Trial
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import EXIT_DEVICE_LOST
 
+# Of the table of faults, as far as it is like the others.
 ROW = Row("disk", "full", (EXIT_DEVICE_LOST,), None, targets=20, needs_recover=True)
-"""Of the table of faults, as far as it is like the others."""
 
 _SIZE_MB = 12
 _FULL = 1 << 16

@@ -18,8 +18,8 @@ from rig.devices.camera.jpeg import frame_stamp
 
 _RECENT = 3.0
 # The arm's emulator ends with the bench; its last answer before that counts if no older [s].
+# Findings that say what the fault did, not that something is broken.
 _EXCUSED = ("gap", "clock-step", "dropped", "frozen", "truncated")
-"""Findings that say what the fault did, not that something is broken."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from rig.core.clock import SECOND_NS, SystemClock
 
 _SENSOR = "tacpalm"
 _STREAMS = ("force", "pose", "camera")
+# Who is killed, with equal chances.
 VICTIMS = (
     "everything",
     "the collecting process",
@@ -32,7 +33,6 @@ VICTIMS = (
     "the arm's process",
     *(f"the {name} emulator" for name in ("arm", "force", "camera")),
 )
-"""Who is killed, with equal chances."""
 _BENCH_GOES_TOO = VICTIMS[:2]
 _TARGETS = 6
 _LONGEST = 3.0

@@ -26,10 +26,10 @@ from rig.devices.arm import emulator_faults
 
 _PERIOD = 0.02
 _ARM_EVERY = 3
+# Below it the arm stands [m/s].
 _STILL = 1e-3
-"""Below it the arm stands [m/s]."""
+# Above it the tip is clear of the surface, by half of a retract [m].
 _CLEAR = 0.01
-"""Above it the tip is clear of the surface, by half of a retract [m]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,12 @@ _SHORT = 1.0
 _LONG = 4
 # Targets of a session that must not be over before a slow line is found too slow.
 
+# The mock bench on which each device is disturbed.
 SENSOR_OF = {"arm": "tacpalm", "force": "tacpalm", "camera": "tacpalm", "taxels": "uskin"}
-"""The mock bench on which each device is disturbed."""
+# The benches that must be there.
 SENSORS = tuple(sorted(set(SENSOR_OF.values())))
-"""The benches that must be there."""
 
+# Limits that a press of the mock bench exceeds: the hard one at once, without the soft one.
 OVERLOAD = {
     "force_rating_n": [12.0, 12.0, 0.3],
     "soft_fraction": 0.8,
@@ -30,7 +31,6 @@ OVERLOAD = {
     "horizon_ms": 0.001,
     "stiffness_n_per_mm": 0.001,
 }
-"""Limits that a press of the mock bench exceeds: the hard one at once, without the soft one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +186,7 @@ def _let_go_and_press_again(trial: Trial) -> None:
     trial.tell("pedal", "press")
 
 
+# Every row that is one collection; kills by the hundred and the full disk are beside it.
 ROWS: tuple[Row, ...] = (
     *_matrix(),
     *_other_force(),
@@ -219,4 +220,3 @@ ROWS: tuple[Row, ...] = (
         needs_recover=True,
     ),
 )
-"""Every row that is one collection; kills by the hundred and the full disk are beside it."""

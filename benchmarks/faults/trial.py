@@ -20,6 +20,7 @@ from recorder import OUTCOMES, Session
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 
+# The module each device's emulator runs as.
 EMULATORS = {
     "arm": "rig.devices.arm.emulator",
     "force": "rig.devices.force.netft_emulator",
@@ -31,7 +32,6 @@ EMULATORS = {
     "pedal": "rig.devices.hid.emulator",
     "world": "rig.mock.world.host",
 }
-"""The module each device's emulator runs as."""
 _LINES = {"NI-DAQ": "force", "RS-232": "force"}
 # Whose fault port stands for the device.
 

@@ -45,17 +45,18 @@ from recorder.store.durable import replace_file
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
+# Steps of training of each batch size.
 STEPS = 50
-"""Steps of training of each batch size."""
+# Learning rate: high, as there is nothing in the weights to lose.
 RATE = 1e-3
-"""Learning rate: high, as there is nothing in the weights to lose."""
+# Pairs that are learned again and again.
 SAME = 4
-"""Pairs that are learned again and again."""
+# Steps that are not timed.
 WARM = 5
-"""Steps that are not timed."""
+# Frames whose translation is timed.
 TRANSLATED = 64
-"""Frames whose translation is timed."""
 
+# Stable Diffusion 2.1's UNet (865.9 M parameters).
 UNET = {
     "sample_size": 64,
     "in_channels": 4,
@@ -69,7 +70,7 @@ UNET = {
     "use_linear_projection": True,
     "norm_eps": 1e-5,
 }
-"""Stable Diffusion 2.1's UNet (865.9 M parameters)."""
+# Its autoencoder (83.7 M parameters).
 VAE = {
     "in_channels": 3,
     "out_channels": 3,
@@ -81,7 +82,7 @@ VAE = {
     "sample_size": 768,
     "scaling_factor": 0.18215,
 }
-"""Its autoencoder (83.7 M parameters)."""
+# CLIP ViT-B/32's image half.
 CLIP = {
     "hidden_size": 768,
     "intermediate_size": 3072,
@@ -91,7 +92,6 @@ CLIP = {
     "patch_size": 32,
     "projection_dim": 512,
 }
-"""CLIP ViT-B/32's image half."""
 
 
 @dataclass(frozen=True, slots=True)

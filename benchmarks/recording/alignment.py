@@ -34,8 +34,8 @@ WINDOW = 16
 FORCE = ("held", "nearest", "linear", "mean_exposure")
 POSE = ("held", "nearest", "slerp")
 IMAGE = ("held", "nearest")
+# Camera latencies that nobody calibrated [s].
 UNCORRECTED = (0.008, 0.055)
-"""Camera latencies that nobody calibrated [s]."""
 _REPEATS = 200
 _WINDOWS_SECONDS = 1.0
 

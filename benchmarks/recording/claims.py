@@ -10,14 +10,14 @@ from benchmarks.recording.feed import Fed
 from benchmarks.recording.load import Cameras
 from benchmarks.recording.store_race import StoreRow
 
+# Longest append of a frame, p99 [s].
 APPEND_P99 = 5e-3
-"""Longest append of a frame, p99 [s]."""
+# CPU of two lossless cameras and every other stream, of one core.
 CORE = 0.60
-"""CPU of two lossless cameras and every other stream, of one core."""
+# Images per second in random windows, lossless, two processes.
 WINDOW_IMAGES = 2500.0
-"""Images per second in random windows, lossless, two processes."""
+# Frames lost to a kill -9.
 LOST = 1
-"""Frames lost to a kill -9."""
 _KINDS = {
     "ours-jpeg": "camera's JPEG",
     "ours-zstd": "lossless",

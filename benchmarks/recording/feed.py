@@ -45,8 +45,8 @@ _LEAD = 0.3
 _READY_TIMEOUT = 120.0
 _SETTLE = 0.2
 # The part of the run after which memory is first looked at.
+# Samples that the drivers' inboxes hold.
 CAPACITY = {"camera": 120, "force": 60_000, "pose": 60_000, "taxels": 10_000}
-"""Samples that the drivers' inboxes hold."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,10 @@ from rig.devices.camera.jpeg import frame_stamp, stamped
 Image = NDArray[np.uint8]
 
 HEIGHT, WIDTH = 480, 640
+# Standard deviation of the noise [grey levels].
 NOISE = 2.0
-"""Standard deviation of the noise [grey levels]."""
+# JPEG quality, 4:2:2 as UVC cameras send it.
 QUALITY = 90
-"""JPEG quality, 4:2:2 as UVC cameras send it."""
 _DIFFERENT = 8
 # Different noise fields; a frame repeats after so many.
 _NUMBER = 8

@@ -14,6 +14,7 @@ from rig.core.errors import ConfigError
 
 _START = 1.5
 # Starting one process and closing it [s].
+# Measured one at a time.
 SINGLE = (
     Feed("camera", 60.0, "jpeg"),
     Feed("camera", 60.0, "zstd"),
@@ -21,7 +22,7 @@ SINGLE = (
     Feed("pose", 500.0),
     Feed("taxels", 60.0),
 )
-"""Measured one at a time."""
+# Measured at the same time.
 TOGETHER = (
     Feed("camera", 60.0, "zstd"),
     Feed("camera", 60.0, "zstd"),
@@ -29,7 +30,6 @@ TOGETHER = (
     Feed("pose", 500.0),
     Feed("taxels", 60.0),
 )
-"""Measured at the same time."""
 CODECS = ("zstd", "jpeg")
 _TRIALS = 7
 # Doubling up to the first drop and halving the rest takes about so many.

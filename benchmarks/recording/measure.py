@@ -52,6 +52,7 @@ FULL = Scale(
     alignment=30.0,
     targets=2,
 )
+# Shows that everything works; its figures mean little.
 QUICK = Scale(
     write=0.3,
     write_bytes=20_000_000,
@@ -65,7 +66,6 @@ QUICK = Scale(
     alignment=3.0,
     targets=0,
 )
-"""Shows that everything works; its figures mean little."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,24 +25,24 @@ from rig.mock.world.picture import MarkerCamera
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
+# Presses per second, and the force of each [N].
 PRESS_HZ, PEAK = 1.5, 10.0
-"""Presses per second, and the force of each [N]."""
 _SHEAR, _SHEAR_HZ = 0.5e-3, 0.7
 _TILT, _TILT_HZ = np.radians(5.0), 0.9
 _DOWN = np.array([np.pi, 0.0, 0.0])
 # A tool that points down: half a turn, where rotation vectors jump.
 _STEP = 0.5e-3
 # Of the World [s]; between two steps the truth is linear.
+# Rates of the streams and of the synchronised view.
 FRAME_HZ, FORCE_HZ, POSE_HZ, VIEW_HZ = 60.0, 1000.0, 500.0, 40.0
-"""Rates of the streams and of the synchronised view."""
+# Of the camera [s]; it captures at its end.
 EXPOSURE = 0.010
-"""Of the camera [s]; it captures at its end."""
+# Mean time from capture to arrival of the camera [s]: 8 ms and the mean of its jitter.
 LATENCY = 0.009
-"""Mean time from capture to arrival of the camera [s]: 8 ms and the mean of its jitter."""
 _CAMERA_JITTER, _FORCE_JITTER, _POSE_JITTER = 0.5e-3, 0.1e-3, 0.15e-3
 # Scale of a gamma distribution of shape 2 [s].
+# Standard deviation of each force axis [N].
 FORCE_NOISE = 0.1
-"""Standard deviation of each force axis [N]."""
 _POSE_NOISE, _TURN_NOISE = 2e-6, 2e-5
 # Of the measured pose, each axis [m], [rad].
 _LEAD = 0.5

@@ -8,8 +8,8 @@ from benchmarks.recording.alignment import Alignment, Method
 from benchmarks.recording.markdown import table
 from benchmarks.recording.motion import EXPOSURE, FORCE_NOISE, LATENCY, PEAK, PRESS_HZ
 
+# File of the chart, in images/ beside the page.
 ALIGNMENT_CHART = "recording-alignment.png"
-"""File of the chart, in images/ beside the page."""
 
 
 def alignment(found: Alignment) -> str:

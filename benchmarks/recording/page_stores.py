@@ -9,13 +9,13 @@ from benchmarks.recording.store_race import Kill, StoreRow
 from recorder import camera_spec
 from recorder.store.layout import CHUNKS_PER_SHARD
 
+# File of the chart, in images/ beside the page.
 STORES_CHART = "recording-stores.png"
-"""File of the chart, in images/ beside the page."""
+# LeRobot 0.4.4 on two cores in another run, for a page made without it.
 QUOTED = {
     "lerobot-image": "17 frames/s, 450 KB and 101 ms CPU a frame, 144 images/s in windows",
     "lerobot-video": "26 frames/s, 4.3 KB and 44 ms CPU a frame, 208 images/s in windows, lossy",
 }
-"""LeRobot 0.4.4 on two cores in another run, for a page made without it."""
 
 
 def stores(rows: Sequence[StoreRow]) -> str:

@@ -58,8 +58,8 @@ def parts(bench: Path) -> tuple[Part, ...]:
     )
 
 
+# Names of the parts.
 PARTS = tuple(part.name for part in parts(Path()))
-"""Names of the parts."""
 
 
 def measure(

@@ -19,12 +19,12 @@ from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
 from benchmarks.recording.measure import cpu_seconds, sync_tree, tree_bytes, warm
 from rig.core.clock import SECOND_NS, SystemClock
 
+# Images of a window.
 WINDOW = 16
-"""Images of a window."""
+# Frames that are written however long they take.
 FEWEST = 20
-"""Frames that are written however long they take."""
+# What the line with the answer begins with.
 RESULT = "RESULT "
-"""What the line with the answer begins with."""
 
 
 def write(entry: stores.Entry, path: Path, *, seconds: float, most_bytes: int) -> dict[str, Any]:

@@ -22,8 +22,8 @@ from benchmarks.recording.store_child import RESULT
 from benchmarks.recording.stores import STORES, Entry
 from rig.core.clock import SECOND_NS, SystemClock
 
+# Environment variable: a Python that has LeRobot and torch.
 INTERPRETER = "LEROBOT_PYTHON"
-"""Environment variable: a Python that has LeRobot and torch."""
 _START = 1.5
 # Starting an interpreter and importing [s].
 _TIMEOUT = 180.0

@@ -36,12 +36,12 @@ from sim.tiers import simulate_many
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
+# Steps of a motion at most, and elements of a probe's mesh, so that a scene takes seconds.
 STEPS_MAX, COARSE_MAX = 15, 700
-"""Steps of a motion at most, and elements of a probe's mesh, so that a scene takes seconds."""
+# Elements of the meshes that plans are held against, unless told otherwise.
 ELEMENTS_MAX = 6000
-"""Elements of the meshes that plans are held against, unless told otherwise."""
+# Added to a scene's number, for a stream of its own that draws its effects.
 EFFECTS_STREAM = 1_000_000
-"""Added to a scene's number, for a stream of its own that draws its effects."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 Value = TypeVar("Value")
 
+# Time between two looks at a GPU's memory [s].
 LOOK_EVERY = 2e-3
-"""Time between two looks at a GPU's memory [s]."""
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 

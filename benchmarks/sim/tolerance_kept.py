@@ -36,14 +36,14 @@ from sim.tolerance import elements_ratio
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
+# Sides of the answer's elements over those of the truth's.
 FINER = 1.6
-"""Sides of the answer's elements over those of the truth's."""
+# Fineness of the coarser mesh of a truth at least.
 COARSEST = 0.75
-"""Fineness of the coarser mesh of a truth at least."""
+# Elements of a truth at most.
 TRUTH_ELEMENTS_MAX = 600_000
-"""Elements of a truth at most."""
+# Which of the drawn scenes: those that a bench does.
 FAMILY = "sensible"
-"""Which of the drawn scenes: those that a bench does."""
 
 Kind = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
 

@@ -45,8 +45,8 @@ from recorder.archive import ArchivedSensor
 from recorder.store import replace_file
 
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
+# Names of choices: fixed; by how well the priors fit; by the target's labels.
 CHOICES = ("default", "priors", "oracle")
-"""Names of choices: fixed; by how well the priors fit; by the target's labels."""
 CRITERIA = {
     "default": "d0 0, lambda 0.75, whatever the sensors (or as told on the command line)",
     "priors": "least expected error of the compensated force-depth curve, from the fits' residuals",
@@ -328,8 +328,8 @@ def _imported(sensor: ArchivedSensor) -> Compensation | None:
 
 # The one call behind `python -m learning compensate`: priors, and choices for pairs of sensors.
 
+# Depth ranges that differ by less than this share are one.
 _ALIKE = 0.05
-"""Depth ranges that differ by less than this share are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -432,8 +432,8 @@ def _wanted(
 
 # What was found, as tables for people and as a picture of the curves.
 
+# Measured points that are drawn of a curve, at most.
 _POINTS = 300
-"""Measured points that are drawn of a curve, at most."""
 
 
 def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:

@@ -21,8 +21,8 @@ Floats = NDArray[np.float64]
 Table = Mapping[str, np.ndarray[Any, Any]]
 
 DOWN, UP = PHASES.index("normal_inc"), PHASES.index("normal_dec")
+# The flat, rigid indenter of the paper's material test (the paper, Methods).
 INDENTER = "prism"
-"""The flat, rigid indenter of the paper's material test (the paper, Methods)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,10 +128,10 @@ def _known(depth: Floats, force: Floats) -> Floats:
     return pairs[np.isfinite(pairs[:, 1]) & (pairs[:, 0] > 0)]
 
 
+# Of the polynomials that are fitted (the paper, Results, material softness).
 DEGREE = 2
-"""Of the polynomials that are fitted (the paper, Results, material softness)."""
+# Phases that take the loading curve; the two others take the unloading one (authors' code).
 LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
-"""Phases that take the loading curve; the two others take the unloading one (authors' code)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,11 +274,11 @@ def _fitted(sensor: str, name: str, pairs: Floats, span: float) -> Branch:
 # The ratio f_T / f_S is of the loading curves while the sensor is loaded, else of the unloading
 # ones.
 
+# f_T / f_S is kept within these: where the source hardly pushes back it says nothing.
 LEAST, LARGEST = 0.1, 10.0
-"""f_T / f_S is kept within these: where the source hardly pushes back it says nothing."""
+# Taken where no label of the target is known: of the supplement's 48 choices (Tables S1 and S2) the
+# most frequent d0 and the median lambda.
 DEFAULT_D0, DEFAULT_WEIGHT = 0.0, 0.75
-"""Taken where no label of the target is known: of the supplement's 48 choices (Tables S1 and
-S2) the most frequent d0 and the median lambda."""
 
 
 def compensate(

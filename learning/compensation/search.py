@@ -26,12 +26,12 @@ from recorder.archive import ArchivedSensor, location_pairs
 
 Floats = NDArray[np.float64]
 
+# Starting depths of the material test (supplement, Table S1).
 D0_MM = (0.0, 0.4, 0.8)
-"""Starting depths of the material test (supplement, Table S1)."""
+# Starting depths of the heterogeneous test, of the depth range (supplement, Table S2).
 D0_SHARES = (0.0, 0.25, 0.5, 0.75)
-"""Starting depths of the heterogeneous test, of the depth range (supplement, Table S2)."""
+# Weights (supplement, Tables S1 and S2).
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Weights (supplement, Tables S1 and S2)."""
 _SHARES = np.linspace(0.0, 1.0, 101)[1:]
 
 

@@ -22,19 +22,19 @@ from learning.errors import LearningError
 from recorder.archive import ArchivedSensor, Rows
 from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, unpack
 
+# Rows and columns of an image [px].
 SIDE = 256
-"""Rows and columns of an image [px]."""
+# Grey level above which an enlarged pixel is a marker's (authors' code).
 ABOVE = 128
-"""Grey level above which an enlarged pixel is a marker's (authors' code)."""
 
+# Images that are worked on together: unpacked they take 20 MB.
 _AT_ONCE = 64
-"""Images that are worked on together: unpacked they take 20 MB."""
+# Of so many rows 8 are made, and of so many columns 2.
 _ROWS, _COLUMNS = 15, 5
-"""Of so many rows 8 are made, and of so many columns 2."""
+# Sum of the weights of one pixel: 15 eighths of rows by 5 halves of columns.
 _WHOLE = 75
-"""Sum of the weights of one pixel: 15 eighths of rows by 5 halves of columns."""
+# Of Pillow's Lanczos kernel: zeros on each side, and bits of its weights.
 _LOBES, _BITS = 3, 22
-"""Of Pillow's Lanczos kernel: zeros on each side, and bits of its weights."""
 
 
 def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -164,15 +164,15 @@ def _require(values: Any, dtype: Any, shape: tuple[int, ...], what: str) -> None
 # `Lattice`, as archives keep it, or, without one, at the centres of h x w cells that cover the
 # image.
 
+# Where archives keep fields, unless they say otherwise.
 LATTICE = Lattice()
-"""Where archives keep fields, unless they say otherwise."""
+# Rows and columns of a marker field that a force model sees.
 FIELD_SIDE = 32
-"""Rows and columns of a marker field that a force model sees."""
+# Areas are not taken to shrink below this share: markers on a steep flank are seen end-on.
 LEAST_AREA = 0.05
-"""Areas are not taken to shrink below this share: markers on a steep flank are seen end-on."""
 
+# Of the inversion: iterations, and pixels from one place where it is done to the next.
 _STEPS, _COARSE = 8, 4
-"""Of the inversion: iterations, and pixels from one place where it is done to the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,11 +25,11 @@ from learning.data.images import (
 from learning.errors import LearningError
 from recorder.archive import ArchivedSensor
 
+# What is kept of a frame: an image (256, 256) uint8; its packed mask (38400,) uint8; or the marker
+# field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], logarithm of the area's change.
 Form = Literal["images", "packed", "field"]
-"""What is kept of a frame: an image (256, 256) uint8; its packed mask (38400,) uint8; or the marker
-field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], logarithm of the area's change."""
+# Where marker fields come from: followed in the masks, or the archive's own displacement.
 FieldSource = Literal["flow", "truth"]
-"""Where marker fields come from: followed in the masks, or the archive's own displacement."""
 FORMS: tuple[Form, ...] = get_args(Form)
 
 Progress = Callable[[int, int], None]
@@ -319,8 +319,8 @@ def _require_one_press(
 
 Force = tuple[float, float, float]
 
+# An axis along which forces differ by less [N] is widened to this: it carries no signal.
 LEAST = 1e-3
-"""An axis along which forces differ by less [N] is widened to this: it carries no signal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,8 +367,8 @@ class ForceRange:
         return cls(_force(low - wider), _force(high + wider))
 
 
+# The range in the authors' code.
 AUTHORS = ForceRange((-5.0, -5.0, -20.0), (5.0, 5.0, 5.0))
-"""The range in the authors' code."""
 
 
 def _force(values: NDArray[np.float64]) -> Force:
@@ -382,10 +382,10 @@ def _force(values: NDArray[np.float64]) -> Force:
 # (`learning.training.run`). 180,000 frames are 11.8 GB in memory; where that is too much, worker
 # processes read what is asked for, in order and ahead of time.
 
+# Memory that an image takes.
 FRAME_BYTES = SIDE * SIDE
-"""Memory that an image takes."""
+# Of the free memory images may take this much: the network and its gradients want the rest.
 SHARE = 0.6
-"""Of the free memory images may take this much: the network and its gradients want the rest."""
 
 Numbers = NDArray[np.int64]
 

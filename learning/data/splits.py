@@ -24,10 +24,10 @@ from recorder import MarkerArchive
 from recorder.store import replace_file
 
 Role = Literal["train", "validation", "new_press", "new_indenter"]
+# What a press may be for.
 ROLES: tuple[Role, ...] = get_args(Role)
-"""What a press may be for."""
+# Of a location that the split does not know, and of frames without one.
 NO_ROLE = ""
-"""Of a location that the split does not know, and of frames without one."""
 
 _FORMAT, _VERSION = "tactile-rig split", 1
 

@@ -18,22 +18,22 @@ from torch import Tensor
 from learning.data.images import SIDE, inverse
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
+# Smallest and largest pitch [px of 640 x 480]: from the densest texture of the paper's simulation
+# (320 markers) to a uSkin's 4 x 4 discs.
 PITCH_PX = 24.0, 135.0
-"""Smallest and largest pitch [px of 640 x 480]: from the densest texture of the paper's simulation
-(320 markers) to a uSkin's 4 x 4 discs."""
+# Radius of a marker as a share of the smaller pitch.
 FILL = 0.09, 0.42
-"""Radius of a marker as a share of the smaller pitch."""
+# No marker is smaller [px of 640 x 480]: segmentation drops those.
 SMALLEST_RADIUS_PX = 4.0
-"""No marker is smaller [px of 640 x 480]: segmentation drops those."""
+# Exponents of superellipses: diamond, rounded diamond, disc, rounded square, square.
 SHAPES = 1.0, 1.5, 2.0, 3.0, 8.0
-"""Exponents of superellipses: diamond, rounded diamond, disc, rounded square, square."""
+# Cells along each side of the table of markers, which repeats beyond: as many as a turned lattice
+# of the smallest pitch has on the image's diagonal.
 CELLS = 32
-"""Cells along each side of the table of markers, which repeats beyond: as many as a turned lattice
-of the smallest pitch has on the image's diagonal."""
+# Width of the ramp at a marker's edge [px of 640 x 480]: a pixel of the nets (2.5 x 1.875).
 EDGE_PX = 2.2
-"""Width of the ramp at a marker's edge [px of 640 x 480]: a pixel of the nets (2.5 x 1.875)."""
+# Largest strain at the middle of a made-up contact.
 MOST_OUTWARD = 0.35
-"""Largest strain at the middle of a made-up contact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,8 @@ from recorder.strict_yaml import natural_key
 
 Floats = NDArray[np.float64]
 
+# Of Fx, Fy, Fz and Ft; and of domains.
 COLOURS = ("#3b6fb6", "#d9822b", "#3f9b6b", "#b0413e")
-"""Of Fx, Fy, Fz and Ft; and of domains."""
 TRUE_COLOUR = "#2b2f38"
 _DPI = 90
 _TEXT = {"fontsize": 8}

@@ -26,8 +26,8 @@ from learning.errors import LearningError
 
 FEATURES = 2048
 SIDE = 299
+# How images come to the size that it takes, without antialiasing.
 RESIZED = "bilinear to 299"
-"""How images come to the size that it takes, without antialiasing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +140,7 @@ _HALVE_SECOND = Design(
     0,
     pooling="halve",
 )
+# Name, design and channels of the blocks, in their order.
 _BLOCKS = (
     ("Mixed_5b", _fives(32), 256),
     ("Mixed_5c", _fives(64), 288),
@@ -153,7 +154,6 @@ _BLOCKS = (
     ("Mixed_7b", _forked("mean"), FEATURES),
     ("Mixed_7c", _forked("max"), FEATURES),
 )
-"""Name, design and channels of the blocks, in their order."""
 
 
 class Convolution(nn.Module):
@@ -292,10 +292,10 @@ def load_inception(
 Images = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
+# Cells of the marker grid along each side.
 CELLS = 8
-"""Cells of the marker grid along each side."""
+# Name of the features that need no weights.
 GRID = f"marker-grid-{CELLS}x{CELLS}"
-"""Name of the features that need no weights."""
 AUTOENCODER = "marker-ae"
 _AT_ONCE = 64
 _HASHED = 12  # digits of a hash that are shown
@@ -439,8 +439,8 @@ def _sha256(path: Path) -> str:
 # They carry the names FID and KID only with the features of Inception; otherwise they are named by
 # whatever made the features.
 
+# Degree of the kernel (x y / d + 1)^degree of the kernel distance (Binkowski et al., 2018).
 DEGREE = 3
-"""Degree of the kernel (x y / d + 1)^degree of the kernel distance (Binkowski et al., 2018)."""
 
 
 def frechet_distance(one: Floats, other: Floats) -> float:
@@ -535,10 +535,10 @@ def _require_samples(one: Floats, other: Floats, least: int) -> None:
 # Can two sets of features be told apart? By a classifier, by neighbours, and by eye.
 
 FOLDS = 5
+# How many neighbours of each sample the mixing score looks at.
 NEIGHBOURS = 10
-"""How many neighbours of each sample the mixing score looks at."""
+# Of t-SNE; a third of the samples where they are fewer than a hundred.
 PERPLEXITY = 30.0
-"""Of t-SNE; a third of the samples where they are fewer than a hundred."""
 
 
 def classifier_accuracy(

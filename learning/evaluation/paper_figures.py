@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from learning.evaluation.predictions import ALL, UNSEEN, ForceRow, of_role
 from learning.metrics import AXES
 
+# The paper's sensors by test, the material ones from hard to soft.
 GROUPS = {
     "homogeneous": ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i"),
     "material": ("r6", "r8", "r10", "r12", "r14", "r16", "r18"),
     "heterogeneous": ("uskin", "gelsight", "tacpalm"),
 }
-"""The paper's sensors by test, the material ones from hard to soft."""
+# Range of the paper's forces [N]: 0 to 18 and -4 to 4 (the paper, Results).
 NORMAL_RANGE, SHEAR_RANGE = 18.0, 8.0
-"""Range of the paper's forces [N]: 0 to 18 and -4 to 4 (the paper, Results)."""
+# Axes across the skin and along it.
 NORMAL, SHEAR = ("fz",), ("fx", "fy")
-"""Axes across the skin and along it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,7 @@ _FIVE, _SIX, _SEVEN = (f"Results, Fig. {number}" for number in ("5d, 5f", "6d, 6
 _H, _M, _X = "homogeneous", "material", "heterogeneous"
 _SO, _TR, _CO = "source-only", "transferred", "compensated"
 
+# What the paper says of forces. It gives 5f and 6d in words, as bounds or rounded.
 PAPER = (
     PaperFigure(_H, _SO, "fz", "max", 4.8, _FIVE, ">", ("circle-ii", "diamond-i")),
     PaperFigure(_H, _SO, "fz", "min", 1.2, _FIVE, "", ("array-i", "circle-i")),
@@ -90,7 +91,6 @@ PAPER = (
     PaperFigure(_X, _TR, "fy", "max", 0.36, _SEVEN, "<"),
     PaperFigure(_X, _TR, "fx", "max", 0.27, _SEVEN, "<"),
 )
-"""What the paper says of forces. It gives 5f and 6d in words, as bounds or rounded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,16 +18,16 @@ from learning.metrics import AXES, MEASURED, ForceErrors, force_errors, spread_a
 from recorder.archive import ArchivedSensor
 
 KIND = "predictions"
+# What the model was trained on: the source's images as they are; the translated ones; those with
+# labels compensated as the paper does most often; compensated as the skins' force-depth curves say
+# is best; as is best on the target's labels; the target's own labels.
 METHODS = ("source-only", "transferred", "compensated", "priors", "oracle", "target")
-"""What the model was trained on: the source's images as they are; the translated ones; those with
-labels compensated as the paper does most often; compensated as the skins' force-depth curves say is
-best; as is best on the target's labels; the target's own labels."""
+# Those that a translator made images for.
 TRANSLATED = METHODS[1:5]
-"""Those that a translator made images for."""
+# Those of them that need no label of the target, what knows more of the skins behind.
 LABEL_FREE = TRANSLATED[:3]
-"""Those of them that need no label of the target, what knows more of the skins behind."""
+# What compensation files call the labels of a method.
 CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
-"""What compensation files call the labels of a method."""
 
 _TEXTS = ("source", "target", "method", "translator", "model")
 _WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4}
@@ -246,15 +246,15 @@ def _with(one: Predictions, changed: dict[str, Any]) -> Predictions:
 
 # The table of force errors: a row for each pair of sensors, way of training, and role.
 
+# Role of the row over all held-out frames.
 ALL = "all"
-"""Role of the row over all held-out frames."""
+# How axes are called in pictures.
 AXES_NAMED = ("Fx", "Fy", "Fz", "Ft")
-"""How axes are called in pictures."""
+# Roles of frames that no model was trained on: of indenters unseen, and of those seen.
 UNSEEN, SEEN = "new_indenter", "new_press"
-"""Roles of frames that no model was trained on: of indenters unseen, and of those seen."""
 HELD_OUT = (UNSEEN, SEEN)
+# Methods: before anything is transferred, and trained on the target's own labels.
 BEFORE, TARGET = "source-only", "target"
-"""Methods: before anything is transferred, and trained on the target's own labels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,9 +298,9 @@ class ForceRow:
 MAES = tuple(f"mae_{name}_n" for name in MEASURED)
 RELATIVES = tuple(f"mae_{name}_over_std" for name in MEASURED)
 R2S = tuple(f"r2_{name}" for name in AXES)
+# What a row tells: mean absolute errors [N], the same over the labels' standard deviation, R2 of
+# each axis and their mean, and the mean of the errors of Fx and Fy [N].
 MEASURES = (*MAES, *RELATIVES, *R2S, "r2_mean", "mae_shear_n")
-"""What a row tells: mean absolute errors [N], the same over the labels' standard deviation, R2 of
-each axis and their mean, and the mean of the errors of Fx and Fy [N]."""
 
 
 def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:

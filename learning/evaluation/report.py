@@ -187,20 +187,20 @@ def _colour(goodness: float) -> str:
 
 # What the report says of forces: what was gained, beside the paper, pair by pair.
 
+# What roles are called.
 ROLES = {
     UNSEEN: "indenters that the models never saw",
     SEEN: "indenters seen, presses never trained on",
     ALL: "all held-out frames",
 }
-"""What roles are called."""
+# What the first table shows of each variant.
 GAINS = (
     ("r2_mean", "R2, mean of Fx, Fy, Fz"),
     ("mae_fz_n", "MAE Fz [N]"),
     ("mae_shear_n", "MAE shear, mean of Fx and Fy [N]"),
 )
-"""What the first table shows of each variant."""
+# Pairs whose sequences are shown, and presses of each.
 SEQUENCES, PRESSES = 3, 10
-"""Pairs whose sequences are shown, and presses of each."""
 
 _METHODS = """source-only: trained on the source's images, shown the target's. transferred:
 trained on the source's images as translated to the target, with the source's labels.
@@ -422,8 +422,8 @@ def _column(name: str) -> str:
 
 # What the report says of translated frames: scores beside baselines and floor, and features.
 
+# Pairs whose features are drawn at most, those of the best and the worst mixing among them.
 DRAWN = 4
-"""Pairs whose features are drawn at most, those of the best and the worst mixing among them."""
 
 _PAIRED = """Each frame beside the target's real frame of the same press and phase (location
 pairs: the last frame of each phase, so that a quarter of them are nearly unloaded). Markers:
@@ -558,6 +558,7 @@ def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
     return charts.embeddings(panels, 2 if len(scores) == 1 else 4, names)
 
 
+# Files of a report.
 PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
     "report.html",
     "force.csv",
@@ -565,7 +566,6 @@ PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
     "distances.csv",
     "paper.csv",
 )
-"""Files of a report."""
 
 
 @dataclass(frozen=True, slots=True)

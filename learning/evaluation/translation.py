@@ -254,10 +254,10 @@ TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR = (
     "nearest frame",
     "real",
 )
+# What is scored: the translator; the frames it was given; the untouched target; the training frame
+# of the target whose motion is nearest; and the target's own frames: half of them against the other
+# half, or against the truth of the simulator.
 METHODS = (TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR)
-"""What is scored: the translator; the frames it was given; the untouched target; the training frame
-of the target whose motion is nearest; and the target's own frames: half of them against the other
-half, or against the truth of the simulator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -541,14 +541,14 @@ def _quantile(values: Floats, share: float) -> float:
     return float(np.quantile(values, share)) if len(values) else float("nan")
 
 
+# Pairs of a role that are scored at most, drawn at random.
 FRAMES = 1000
-"""Pairs of a role that are scored at most, drawn at random."""
+# Samples in a subset of the kernel distance, and how many subsets.
 SUBSET, SUBSETS = 500, 50
-"""Samples in a subset of the kernel distance, and how many subsets."""
+# Features that are kept of each side, to draw them.
 SHOWN = 150
-"""Features that are kept of each side, to draw them."""
+# Locations without which there are no distances: six on each side.
 LEAST = 12
-"""Locations without which there are no distances: six on each side."""
 
 
 def score_translation(

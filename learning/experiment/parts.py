@@ -23,8 +23,8 @@ from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 
+# Roles that forces are predicted of.
 TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
-"""Roles that forces are predicted of."""
 
 
 @dataclass(frozen=True, slots=True)

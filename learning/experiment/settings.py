@@ -8,12 +8,12 @@ from typing import Literal
 
 from learning.errors import LearningError
 
+# The presets that are shipped.
 PRESETS = Path(__file__).parent / "presets"
-"""The presets that are shipped."""
 
 TranslatorName = Literal["flow", "field", "direct"]
+# Choices of compensation, as evaluations call them: label-free, and by the target's labels.
 Compensated = Literal["compensated", "priors", "oracle"]
-"""Choices of compensation, as evaluations call them: label-free, and by the target's labels."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,8 +32,8 @@ from learning.translation.archive import Model
 from recorder import MarkerArchive
 from recorder.processes import Workers
 
+# A method of a worker and its arguments.
 Piece = tuple[str, ...]
-"""A method of a worker and its arguments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,12 +208,12 @@ def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
         return _done(workers, work.pieces, say)
 
 
+# Of a process of the pool.
 _worker: Worker | None = None
-"""Of a process of the pool."""
+# Lines since the last piece was done.
 _said: list[str] = []
-"""Lines since the last piece was done."""
+# Ctrl-C came: pieces that this process was already given are not begun.
 _stopped = False
-"""Ctrl-C came: pieces that this process was already given are not begun."""
 
 
 def _begin(work: Work) -> None:

@@ -17,8 +17,8 @@ from learning.training.run import generator
 
 # Which frames a training step sees. A pure function of seed, stage, epoch and step.
 
+# Frames of the shortest sequence (the paper, Methods).
 SHORTEST = 2
-"""Frames of the shortest sequence (the paper, Methods)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,12 +215,12 @@ def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> T
 
 # The forces that a model learns to say: labels, changed for another material, and their box.
 
+# From forces (N, 3) N, depth (N,) m and phase (N,) to forces as the target's material would give
+# them, and how many were limited: `learning.compensation` with its sensors and numbers filled in.
 Compensation = Callable[
     [NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]],
     tuple[NDArray[np.float64], int],
 ]
-"""From forces (N, 3) N, depth (N,) m and phase (N,) to forces as the target's material would give
-them, and how many were limited: `learning.compensation` with its sensors and numbers filled in."""
 
 
 def labels_of(presses: Presses, compensation: Compensation | None = None) -> Tensor:

@@ -28,10 +28,10 @@ from learning.force.stream import (
     open_exported,
 )
 
+# The exported step may differ from torch by so much of the box of forces.
 CLOSE = 1e-4
-"""The exported step may differ from torch by so much of the box of forces."""
+# Frames that are compared, each from the state that the one before left.
 _FRAMES = 4
-"""Frames that are compared, each from the state that the one before left."""
 
 
 class OneFrame(nn.Module):

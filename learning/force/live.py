@@ -182,10 +182,10 @@ def _edge_length(mask: Mask) -> int:
 
 Frame = NDArray[Any]
 
+# What may step a model: ONNX Runtime and OpenVINO the exported one, torch the trained one.
 RUNTIMES = ("onnx", "openvino", "openvino-bf16", "torch")
-"""What may step a model: ONNX Runtime and OpenVINO the exported one, torch the trained one."""
+# Untouched frames that the reference is taken from.
 START_FRAMES = 10
-"""Untouched frames that the reference is taken from."""
 _TAXELS = (16, 3)
 
 

@@ -18,10 +18,10 @@ from learning.training.run import LaunchSettings
 
 # What a force model is made of and how it is trained: the keys of the presets.
 
+# The presets that are shipped.
 PRESETS = Path(__file__).parent / "presets"
-"""The presets that are shipped."""
+# Marker fields are sampled at so many places along either axis.
 FIELD_SIDE = 32
-"""Marker fields are sampled at so many places along either axis."""
 _SIDES = (256, 128, 64, 32)
 
 
@@ -213,8 +213,8 @@ def _positive(settings: object, *names: str) -> None:
 
 # Parts of the force model: residual blocks, encoders and the convolutional GRU.
 
+# Channels that group norm pools; all widths are multiples of it.
 _GROUP = 4
-"""Channels that group norm pools; all widths are multiples of it."""
 
 
 def norm(kind: str, channels: int) -> nn.Module:
@@ -338,8 +338,8 @@ class ConvGru(nn.Module):
 
 
 AXES = ("Fx", "Fy", "Fz")
+# The untrained model stays so far from the ends of the sigmoid.
 _NEAREST = 1e-3
-"""The untrained model stays so far from the ends of the sigmoid."""
 
 
 class ForceModel(nn.Module):
@@ -458,10 +458,10 @@ class ForceModel(nn.Module):
 
 # What is stored of a frame becomes what the network takes; part of the exported graph as well.
 
+# Side of stored images [px].
 STORED_SIDE = 256
-"""Side of stored images [px]."""
+# Of ImageNet's red, green and blue (the paper, Methods).
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's red, green and blue (the paper, Methods)."""
 
 
 def stored_shape(inputs: InputSettings) -> tuple[int, ...]:

@@ -19,10 +19,10 @@ from learning.force.model import PRESETS, ForceModel, ForceSettings
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import seed_torch
 
+# What the folder of a force model calls itself.
 KIND = "force"
-"""What the folder of a force model calls itself."""
+# Presses that are stepped through at once, by type of device.
 _TOGETHER = {"cpu": 8, "cuda": 128}
-"""Presses that are stepped through at once, by type of device."""
 
 Progress = Callable[[int, int], None]
 

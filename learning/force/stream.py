@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from learning.errors import LearningError
 
 FRAME, STATE, REFERENCE = "frame", "state", "reference"
+# Names of what goes into a step and comes out of it.
 FORCE, AFTER = "force", "state_after"
-"""Names of what goes into a step and comes out of it."""
+# What can run an exported model.
 RUNTIMES = ("onnxruntime", "openvino")
-"""What can run an exported model."""
 
 Array = NDArray[Any]
+# Runs one step: inputs by name, then force (1, 3) N and state (1, c, h, w).
 Step = Callable[[Mapping[str, Array]], tuple[Array, Array]]
-"""Runs one step: inputs by name, then force (1, 3) N and state (1, c, h, w)."""
 
 
 @dataclass(frozen=True, slots=True)

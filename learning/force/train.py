@@ -319,8 +319,8 @@ def _finished(
 # `train_force` would have taught it alone, up to round-off. Nothing is stored on the way: it is for
 # trainings of a minute, which are begun anew when they were stopped.
 
+# Frames prepared at once.
 _AT_ONCE = 256
-"""Frames prepared at once."""
 
 
 def train_together(

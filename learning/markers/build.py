@@ -38,8 +38,8 @@ from recorder.spec import PHASES
 
 # The one call behind `python -m learning markers`: sessions in, an archive out.
 
+# Frames, and reasons, that are told of one by one.
 NAMED = 5
-"""Frames, and reasons, that are told of one by one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,10 +167,10 @@ def _left_out(group: Group) -> tuple[str, ...]:
     return tuple(lines)
 
 
+# Frames that are timed, and how often; the fastest time counts.
 FRAMES, REPEATS = 100, 3
-"""Frames that are timed, and how often; the fastest time counts."""
+# A step that an archive does without; it is told of and not in the sum.
 CENTRES = "centres"
-"""A step that an archive does without; it is told of and not in the sum."""
 
 
 def rates(
@@ -253,10 +253,10 @@ def _fastest(work: Callable[[], object], frames: int) -> float:
 
 # A contact sheet of an archive made from sessions: outlines of the markers over the pictures.
 
+# Size of a picture, the space around it, the height of what stands below and above [px].
 TILE, GAP, CAPTION, HEAD = (320, 240), 10, 40, 34
-"""Size of a picture, the space around it, the height of what stands below and above [px]."""
+# Frames of a session that are shown beside its reference, and flagged ones among them at most.
 SHEET_FRAMES, FLAGGED = 5, 2
-"""Frames of a session that are shown beside its reference, and flagged ones among them at most."""
 OUTLINE, MARKER, GROUND, ALARM = (255, 150, 30), (240, 240, 236), (22, 26, 34), (220, 60, 50)
 COLOURS = 256
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 # forth along them. Markers are smooth: each is blurred on its own, and then taken where its level
 # keeps the area that it had. The mask is where the level is above one half.
 
+# Deviation of the blur. Wider, edges are smoother, and corners of squares and diamonds rounder.
 BLUR_PX = 1.0
-"""Deviation of the blur. Wider, edges are smoother, and corners of squares and diamonds rounder."""
 _REACH = 5  # pixels around a marker that its blur reaches
 _LEAST_SLOPE = 1e-3  # of a level, a pixel: without an edge a pixel is above or below
 _HALVINGS = 14
@@ -105,11 +105,11 @@ def _middle(soft: NDArray[np.float32], area: float) -> float:
 Floats = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
+# Share of the stiffness that holds on to nothing: without it a field that no marker pins down in
+# some direction (fewer than three, or all on one line) would be any.
 _RIDGE = 1e-6
-"""Share of the stiffness that holds on to nothing: without it a field that no marker pins down in
-some direction (fewer than three, or all on one line) would be any."""
+# So many markers are needed before the field may grow linearly beyond them.
 _AFFINE_FROM = 6
-"""So many markers are needed before the field may grow linearly beyond them."""
 
 
 class Spline:
@@ -204,15 +204,15 @@ def _spread(places: Floats) -> bool:
 Masks = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
+# Times that markers are looked for in a frame, at most.
 ROUNDS = 5
-"""Times that markers are looked for in a frame, at most."""
+# How far from where it is expected a marker may be found [pitch]: beyond half of it, it could as
+# well be its neighbour.
 GATE = 0.5
-"""How far from where it is expected a marker may be found [pitch]: beyond half of it, it could as
-well be its neighbour."""
+# Share of the last frame's motion that is expected to go on.
 SPEED = 0.5
-"""Share of the last frame's motion that is expected to go on."""
+# Patches so many times as large as a marker may be, and larger, are two that grew together.
 MERGED = 1.5
-"""Patches so many times as large as a marker may be, and larger, are two that grew together."""
 _CUTS = 6  # rounds of cutting a patch in parts
 _LONE_PITCH = 80.0  # px, of a single marker
 
@@ -375,12 +375,12 @@ def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
 # lattice of marker archives, [px] of the sensor that they are to be used for, or the small maps of
 # displacement and growth that a force model can read in place of images.
 
+# Where displacement fields are kept: as archives keep them.
 LATTICE = Lattice()
-"""Where displacement fields are kept: as archives keep them."""
+# Rows and columns of the maps that a force model reads.
 MAP_SIDE = 32
-"""Rows and columns of the maps that a force model reads."""
+# Of the spline: centres of patches are a tenth of a pixel off, and so may a field be.
 SMOOTHING = 0.02
-"""Of the spline: centres of patches are a tenth of a pixel off, and so may a field be."""
 
 _MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 
@@ -522,8 +522,8 @@ def _required(masks: NDArray[Any], what: str, dimensions: int) -> Masks:
 # Markers are followed on the CPU, a press at a time; presses are independent. A GPU warps thousands
 # of frames a second, so what feeds it has to be spread.
 
+# Fields on the lattice of archives (n, 57, 73, 2), or small maps (n, 3, 32, 32).
 Form = Literal["displacement", "maps"]
-"""Fields on the lattice of archives (n, 57, 73, 2), or small maps (n, 3, 32, 32)."""
 
 _PRESSES = 8  # a process takes so many at once
 

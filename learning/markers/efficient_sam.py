@@ -24,10 +24,10 @@ from learning.errors import LearningError
 from learning.markers.segment import find_centres
 from recorder.markers import HEIGHT, WIDTH
 
+# Labels of the two corners of a box.
 CORNERS = (2.0, 3.0)
-"""Labels of the two corners of a box."""
+# Boxes in one call at most: each takes 3.7 MB of logits.
 PROMPTS = 32
-"""Boxes in one call at most: each takes 3.7 MB of logits."""
 ENCODER_INPUTS = ("batched_images",)
 DECODER_INPUTS = (
     "image_embeddings",

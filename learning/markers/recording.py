@@ -20,8 +20,8 @@ from recorder.spec import PHASES
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
 
+# Plans whose sessions hold presses to learn from.
 KINDS_OF_PLAN = ("press_shear", "force_depth")
-"""Plans whose sessions hold presses to learn from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

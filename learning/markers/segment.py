@@ -122,8 +122,8 @@ class ColourBelow:
             _require(self, name, getattr(self, name), 1, 256)
 
 
+# A preset's file names one by its `kind`.
 Detector = Contrast | BlurDifference | Dark | ColourBelow
-"""A preset's file names one by its `kind`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,8 +230,8 @@ def _require_known(owner: object, name: str, value: str, known: tuple[str, ...])
 # From a picture to the mask of its markers, as a preset says. OpenCV does the work.
 
 Mask = NDArray[np.bool_]
+# Pixels, uint8: OpenCV does not say so of what it returns.
 Picture = np.ndarray[Any, np.dtype[Any]]
-"""Pixels, uint8: OpenCV does not say so of what it returns."""
 Binary = Picture
 
 _MORPHOLOGY = {
@@ -240,8 +240,8 @@ _MORPHOLOGY = {
     "dilate": cv2.MORPH_DILATE,
     "erode": cv2.MORPH_ERODE,
 }
+# Extremes around a pixel are looked for at a half of the resolution: they are smooth.
 _COARSE = 2
-"""Extremes around a pixel are looked for at a half of the resolution: they are smooth."""
 
 
 class Segmenter:
@@ -437,10 +437,10 @@ def read_preset(path: Path) -> Preset:
 # The centre of a binary patch moves in steps as pixels of its rim come and go; the greys of the rim
 # say how much of each pixel the marker covers.
 
+# A marker's greys are looked at so far beyond its patch; its ground is the ring so wide around.
 _RIM_PX, _RING_PX = 2, 2
-"""A marker's greys are looked at so far beyond its patch; its ground is the ring so wide around."""
+# No label: a picture has fewer markers.
 _NONE = np.iinfo(np.uint16).max
-"""No label: a picture has fewer markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,10 +22,10 @@ from learning.errors import LearningError
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Markers around one that are asked where it is.
 NEIGHBOURS = 8
-"""Markers around one that are asked where it is."""
+# Assignments of a frame, at most.
 ROUNDS = 4
-"""Assignments of a frame, at most."""
 _FAR = 1e6
 
 

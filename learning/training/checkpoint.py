@@ -126,8 +126,8 @@ Settings = TypeVar("Settings")
 logger = logging.getLogger(__name__)
 
 CONFIG, MODEL = "config.yaml", "model"
+# What a model may be.
 KINDS = ("autoencoder", "field", "direct", "marker-vae", "diffusion", "force")
-"""What a model may be."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -506,12 +506,12 @@ def _entropy(seed: int, words: tuple[str | int, ...]) -> int:
 #
 # SIGTERM, which queues of clusters send before they take a machine back, asks as Ctrl-C does.
 
+# Exit code of a training that was asked to stop and did.
 EXIT_INTERRUPTED = 130
-"""Exit code of a training that was asked to stop and did."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# A signal so soon after the first [s] is the same one: torchrun passes on what all have got.
 _ECHO = 1.0
-"""A signal so soon after the first [s] is the same one: torchrun passes on what all have got."""
 
 
 class Stop:

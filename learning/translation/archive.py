@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 Rows = NDArray[np.int64]
 
+# What is said of a sensor that is true of its translated frames as well.
 _OF_TARGET = ("pattern", "camera", "preset", "sensor")
-"""What is said of a sensor that is true of its translated frames as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,13 +288,13 @@ def _marker_count(sensor: ArchivedSensor) -> MarkerCount | None:
 
 Masks = NDArray[np.bool_]
 
+# Size of a picture, the space around it, the height of what stands above and below [px].
 TILE, GAP, HEAD, CAPTION = (256, 192), 8, 30, 20
-"""Size of a picture, the space around it, the height of what stands above and below [px]."""
+# Presses of a pair that are shown.
 FRAMES = 3
-"""Presses of a pair that are shown."""
+# Colours of markers and ground, and of what is a marker in the translated frame or the true one
+# alone.
 MARKER, GROUND, ONLY_MADE, ONLY_TRUE = (240, 240, 236), (22, 26, 34), (255, 150, 30), (70, 150, 255)
-"""Colours of markers and ground, and of what is a marker in the translated frame or the true one
-alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,8 @@ from learning.translation.translator import FLOW, Translator
 if TYPE_CHECKING:
     import torch
 
+# Kinds of translators that are trained, as the folders of their runs name them.
 LEARNED = ("field", "direct", "diffusion")
-"""Kinds of translators that are trained, as the folders of their runs name them."""
 
 
 def load_translator(name_or_folder: str | Path, device: torch.device | str = "cpu") -> Translator:

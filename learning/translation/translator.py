@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from recorder.archive import ArchivedSensor
 
+# Name of the translator that needs no training, and so no folder.
 FLOW = "flow"
-"""Name of the translator that needs no training, and so no folder."""
 
 _SAME_DISCS_PX = 3.0  # a disc of an untouched uSkin lies within this of where it is drawn
 

@@ -71,6 +71,7 @@ def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDAr
 
 Kind = tuple[str, tuple[int, ...], str]
 
+# Everything that a check of an archive can find, by code.
 CODES = {
     "unfinished": "units are missing, or the tables are",
     "metadata": "a zarr.json that is missing or not as the format has it",
@@ -83,7 +84,6 @@ CODES = {
     "marker-count": "frames whose markers are not those of their reference",
     "left-behind": "files that only an archive being written has",
 }
-"""Everything that a check of an archive can find, by code."""
 
 _NAMED = 3  # rows that a finding tells the reason of
 _LISTED = 20  # rows that a finding lists

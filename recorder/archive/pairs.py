@@ -21,8 +21,8 @@ from recorder.spec import PHASES
 Array = np.ndarray[Any, Any]
 Table = Mapping[str, Array]
 
+# Which four frames of a press are paired.
 PRESETS = ("supplement", "authors_code")
-"""Which four frames of a press are paired."""
 
 _UNLOADED = PHASES.index("normal_dec")
 _FIRST = len(PHASES)  # stands for the first frame where a phase's code would

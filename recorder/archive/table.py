@@ -14,10 +14,10 @@ from recorder.archive.array import Array, ArrayLayout, ArraySpec
 from recorder.errors import SessionError
 from recorder.spec import PHASES
 
+# The column that the writer fills: it points into the lines of provenance.
 SOURCE = "source"
-"""The column that the writer fills: it points into the lines of provenance."""
+# Code of a frame that belongs to no phase.
 NO_PHASE = -1
-"""Code of a frame that belongs to no phase."""
 
 _CHUNK_ROWS = 4096
 
@@ -42,6 +42,7 @@ class TableColumn:
     """Whether NaN is allowed, in all of a row's values or none."""
 
 
+# Columns of a table in their order.
 COLUMNS: Mapping[str, TableColumn] = {
     "indenter": TableColumn("int16", "1", "code of the indenter, see attrs names", least=0),
     "seen": TableColumn("bool", "1", "whether models may be trained on the indenter"),
@@ -77,10 +78,9 @@ COLUMNS: Mapping[str, TableColumn] = {
     ),
     SOURCE: TableColumn("int32", "1", "row of sources", least=0),
 }
-"""Columns of a table in their order."""
 
+# The columns that whoever writes an archive supplies.
 GIVEN = tuple(name for name in COLUMNS if name != SOURCE)
-"""The columns that whoever writes an archive supplies."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,14 +14,14 @@ from recorder.spec import OUTCOMES, PHASES
 
 Array = np.ndarray[Any, Any]
 
+# A pause is a gap when it exceeds both this many periods and this long [s].
 GAP_PERIODS, GAP_LEAST = 3.0, 0.05
-"""A pause is a gap when it exceeds both this many periods and this long [s]."""
+# Equal samples are frozen when they last longer than this [s], and are at least so many.
 FROZEN, FROZEN_SAMPLES = 1.0, 5
-"""Equal samples are frozen when they last longer than this [s], and are at least so many."""
+# A stream may end this long before the last phase [s].
 END_MARGIN = 1.0
-"""A stream may end this long before the last phase [s]."""
+# A phase may begin this long before a stream does [s].
 START_MARGIN = 0.1
-"""A phase may begin this long before a stream does [s]."""
 
 _STEP_SAMPLES = 16  # on either side; enough that a late packet or two do not look like a step
 _NAN_IS_FINE = {"device_t"}

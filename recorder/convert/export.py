@@ -18,8 +18,8 @@ from recorder.store.durable import sync_directory
 
 # What the person who exports may choose, and how a format reports how far it is.
 
+# Called with the rows done and those to do.
 Progress = Callable[[int, int], None]
-"""Called with the rows done and those to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ def ignored(done: int, total: int) -> None:
 
 # Where an export goes: built beside, renamed when whole; and names that cannot leave it.
 
+# Suffix of an export that is being built and means nothing yet.
 CREATING = ".creating"
-"""Suffix of an export that is being built and means nothing yet."""
 _LONGEST = 80
 
 
@@ -84,13 +84,13 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+# What can be written, and what it is.
 FORMATS: Mapping[str, str] = {
     "lerobot": "LeRobot dataset v3.0, one episode per target (a folder)",
     "mcap": "MCAP with Foxglove's schemas, every sample at its own time (a file)",
     "hdf5": "HDF5, the whole session with names, types and attributes (a file)",
     "genforce": "the folders of the GenForce recordings, four phases per point (a folder)",
 }
-"""What can be written, and what it is."""
 
 
 def export(

@@ -20,6 +20,7 @@ from recorder.errors import SessionError
 
 # Names of force and torque columns and their units, read strictly: nothing is guessed.
 
+# Newton per unit.
 FORCE_UNITS = {
     "N": 1.0,
     "mN": 1e-3,
@@ -28,7 +29,7 @@ FORCE_UNITS = {
     "kgf": 9.80665,
     "lbf": 4.4482216152605,
 }
-"""Newton per unit."""
+# Newton metre per unit.
 TORQUE_UNITS = {
     "N m": 1.0,
     "N mm": 1e-3,
@@ -36,9 +37,8 @@ TORQUE_UNITS = {
     "kgf cm": 9.80665e-2,
     "lbf in": 0.1129848290276167,
 }
-"""Newton metre per unit."""
+# Nanoseconds per unit.
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
-"""Nanoseconds per unit."""
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 _COLUMN = re.compile(
@@ -118,8 +118,8 @@ def _column(name: str, force: str | None, torque: str | None, where: str) -> tup
 
 Floats = NDArray[np.float64]
 
+# Per N and, of torques, per N mm or N m.
 COUNTS_PER_UNIT = 1e6
-"""Per N and, of torques, per N mm or N m."""
 _COUNTS_MAX = 2**31 - 1
 _MAX_AGE, _MAX_AGE_PERIODS = 0.02, 2.0
 # What is as old as two rows still counts as measured, however slow the recording was [s].

@@ -108,8 +108,8 @@ Rows = Iterator[dict[str, Any]]
 
 _IMPORTING = ".importing"
 _LENGTH_TOLERANCE = 0.05
+# Recordings may differ in length by this share, or this long [s].
 _LENGTH_LEAST = 0.1
-"""Recordings may differ in length by this share, or this long [s]."""
 
 
 def import_session(order: ImportOrder, progress: Progress | None = None) -> list[str]:

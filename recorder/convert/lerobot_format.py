@@ -30,8 +30,8 @@ from recorder.session.reader import Session, Stream
 Array = np.ndarray[Any, Any]
 Floats = NDArray[np.float64]
 
+# Quantiles by their names in LeRobot.
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-"""Quantiles by their names in LeRobot."""
 _SAMPLED = 8  # images of an episode that are looked at
 _STRIDE = 4  # pixels
 
@@ -360,6 +360,7 @@ class _Dataset:
         return named
 
 
+# What makes pandas read the texts as the index, which is where LeRobot looks for them.
 _INDEXED = {
     "pandas": json.dumps(
         {
@@ -385,7 +386,6 @@ _INDEXED = {
         }
     )
 }
-"""What makes pandas read the texts as the index, which is where LeRobot looks for them."""
 
 
 def _columns(session: Session, press: Press, out: _Dataset) -> dict[str, Any]:

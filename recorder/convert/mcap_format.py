@@ -30,13 +30,13 @@ from recorder.spec import OUTCOMES, PHASES
 
 # JSON schemas of the messages that Foxglove has no type for, and the topics of each stream.
 
+# Topics by stream; `/segments` and `/reference` are always there.
 TOPICS: Mapping[str, tuple[str, ...]] = {
     "camera": ("/camera",),
     "pose": ("/pose", "/tf"),
     "force": ("/wrench",),
     "taxels": ("/taxels",),
 }
-"""Topics by stream; `/segments` and `/reference` are always there."""
 
 _TIME = {
     "type": "object",
@@ -72,6 +72,7 @@ _COUNTS = {
     "description": "16 taxels row by row, raw counts x y z",
 }
 
+# Title and JSON schema by topic.
 SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
     "/wrench": (
         "tactile_rig.Wrench",
@@ -120,14 +121,13 @@ SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
         ),
     ),
 }
-"""Title and JSON schema by topic."""
 
 
 _BLOCK = 1024  # rows
 _IMAGES = 16
 _ATTACHED = ("bench", "plan", "calibration", "software")
+# Frame names: the robot's base, its tool, the force/torque sensor.
 BASE, TOOL, SENSOR = "base", "tool", "ft_sensor"
-"""Frame names: the robot's base, its tool, the force/torque sensor."""
 
 
 @dataclass(frozen=True, slots=True)

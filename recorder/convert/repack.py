@@ -23,8 +23,8 @@ PROFILES = ("portable", "camera")
 
 _CREATING = ".creating"
 
+# Called with the images done and those to do.
 Progress = Callable[[int, int], None]
-"""Called with the images done and those to do."""
 
 
 def repack(

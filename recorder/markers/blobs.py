@@ -16,8 +16,8 @@ from recorder.markers.packing import Masks
 
 Integers = NDArray[np.int64]
 
+# Patches of fewer pixels are specks, not markers: the least marker of the patterns has 50.
 SMALLEST_PX = 12
-"""Patches of fewer pixels are specks, not markers: the least marker of the patterns has 50."""
 _BLOCK = 64  # frames at once
 
 

@@ -75,8 +75,8 @@ class DiscMap:
             )
 
 
+# What the paper draws.
 PAPER = DiscMap()
-"""What the paper draws."""
 
 
 def draw_discs(counts: NDArray[np.integer | np.floating], disc_map: DiscMap = PAPER) -> Masks:

@@ -60,9 +60,9 @@ class Lattice:
 
 Floats = NDArray[np.float64]
 
+# Size of a patch of skin in the frame over its size untouched below which it may hide a marker. It
+# is the mean of a cell, which an edge crosses somewhere: part of it is steeper still.
 STEEP = 0.45
-"""Size of a patch of skin in the frame over its size untouched below which it may hide a marker.
-It is the mean of a cell, which an edge crosses somewhere: part of it is steeper still."""
 
 
 def moved(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> Floats:

@@ -33,11 +33,11 @@ from recorder.markers.displacement import Lattice, moved, on_flanks
 from recorder.markers.packing import HEIGHT, WIDTH, Masks, require_masks
 
 Chosen = NDArray[np.bool_]
+# Gives the displacement (h, w, 2) [px] of a frame; asked only where the border is no reason.
 FieldOf = Callable[[int], NDArray[np.floating]]
-"""Gives the displacement (h, w, 2) [px] of a frame; asked only where the border is no reason."""
 
+# A patch is taken for two markers grown together above so many times the largest's area.
 _MERGED = 1.5
-"""A patch is taken for two markers grown together above so many times the largest's area."""
 _NAMED = 3  # places that a reason names
 
 

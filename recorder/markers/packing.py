@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+# Size of every marker image [px].
 WIDTH, HEIGHT = 640, 480
-"""Size of every marker image [px]."""
+# Bytes of a packed mask.
 PACKED = WIDTH * HEIGHT // 8
-"""Bytes of a packed mask."""
 
 Masks = NDArray[np.bool_]
 Packed = NDArray[np.uint8]

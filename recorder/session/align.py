@@ -283,8 +283,8 @@ def _sums(values: Values, first: NDArray[np.intp], last: NDArray[np.intp]) -> Fl
 
 Array = np.ndarray[Any, Any]
 
+# Exposure of a camera that does not state it [s].
 EXPOSURE = 1 / 60
-"""Exposure of a camera that does not state it [s]."""
 _MAX_AGE = {"force": 0.02, "pose": 0.02}
 _MAX_AGE_PERIODS = 2.0
 

@@ -25,12 +25,12 @@ from recorder.store.layout import merge_attrs
 
 Floats = NDArray[np.float64]
 
+# Length of a fit [s]: long enough to catch prompt arrivals, short enough for a warming clock.
 WINDOW = 30.0
-"""Length of a fit [s]: long enough to catch prompt arrivals, short enough for a warming clock."""
+# Periods after which counters of so many bits and such ticks start again [s].
 WRAPS = tuple(2.0**bits * tick for bits in (16, 24, 31, 32) for tick in (1e-9, 1e-6, 1e-3))
-"""Periods after which counters of so many bits and such ticks start again [s]."""
+# A lasting change of the offset by more than this is a reset of the device's clock [s].
 STEP = 0.02
-"""A lasting change of the offset by more than this is a reset of the device's clock [s]."""
 
 _BINS = 64  # least delays kept per window
 _KNOTS = 3  # fits per window length

@@ -22,6 +22,7 @@ from recorder.store.tables import write_table
 Array = np.ndarray[Any, Any]
 
 _WRENCH = "N, N m"
+# Units and description of the columns of `frames`.
 UNITS: Mapping[str, tuple[str, str]] = {
     "t_ns": ("ns", "tick, on the clock of the run"),
     "run": ("1", "entry of the session's attrs runs"),
@@ -37,7 +38,6 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "skew": ("s", "largest distance of a value from the capture it is given for"),
     "valid": ("1", "every stream had samples near enough"),
 }
-"""Units and description of the columns of `frames`."""
 
 _BUILDING, _OLD = "frames.building", "frames.old"
 

@@ -35,8 +35,8 @@ from recorder.store.shard import ColumnLog, OpenShard, chunk_count, read_index, 
 # only with its row and a row only with its image. Resuming and recovering are the same act: put the
 # stream back into the state it had while it was written, after its last whole row.
 
+# Room kept on the disk of a stream being written, so that a full disk can still be closed.
 BALLAST = "ballast"
-"""Room kept on the disk of a stream being written, so that a full disk can still be closed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,10 @@ from recorder.store.shard import MISSING, Index, read_index
 
 Array = np.ndarray[Any, Any]
 
+# Chunks fetched at once from a remote store: latency is paid once, memory stays small.
 _BATCH = 16
-"""Chunks fetched at once from a remote store: latency is paid once, memory stays small."""
+# Decoded chunks that `LazyRows` keeps.
 _KEPT = 64
-"""Decoded chunks that `LazyRows` keeps."""
 
 
 class ColumnReader:

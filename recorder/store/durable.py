@@ -15,8 +15,8 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store.files import LOCAL, read_document
 
+# Suffix of a file that is still being written and means nothing yet.
 TEMPORARY = ".tmp"
-"""Suffix of a file that is still being written and means nothing yet."""
 
 
 def sync_directory(path: Path) -> None:

@@ -18,8 +18,8 @@ import zarr
 
 from recorder.errors import SessionError
 
+# Offset and length in a file [bytes].
 Range = tuple[int, int]
-"""Offset and length in a file [bytes]."""
 
 
 class Files(Protocol):
@@ -125,8 +125,8 @@ class LocalFiles:
         return zarr.open_array(path, mode="r")
 
 
+# The only one that writers know.
 LOCAL = LocalFiles()
-"""The only one that writers know."""
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
@@ -176,8 +176,8 @@ def read_document(files: Files, path: Path) -> dict[str, Any]:
 # Only what is needed crosses the network: a shard's index once, then the byte ranges of the chunks
 # asked for, neighbours in one request and requests side by side where the store allows it.
 
+# Bytes between two ranges that are cheaper to fetch than another request.
 _JOIN_GAP = 1 << 14
-"""Bytes between two ranges that are cheaper to fetch than another request."""
 _HINTS = {
     "NoCredentialsError": "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
     "storage_options={'anon': True} for a public bucket",

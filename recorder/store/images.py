@@ -23,8 +23,8 @@ from recorder.spec import Column
 Image = NDArray[np.uint8]
 
 ZSTD_LEVEL = 1
+# Used only where somebody writes pixels through Zarr: the recorder never encodes a JPEG.
 JPEG_QUALITY = 95
-"""Used only where somebody writes pixels through Zarr: the recorder never encodes a JPEG."""
 
 _COLORSPACE = {1: "GRAY", 3: "RGB"}
 

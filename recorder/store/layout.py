@@ -19,8 +19,8 @@ from recorder.store.durable import read_json, write_json
 from recorder.store.files import LOCAL, Files, read_document
 
 CHUNKS_PER_SHARD = 64
+# Suffix of a shard that is still growing; no Zarr reader looks at it.
 PARTIAL = ".partial"
-"""Suffix of a shard that is still growing; no Zarr reader looks at it."""
 
 
 @dataclass(frozen=True, slots=True)

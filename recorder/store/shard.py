@@ -24,8 +24,8 @@ from recorder.store.layout import CHUNKS_PER_SHARD, Layout
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
 CRC_BYTES = 4
 
+# (slots, 2): offset and length of each inner chunk, MISSING twice for none.
 Index = NDArray[np.uint64]
-"""(slots, 2): offset and length of each inner chunk, MISSING twice for none."""
 
 
 class OpenShard:

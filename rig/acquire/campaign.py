@@ -199,11 +199,11 @@ def table(found: list[Progress]) -> list[str]:
 
 # Runs what is left of a campaign: asks for the swap, records, goes on.
 
+# Shows a question and waits; False ends the campaign.
 Ask = Callable[[str], bool]
-"""Shows a question and waits; False ends the campaign."""
 Say = Callable[[str], None]
+# Waits until the gripper of an item's bench holds its indenter; raises DeviceLost.
 Swap = Callable[[Item], None]
-"""Waits until the gripper of an item's bench holds its indenter; raises DeviceLost."""
 
 
 @dataclass(frozen=True, slots=True)

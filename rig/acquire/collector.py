@@ -42,6 +42,7 @@ from trajectories import Plan, plan_to_json
 
 logger = logging.getLogger(__name__)
 
+# What may end a walk in progress, and the exit code of each.
 _EXIT_CODES: dict[type[BaseException], int] = {
     Interrupted: EXIT_INTERRUPTED,
     KeyboardInterrupt: EXIT_INTERRUPTED,
@@ -51,7 +52,6 @@ _EXIT_CODES: dict[type[BaseException], int] = {
     SessionError: EXIT_DEVICE_LOST,
     OSError: EXIT_DEVICE_LOST,
 }
-"""What may end a walk in progress, and the exit code of each."""
 
 
 class Collector:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from rig.devices.gripper.robotiq import GripWatch
     from rig.devices.hid.pedal import DeadMan, PedalState, PedalWatch
 
+# Who pauses, when the pedal does.
 PEDAL = "foot pedal"
-"""Who pauses, when the pedal does."""
 
 
 class Released(Exception):

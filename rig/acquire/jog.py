@@ -29,10 +29,10 @@ from trajectories import Point
 
 logger = logging.getLogger(__name__)
 
+# A move is as long as the tip comes in this time at the speed the cap asks for [s].
 REACH = 1.0
-"""A move is as long as the tip comes in this time at the speed the cap asks for [s]."""
+# Number of the button that takes the origin.
 TAKE = 0
-"""Number of the button that takes the origin."""
 
 _CHANGED = 0.15
 # The cap may wander by so much of its full deflection before the move is broken off.

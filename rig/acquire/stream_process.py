@@ -28,6 +28,8 @@ from rig.core.shared_memory import LatestRecord
 
 logger = logging.getLogger(__name__)
 
+# Last arrival [ns], samples since opening, rows stored by this run, samples the device sent that
+# never came, rate over the last second [Hz], longest gap between stored samples [s].
 COUNTERS = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -38,8 +40,6 @@ COUNTERS = np.dtype(
         ("longest_gap", "<f8"),
     ]
 )
-"""Last arrival [ns], samples since opening, rows stored by this run, samples the device sent that
-never came, rate over the last second [Hz], longest gap between stored samples [s]."""
 
 _READ_TIMEOUT = 0.05
 # How long a command from the parent may wait for a silent device [s].

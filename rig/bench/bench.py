@@ -19,10 +19,10 @@ from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
 from trajectories import ForceDepth, Limits, PressShear
 
+# Stands for the address the emulators are started on.
 LOOPBACK = "loopback"
-"""Stands for the address the emulators are started on."""
+# Stands for the folder where emulators of serial devices put links to their ptys.
 RUN_FOLDER = "runfolder"
-"""Stands for the folder where emulators of serial devices put links to their ptys."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from rig.core.errors import ConfigError, DeviceLost
 if TYPE_CHECKING:
     from rig.cli.options import Verbs
 
+# Activation opens and closes the fingers once; it takes one to two seconds [s].
 _OPENING = 5.0
-"""Activation opens and closes the fingers once; it takes one to two seconds [s]."""
 
 
 def add_to(verbs: Verbs) -> None:

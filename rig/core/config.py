@@ -19,6 +19,9 @@ from rig.core.errors import ConfigError
 
 # Units that people write, and what they are in SI. The one place where they are converted.
 
+# SI value of one of each unit, by the suffix a key in a bench file carries (`speed_mm_s: 5`).
+#
+# `n_mm` is a torque, newton millimetre; `n_per_mm` a stiffness.
 SI_PER_UNIT = {
     "mm": 1e-3,
     "mm_s": 1e-3,
@@ -35,10 +38,6 @@ SI_PER_UNIT = {
     "kg": 1.0,
     "s": 1.0,
 }
-"""SI value of one of each unit, by the suffix a key in a bench file carries (`speed_mm_s: 5`).
-
-`n_mm` is a torque, newton millimetre; `n_per_mm` a stiffness.
-"""
 
 
 def to_si(value: float, unit: str) -> float:

@@ -37,6 +37,7 @@ logger = logging.getLogger(__name__)
 # device is, or {"ok": false, "error": TEXT}. It lies beside the device's own protocol, so that it
 # answers while the device is unplugged or frozen, and only on the emulator's own loopback address.
 
+# Fault port of each device of a mock bench, at the bench's own loopback address.
 PORTS = {
     "arm": 31000,
     "force": 31001,
@@ -46,13 +47,11 @@ PORTS = {
     "pedal": 31005,
     "spacemouse": 31006,
 }
-"""Fault port of each device of a mock bench, at the bench's own loopback address."""
 
+# Called with the name of the fault and its values; tells how the device is.
+#
+# It raises ValueError, KeyError or TypeError when it knows no such fault or misses a value.
 Apply = Callable[..., dict[str, Any]]
-"""Called with the name of the fault and its values; tells how the device is.
-
-It raises ValueError, KeyError or TypeError when it knows no such fault or misses a value.
-"""
 
 _LONGEST = 1 << 16
 # A line longer than this is no request [bytes].
@@ -149,8 +148,8 @@ class _Handler(socketserver.StreamRequestHandler):
             self.wfile.write(reply.encode() + b"\n")
 
 
+# Depth served before the World's first state: the indenter well above the surface [m].
 UNTOUCHED_DEPTH = -0.01
-"""Depth served before the World's first state: the indenter well above the surface [m]."""
 
 
 class World(Protocol):

@@ -25,9 +25,10 @@ from typing import Any, Generic, TypeVar
 
 from rig.core.clock import SECOND_NS, Clock
 
+# A message: bytes or text, as the device sends.
 M = TypeVar("M")
-"""A message: bytes or text, as the device sends."""
 
+# The values of each fault besides `seconds`, and what they are when not given.
 _VALUES: dict[str, dict[str, float]] = {
     "freeze": {},
     "slow": {"fraction": 0.25, "delay": 0.0},
@@ -37,10 +38,9 @@ _VALUES: dict[str, dict[str, float]] = {
     "duplicate": {"every": 10},
     "unplug": {},
 }
-"""The values of each fault besides `seconds`, and what they are when not given."""
 
+# Names of everything that can be wrong.
 FAULTS = tuple(_VALUES)
-"""Names of everything that can be wrong."""
 
 
 @dataclass(slots=True)

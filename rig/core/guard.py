@@ -38,8 +38,8 @@ _SLOPE_SPAN_NS = 60_000_000
 # fewer it would be the noise that trips. A sensor so slow that four samples take longer than the
 # span says nothing about the next 20 ms.
 
+# In retreat the load counts as growing when it gains this share of the rating in `horizon`.
 _GROWTH = 0.02
-"""In retreat the load counts as growing when it gains this share of the rating in `horizon`."""
 
 _EMERGENCY_BITS = 0x1E0
 _STOPPED_BITS = 0x614

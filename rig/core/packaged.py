@@ -9,10 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 
 _HOME = Path(__file__).parents[1] / "bench"
+# Mock benches, and the calibration of their gauge.
 BENCHES = _HOME / "benches"
-"""Mock benches, and the calibration of their gauge."""
+# A day at the bench, as an example.
 CAMPAIGNS = _HOME / "campaigns"
-"""A day at the bench, as an example."""
 
 
 def packaged(path: Path, folder: Path) -> Path:

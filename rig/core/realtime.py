@@ -8,14 +8,14 @@ import os
 
 from rig.core.clock import SECOND_NS
 
+# Of the streams' processes.
 RIG_PRIORITY = 50
-"""Of the streams' processes."""
+# Of emulators: the devices they stand for wait for nobody.
 DEVICE_PRIORITY = 60
-"""Of emulators: the devices they stand for wait for nobody."""
+# Of the camera's emulator, which draws for milliseconds on end: below all that must not wait.
 CAMERA_PRIORITY = 40
-"""Of the camera's emulator, which draws for milliseconds on end: below all that must not wait."""
+# Of what solves a simulated World: busier than the camera, and late at the cost of accuracy.
 SOLVER_PRIORITY = 30
-"""Of what solves a simulated World: busier than the camera, and late at the cost of accuracy."""
 _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 

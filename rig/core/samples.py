@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+# Wrench less the tare [N, N m] in the F/T frame, with the host's arrival time [ns].
 FORCE_LATEST = np.dtype([("t_ns", "<i8"), ("status", "<i8"), ("value", "<f8", (6,))])
-"""Wrench less the tare [N, N m] in the F/T frame, with the host's arrival time [ns]."""
 
+# TCP pose in the base frame [m, rad], the controller's clock [s], RTDE safety_status_bits.
 POSE_LATEST = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -21,17 +22,19 @@ POSE_LATEST = np.dtype(
         ("value", "<f8", (6,)),
     ]
 )
-"""TCP pose in the base frame [m, rad], the controller's clock [s], RTDE safety_status_bits."""
 
+# Raw counts, taxel by taxel, x y z.
 TAXELS_LATEST = np.dtype([("t_ns", "<i8"), ("value", "<i4", (16, 3))])
-"""Raw counts, taxel by taxel, x y z."""
 
+# The newest frame's arrival time and row; frames themselves never cross a process boundary.
 CAMERA_LATEST = np.dtype([("t_ns", "<i8"), ("row", "<i8")])
-"""The newest frame's arrival time and row; frames themselves never cross a process boundary."""
 
+# The emulated controller's TCP pose at its own cycle, for the World [m, rad, m/s, rad/s].
 ARM_TRUTH = np.dtype([("t_ns", "<i8"), ("pose", "<f8", (6,)), ("speed", "<f8", (6,))])
-"""The emulated controller's TCP pose at its own cycle, for the World [m, rad, m/s, rad/s]."""
 
+# One stamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
+# above the surface), contact position and tangential surface displacement in the contact frame [m],
+# wrench on the sensor in the F/T frame [N, N m], taxels before noise [counts].
 WORLD_STATE = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -43,10 +46,10 @@ WORLD_STATE = np.dtype(
         ("taxels", "<f8", (16, 3)),
     ]
 )
-"""One stamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
-above the surface), contact position and tangential surface displacement in the contact frame [m],
-wrench on the sensor in the F/T frame [N, N m], taxels before noise [counts]."""
 
+# The last solution of a simulated World, and how to go on from it: the tip in the contact frame
+# [m], the mean sideways displacement under it [m], the coefficient of friction, wrench about the
+# tip [N, N m] and taxels [counts], what they change with the tip [1/m] and with time [1/s].
 PRESS_STATE = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -59,9 +62,6 @@ PRESS_STATE = np.dtype(
         ("rate", "<f8", (54,)),
     ]
 )
-"""The last solution of a simulated World, and how to go on from it: the tip in the contact frame
-[m], the mean sideways displacement under it [m], the coefficient of friction, wrench about the tip
-[N, N m] and taxels [counts], what they change with the tip [1/m] and with time [1/s]."""
 
 
 def surface_state(shape: tuple[int, int]) -> np.dtype[np.void]:

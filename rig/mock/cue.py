@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
+# Written once, when every driver is open and every writer records: when the tape starts [ns].
 CUE = np.dtype([("start_ns", "<i8")])
-"""Written once, when every driver is open and every writer records: when the tape starts [ns]."""
 
+# Codes of `POSITION.state`.
 WAITING, PLAYING, ENDED, FAILED = range(4)
-"""Codes of `POSITION.state`."""
 
+# How far an emulator is: its state, rows sent, and the recorded time, since the run's first sample,
+# of the first row its reader has not taken [ns].
 POSITION = np.dtype([("state", "<i8"), ("sent", "<i8"), ("t_ns", "<i8")])
-"""How far an emulator is: its state, rows sent, and the recorded time, since the run's first
-sample, of the first row its reader has not taken [ns]."""
 
+# `POSITION.t_ns` of an emulator whose rows have all been taken.
 FAR_NS = np.iinfo(np.int64).max // 2
-"""`POSITION.t_ns` of an emulator whose rows have all been taken."""
 
 
 def cue_path(folder: Path) -> Path:

@@ -34,13 +34,13 @@ from rig.replay.run import ReadingProgress, ReplayedRun
 logger = logging.getLogger(__name__)
 
 EXIT_DIFFERENT = 1
+# Attributes of the source that hold for the replay too.
 _COPIED = (
     *("sensor", "indenter", "operator", "plan", "targets_wanted", "bench", "contact_frame"),
     *("calibration", "imported", "mock_sources"),
 )
-"""Attributes of the source that hold for the replay too."""
+# Attributes of a stream that the replay writes itself.
 _OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "clock_fit"}
-"""Attributes of a stream that the replay writes itself."""
 
 
 @dataclass(frozen=True, slots=True)

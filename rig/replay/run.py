@@ -26,10 +26,10 @@ logger = logging.getLogger(__name__)
 
 # How far a replay has come: when a run has ended, and when it never will.
 
+# After its emulator has sent all, a stream may take so long to have all rows [s].
 MISSING_TIMEOUT = 5.0
-"""After its emulator has sent all, a stream may take so long to have all rows [s]."""
+# With rows left to send, nothing may happen for so long on top of the longest recorded gap [s].
 STALL_TIMEOUT = 30.0
-"""With rows left to send, nothing may happen for so long on top of the longest recorded gap [s]."""
 _SAY_PROGRESS_NS = 2 * SECOND_NS
 
 
@@ -115,8 +115,8 @@ class ReadingProgress:
         logger.info("%s: image %d of %d, %s left", self._what, done, total, minutes(left))
 
 
+# Samples a driver hands on before the tape starts: what it needed to open.
 _LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "camera": 0}
-"""Samples a driver hands on before the tape starts: what it needed to open."""
 _SETTLE_NS = SECOND_NS // 5
 _SETTLE_TIMEOUT = 10.0
 _LEAD_NS = SECOND_NS // 10

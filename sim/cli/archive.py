@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 EXIT_STOPPED, EXIT_INTERRUPTED = 2, 130
 GROUPS = ("homogeneous", "material", "heterogeneous")
+# Indenters with --smoke, and elements that a thickness is high.
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
-"""Indenters with --smoke, and elements that a thickness is high."""
 SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
+# Presses that a GPU solves at once: all of the paper's.
 TOGETHER_GPU = 162
-"""Presses that a GPU solves at once: all of the paper's."""
 
 
 def add_to(verbs: Verbs) -> None:

@@ -13,8 +13,8 @@ EXIT_DIVERGED = 1
 EXIT_WRONG_INPUT = 2
 EXIT_INTERRUPTED = 130
 
+# Last attempts that are told of when there is no solution.
 TRIED_SHOWN = 5
-"""Last attempts that are told of when there is no solution."""
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:

@@ -81,8 +81,8 @@ def joined(argv: Sequence[str]) -> list[str]:
 
 # Which indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
 
+# Measures that were given: lengths in [m], angles in [rad].
 Measures = dict[str, float]
-"""Measures that were given: lengths in [m], angles in [rad]."""
 
 MEASURES = {
     "radius": "radius of a sphere, a punch or a bar [mm]",
@@ -95,6 +95,7 @@ MEASURES = {
     "outer_radius": "outer radius of a tube [mm]",
     "inner_radius": "inner radius of a tube [mm]",
 }
+# Shapes by measure, and the measures that each must be given.
 NEEDS: dict[str, tuple[str, ...]] = {
     "sphere": ("radius",),
     "punch": ("radius",),
@@ -106,14 +107,13 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "tube": ("outer_radius", "inner_radius"),
     "plane": (),
 }
-"""Shapes by measure, and the measures that each must be given."""
+# Edge radius of a shape by measure when none is given, as far as there is room: the same as most of
+# the named shapes have, since a sharp edge is never solved reproducibly.
 EDGE_MM = 0.3
-"""Edge radius of a shape by measure when none is given, as far as there is room: the same as most
-of the named shapes have, since a sharp edge is never solved reproducibly."""
+# Shapes without an edge to round.
 ROUND = ("sphere", "torus", "rounded-cone", "plane")
-"""Shapes without an edge to round."""
+# How the name of a file ends, in place of a shape.
 FILE = ".stl"
-"""How the name of a file ends, in place of a shape."""
 FILE_OPTIONS = ("stl_unit", "stl_up")
 
 
@@ -510,8 +510,8 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+# What `--fields` adds to `--json`.
 FIELDS = ("surface", "traction")
-"""What `--fields` adds to `--json`."""
 
 
 def fields(text: str) -> tuple[str, ...]:

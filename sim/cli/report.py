@@ -28,8 +28,8 @@ from sim.simulate import plan, simulate
 
 Array = NDArray[np.float64]
 
+# An edge radius below this share of an element is worth a note.
 EDGE_NOTE_SHARE = 0.999
-"""An edge radius below this share of an element is worth a note."""
 
 
 def as_json(

@@ -49,8 +49,8 @@ Array = NDArray[np.float64]
 Packed = NDArray[np.uint8]
 Fields = NDArray[np.float16]
 
+# Columns from one taxel to the next in the image of discs (`recorder.markers.draw_discs`).
 TAXEL_PITCH_PX = 128
-"""Columns from one taxel to the next in the image of discs (`recorder.markers.draw_discs`)."""
 
 
 class Reader:
@@ -146,8 +146,8 @@ def crept(top: SurfaceField, offset: Array) -> SurfaceField:
     return SurfaceField(top.x - offset[0], top.y - offset[1], top.displacement + shift)
 
 
+# Where displacement is kept.
 LATTICE = Lattice()
-"""Where displacement is kept."""
 
 
 @dataclass(frozen=True, slots=True)

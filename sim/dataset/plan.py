@@ -65,8 +65,8 @@ class Press:
 
 ArchiveTier = Literal["layer", "fem"]
 
+# Largest element unless said otherwise [m]: the edges of a thick body's indenters ask for it.
 SPACING_MAX = 1.2e-3
-"""Largest element unless said otherwise [m]: the edges of a thick body's indenters ask for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,11 +246,11 @@ def described(solving: Solving, body: Body) -> str:
 
 Work = Literal["states", "targets"]
 
+# Indenters that models of the paper are tested on and never trained on.
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
-"""Indenters that models of the paper are tested on and never trained on."""
 STEPS_MAX = 1000
+# Presses that are solved and written together at most: the nine places of the paper's states.
 UNIT_PRESSES = 9
-"""Presses that are solved and written together at most: the nine places of the paper's states."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,8 +359,8 @@ def _check_names(what: str, found: list[str]) -> None:
 # each phase. The force-depth presses come last: one path that goes down and up again `repeats`
 # times, each repeat a target beyond the others, as long as they are, without a location.
 
+# The paper's force-depth presses are made with it.
 FORCE_DEPTH_INDENTER = "prism"
-"""The paper's force-depth presses are made with it."""
 
 
 def target_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
@@ -501,10 +501,10 @@ def _session_point(trajectory: PressShear, indenter: str, point: int) -> int:
 
 # The paper's simulated states: 18 indenters, 9 places, 5 depths, a location each.
 
+# Where the tip goes down, x and y [mm]; the target is the number of the place.
 PLACES = tuple((x, y) for x in PLACES_MM for y in PLACES_MM)
-"""Where the tip goes down, x and y [mm]; the target is the number of the place."""
+# States of one indenter.
 STATES = len(PLACES) * len(DEPTHS_MM)
-"""States of one indenter."""
 
 
 def gel(patterns: tuple[str, ...] | None = None) -> SimulatedSensor:
@@ -548,8 +548,8 @@ def _state_press(each: SimulatedSensor, indenter: str, target: int) -> Press:
 
 # Which sensors share their deformations, and how the work is cut into units.
 
+# What presses are solved with where forces are proportional to the modulus [Pa].
 MODULUS = Body().modulus
-"""What presses are solved with where forces are proportional to the modulus [Pa]."""
 
 
 @dataclass(frozen=True, slots=True)

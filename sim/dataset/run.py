@@ -47,11 +47,11 @@ from sim.tiers import FEWER
 
 # An archive begun from a plan, or found again with its plan in it.
 
+# Attribute of an archive that holds what it is made from, and "made_by" what made it.
 PLAN = "plan"
-"""Attribute of an archive that holds what it is made from, and "made_by" what made it."""
 MADE_BY = "tactile-rig sim archive"
+# Chance of a frame in which segmentation misses more markers than the marker check lets pass.
 LEAST_LIKELY = 1e-5
-"""Chance of a frame in which segmentation misses more markers than the marker check lets pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,10 +226,10 @@ class Stop:
         self._say("stopping: the units in flight are finished first; Ctrl-C again stops at once")
 
 
+# Told how much of the presses of the unit in hand is solved, where there is one at a time.
 Inside = Callable[[float], None]
-"""Told how much of the presses of the unit in hand is solved, where there is one at a time."""
+# Makes units and tells of each that is done.
 Maker = Callable[[Sequence[Unit], Inside], Iterator[Made]]
-"""Makes units and tells of each that is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,8 +297,8 @@ def _rows(begun: Begun, unit: Unit) -> int:
 
 # Units made on this machine: one after the other, or one a process at a time.
 
+# What keeps a worker to one core, and its sums in one order.
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-"""What keeps a worker to one core, and its sums in one order."""
 
 
 def make_here(
@@ -394,10 +394,10 @@ def _one_thread() -> Iterator[None]:
 # A worker that is killed loses nothing: its unit runs again elsewhere, and a unit that two of them
 # write is the same twice.
 
+# How long the first worker is waited for [s].
 WORKERS_WITHIN = 30.0
-"""How long the first worker is waited for [s]."""
+# A worker with several threads makes one unit at a time all the same.
 _ONE_AT_A_TIME = threading.Lock()
-"""A worker with several threads makes one unit at a time all the same."""
 
 
 def make_on_cluster(
@@ -499,17 +499,17 @@ def _distributed() -> Any:
 
 # What an archive will take, told before it is begun.
 
+# Presses of a family whose seconds are foretold; the others take their mean.
 SAMPLES = 3
-"""Presses of a family whose seconds are foretold; the others take their mean."""
+# CPU time of a press by `layer`, and of each of its frames [s].
 SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
-"""CPU time of a press by `layer`, and of each of its frames [s]."""
+# CPU time of an element in an iteration of Newton's method [s], and iterations a step: of 20
+# presses with friction they took 5 to 20, and an element 5 to 10 us.
 SECONDS_ITERATION, ITERATIONS = 6e-6, 8
-"""CPU time of an element in an iteration of Newton's method [s], and iterations a step: of 20
-presses with friction they took 5 to 20, and an element 5 to 10 us."""
+# CPU time of a frame, of each of its masks, and of one with errors of segmentation [s].
 SECONDS_VIEW, SECONDS_MASK, SECONDS_SEGMENTED = 15e-3, 3e-3, 25e-3
-"""CPU time of a frame, of each of its masks, and of one with errors of segmentation [s]."""
+# What a mask and a displacement field take when compressed: means over the paper's states.
 BYTES_MASK, BYTES_FIELD = 2_800, 12_600
-"""What a mask and a displacement field take when compressed: means over the paper's states."""
 
 
 @dataclass(frozen=True, slots=True)

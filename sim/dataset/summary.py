@@ -15,8 +15,8 @@ from recorder.archive import ArchivedSensor, marker_flags
 from recorder.markers import unpack
 from recorder.plot import INK, PAPER, SOFT, font
 
+# Frames, and presses without a solution, that are told of one by one.
 SHOWN = 5
-"""Frames, and presses without a solution, that are told of one by one."""
 
 
 def summary(
@@ -93,10 +93,10 @@ def _some(title: str, lines: list[str]) -> Iterator[str]:
 
 # One picture for each sensor and indenter of an archive: its deepest state, small multiples.
 
+# Size of a picture, and the space around it [px].
 TILE, GAP = (144, 108), 6
-"""Size of a picture, and the space around it [px]."""
+# Room for the names [px].
 LEFT, TOP = 92, 30
-"""Room for the names [px]."""
 MARKER, GROUND = (240, 240, 236), (22, 26, 34)
 COLOURS = 16
 

@@ -41,8 +41,8 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
+# Where a tip touches nothing, in thicknesses.
 AWAY = (0.0, 0.0, 1e3)
-"""Where a tip touches nothing, in thicknesses."""
 
 # What the sums over a state say of each environment of a batch.
 

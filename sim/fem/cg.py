@@ -18,15 +18,15 @@ import warp as wp
 from sim.fem.mesh import CENTRE, Mesh
 from sim.scalars import matrix_of, vector_of
 
+# Iterations between looks at who is still running: free on the CPU, a stop on a GPU.
 LOOK = {"cpu": 1, "cuda": 8}
-"""Iterations between looks at who is still running: free on the CPU, a stop on a GPU."""
 
+# Mark in place of the accuracy to reach: stop here, the tangent is not convex.
 CONCAVE = 1e300
-"""Mark in place of the accuracy to reach: stop here, the tangent is not convex."""
+# Threads of a GPU that add up the shares of one environment's sum.
 LANES = 128
-"""Threads of a GPU that add up the shares of one environment's sum."""
+# Numbers of each environment: r.z, r.r to reach, step, change of direction, slope.
 SCALARS = 5
-"""Numbers of each environment: r.z, r.r to reach, step, change of direction, slope."""
 
 
 @functools.cache
@@ -317,11 +317,11 @@ class ConjugateGradient:
 # lifted, to their absolute values at least; L D L^T with positive pivots is positive definite
 # whatever L is.
 
+# Columns that one block of a GPU's threads takes, whose sums it adds up.
 BLOCK = 64
-"""Columns that one block of a GPU's threads takes, whose sums it adds up."""
+# Least eigenvalue of a pivot over the mean diagonal of its block. Shear against bulk modulus at nu
+# = 0.4999 makes 1e-4 of it; below 1e-6 float32 has no digits left.
 PIVOT_LEAST = 1e-5
-"""Least eigenvalue of a pivot over the mean diagonal of its block. Shear against bulk modulus at
-nu = 0.4999 makes 1e-4 of it; below 1e-6 float32 has no digits left."""
 
 
 @functools.cache
@@ -669,9 +669,9 @@ class Columns:
 # Decomposition, 1996), which makes a third to a fifth of the iterations, each 1.5 to 2 times as
 # long.
 
+# Iterations of one solve from which an environment has lines along all axes. On a GPU one thread
+# walks along each line: an iteration takes five times as long, which pays only as a last resort.
 HARD_FROM = {"cpu": 150, "cuda": 2000}
-"""Iterations of one solve from which an environment has lines along all axes. On a GPU one thread
-walks along each line: an iteration takes five times as long, which pays only as a last resort."""
 
 
 class Lines:

@@ -23,8 +23,8 @@ import warp as wp
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.scalars import matrix_of, vector_of
 
+# Distance over which the turning of the normal is measured, in thicknesses.
 REACH = 2e-3
-"""Distance over which the turning of the normal is measured, in thicknesses."""
 
 
 def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:

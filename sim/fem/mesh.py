@@ -33,19 +33,19 @@ from sim.fem.sizing import (
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
+# Corner of a cell by its index: x, y, z steps.
 CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
-"""Corner of a cell by its index: x, y, z steps."""
+# Abscissa of the 2-point Gauss rule on -1 to 1.
 GAUSS = 1 / np.sqrt(3)
-"""Abscissa of the 2-point Gauss rule on -1 to 1."""
 
+# Elements along x and y are a multiple of this, above `MANY` of twice this: so many presses share a
+# topology.
 MULTIPLE, MANY = 4, 24
-"""Elements along x and y are a multiple of this, above `MANY` of twice this: so many presses share
-a topology."""
+# Share of a column of elements within the footprint below which it is left out: a sliver, whose
+# nodes next to nothing would hold.
 SHARE_LEAST = 0.1
-"""Share of a column of elements within the footprint below which it is left out: a sliver, whose
-nodes next to nothing would hold."""
+# Exponent that makes elements flatter towards the top, where the strain is.
 GRADING = 1.25
-"""Exponent that makes elements flatter towards the top, where the strain is."""
 Array = NDArray[np.float64]
 Window = tuple[tuple[float, float], tuple[float, float]]
 
@@ -390,8 +390,8 @@ def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32
 # A slot is a step (di, dj, dk) of the grid, each -1, 0 or 1: s = 9 (di + 1) + 3 (dj + 1) + dk + 1.
 
 SLOTS = 27
+# Slot of a node itself.
 CENTRE = 13
-"""Slot of a node itself."""
 
 
 def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
@@ -430,13 +430,12 @@ def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[i
 
 # The meshes that follow the contacts of scenes.
 
+# Longest element, in thicknesses, where all of a body moves: under gravity, inertia, or unpressed.
 LONGEST_EVEN = 1 / 4
-"""Longest element, in thicknesses, where all of a body moves: under gravity, inertia, or unpressed.
-"""
+# Height by which a dome may stand above the flat faces of its elements, in thicknesses.
 DOME_SHARE = 0.01
-"""Height by which a dome may stand above the flat faces of its elements, in thicknesses."""
+# Least fineness that a bound on the elements may lead to.
 COARSEST_FINENESS = 0.1
-"""Least fineness that a bound on the elements may lead to."""
 
 
 def following_mesh(
@@ -489,8 +488,8 @@ def following_mesh(
     return _mesh(body, x / unit, y / unit, 1.0 - depth[::-1] / unit, fineness)
 
 
+# Layers of elements above which there is an even number of them.
 MANY_LAYERS = 8
-"""Layers of elements above which there is an even number of them."""
 
 
 def _in_buckets(counted: Array, place: Array, *, at_least: int) -> Array:
@@ -502,8 +501,8 @@ def _in_buckets(counted: Array, place: Array, *, at_least: int) -> Array:
 
 # Where an indenter comes: the part of a body that is meshed finely.
 
+# Width of the rim around the footprint that is meshed finely too, in fine elements.
 MARGIN = 1.0
-"""Width of the rim around the footprint that is meshed finely too, in fine elements."""
 
 
 def meshes_of(

@@ -22,41 +22,41 @@ from sim.fem.vectors import copy_active, walk
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
+# Smallest force that residuals are measured against [E T^2]: 2 mN in the paper's gel in float32, so
+# that a tolerance of 1e-4 asks for no more than 0.2 uN, about what its digits can give.
 FORCE_FLOOR = {"float32": 1e-3, "float64": 1e-5}
-"""Smallest force that residuals are measured against [E T^2]: 2 mN in the paper's gel in float32,
-so that a tolerance of 1e-4 asks for no more than 0.2 uN, about what its digits can give."""
+# No trial state may be compressed further than this anywhere.
 DET_TRIAL = 0.02
-"""No trial state may be compressed further than this anywhere."""
+# Step lengths tried along one direction.
 TRIALS = 12
-"""Step lengths tried along one direction."""
 
+# Accuracy of a linear solve, largest and least; 0.3 of the residual over the force between. Finer
+# solves cost more iterations of the linear solver than they save of Newton's.
 ACCURACY, ACCURACY_LEAST = 0.1, 3e-3
-"""Accuracy of a linear solve, largest and least; 0.3 of the residual over the force between. Finer
-solves cost more iterations of the linear solver than they save of Newton's."""
+# Accuracy of the linear solve that follows the tip: with 0.1 the touching skin moves alone, the
+# body below it is crushed, and Newton's method takes up to three times the iterations.
 PREDICTION = 0.01
-"""Accuracy of the linear solve that follows the tip: with 0.1 the touching skin moves alone, the
-body below it is crushed, and Newton's method takes up to three times the iterations."""
+# Below this share of a full step, or where the tangent is not convex, the next tangent is made
+# convex, and where it was, damped.
 LENGTH_GOOD = 0.2
-"""Below this share of a full step, or where the tangent is not convex, the next tangent is made
-convex, and where it was, damped."""
+# Residual below which a tangent that was made convex is exact again; times the second whenever that
+# was too early.
 EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
-"""Residual below which a tangent that was made convex is exact again; times the second whenever
-that was too early."""
+# Iterations without a residual below so much of the best one, after which a step has failed: where
+# skin folds, states wander without an end.
 PATIENCE, BETTER = 25, 0.7
-"""Iterations without a residual below so much of the best one, after which a step has failed: where
-skin folds, states wander without an end."""
+# Iterations of a step with a tangent that was made convex, after which the exact one is damped:
+# where a body turns far, the convex one is too stiff to get anywhere.
 CONVEX_MOST = 10
-"""Iterations of a step with a tangent that was made convex, after which the exact one is damped:
-where a body turns far, the convex one is too stiff to get anywhere."""
+# Stiffness against any motion that is added then [E / T^2], least and most: from that of the
+# softest to that of the stiffest motion of the body. It shrinks by 4 with every good step.
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
-"""Stiffness against any motion that is added then [E / T^2], least and most: from that of the
-softest to that of the stiffest motion of the body. It shrinks by 4 with every good step."""
+# Longest step [T] over which the work of the indenter is told well enough by the two ends: with
+# viscosity, whose steps are short in time, a state between them would cost 5 % of the whole.
 WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
-"""Longest step [T] over which the work of the indenter is told well enough by the two ends: with
-viscosity, whose steps are short in time, a state between them would cost 5 % of the whole."""
+# Friction's limit follows the pressure at once for the first iterations, later half of the way: the
+# two may answer each other with equal and opposite changes for ever.
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
-"""Friction's limit follows the pressure at once for the first iterations, later half of the way:
-the two may answer each other with equal and opposite changes for ever."""
 
 
 class Newton:
@@ -285,17 +285,17 @@ class Newton:
 
 Array = NDArray[np.float64]
 
+# Time [s] after which any material has relaxed: how long a body stood before a motion begins.
 REST = 1e9
-"""Time [s] after which any material has relaxed: how long a body stood before a motion begins."""
+# How much longer a step may be than the last one that was accepted.
 GROWTH = 1.5
-"""How much longer a step may be than the last one that was accepted."""
+# Steps within the shortest relaxation time, but at most `STEPS_MAX` in a segment.
 RELAXATION_STEPS = 4
-"""Steps within the shortest relaxation time, but at most `STEPS_MAX` in a segment."""
 STEPS_MAX = 16
+# Sides of the smallest elements that a step may go where the mesh follows the contact, and the
+# steps in the depth that it need not fall below: longer steps bring so many elements into contact
+# at once that Newton's method takes several times the iterations.
 FINE_STEPS, DEPTH_STEPS = 1.0, 10.0
-"""Sides of the smallest elements that a step may go where the mesh follows the contact, and the
-steps in the depth that it need not fall below: longer steps bring so many elements into contact at
-once that Newton's method takes several times the iterations."""
 
 
 @dataclass(slots=True)

@@ -22,11 +22,11 @@ import warp as wp
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.scalars import vector_of
 
+# What is measured: deepest sample, what nothing is deeper than, depth below the base plane, and 1
+# where a face is folded.
 COLUMNS = 4
-"""What is measured: deepest sample, what nothing is deeper than, depth below the base plane, and 1
-where a face is folded."""
+# Cosine of the angle to its rest normal from which a face counts as folded.
 FOLDED = math.cos(math.radians(80))
-"""Cosine of the angle to its rest normal from which a face counts as folded."""
 
 
 @functools.cache

@@ -20,10 +20,10 @@ from sim.fem.overlap import FOLDED
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Iterations that look for a point in an element; near its middle 3 or 4 are enough.
 NEWTON = 12
-"""Iterations that look for a point in an element; near its middle 3 or 4 are enough."""
+# Overlaps below this are rounding.
 ON_SKIN = 1e-6
-"""Overlaps below this are rounding."""
 SIGNS = 2.0 * np.array(CORNERS) - 1.0
 
 

@@ -28,28 +28,28 @@ from sim.scene import Body, Scene
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# Elements from one side of a contact to the other, with a fineness of 1.
 ACROSS = 12
-"""Elements from one side of a contact to the other, with a fineness of 1."""
+# Height of the topmost elements over the least side of those in contact.
 OVER_DEPTH = 0.6
-"""Height of the topmost elements over the least side of those in contact."""
+# How much longer an element is than the fine ones, per distance from them: in plan, in depth.
 GROWTH, GROWTH_DOWN = 0.3, 0.18
-"""How much longer an element is than the fine ones, per distance from them: in plan, in depth."""
+# Longest element under a contact, in thicknesses: a wide contact on a thin layer is resolved as the
+# layer's own edge, which is about as wide as the layer is thick.
 LAYER_SHARE = 0.25
-"""Longest element under a contact, in thicknesses: a wide contact on a thin layer is resolved as
-the layer's own edge, which is about as wide as the layer is thick."""
+# Tallest element, in thicknesses.
 DEEPEST = 1 / 3
-"""Tallest element, in thicknesses."""
+# Least cosine between an axis and the outline's normal that counts: an outline along an axis asks
+# for nothing along it.
 OBLIQUE = 0.2
-"""Least cosine between an axis and the outline's normal that counts: an outline along an axis asks
-for nothing along it."""
+# Size at the outline of a contact over the smallest radius of the indenter's surface, which may
+# bound it; its least over the size within: the force of a punch is 4 % too large where elements are
+# as long as the radius of its edge.
 EDGE_SHARE, EDGE_LEAST = 0.35, 0.25
-"""Size at the outline of a contact over the smallest radius of the indenter's surface, which may
-bound it; its least over the size within: the force of a punch is 4 % too large where elements are
-as long as the radius of its edge."""
+# Length of a run of touched pixels, in widths of its piece, from which its middle is coarser.
 LONG = 3.0
-"""Length of a run of touched pixels, in widths of its piece, from which its middle is coarser."""
+# Places along an axis at which sizes are told, and about as many more in the contacts.
 SITES = 2001
-"""Places along an axis at which sizes are told, and about as many more in the contacts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,17 +128,17 @@ def sizes_of(
     return Sizes(_least(spans[0]), _least(spans[1]), top, widest)
 
 
+# Error of the force times the square of the layers of elements, where a wide contact squeezes a
+# skin that keeps its volume between two surfaces that hold it; times the second where it slides on
+# one of them. With friction and nu 0.49 planes, punches and spheres that touch 3 to 5 thicknesses
+# are off by 0.5 to 0.9 (meshes of 3 to 10 layers), with nu 0.45 by 0.3 to 0.5.
 SQUEEZE, SQUEEZE_FREE = 1.2, 0.6
-"""Error of the force times the square of the layers of elements, where a wide contact squeezes a
-skin that keeps its volume between two surfaces that hold it; times the second where it slides on
-one of them. With friction and nu 0.49 planes, punches and spheres that touch 3 to 5 thicknesses are
-off by 0.5 to 0.9 (meshes of 3 to 10 layers), with nu 0.45 by 0.3 to 0.5."""
+# 1 - 2 nu at which a skin gives way instead of flowing, and how that sets in.
 VOLUME, VOLUME_POWER = 18.0, 1.3
-"""1 - 2 nu at which a skin gives way instead of flowing, and how that sets in."""
+# Width of a contact, in thicknesses, from which the skin below is squeezed, and all of it is.
 SQUEEZED_FROM, SQUEEZED_ALL = 1.5, 3.5
-"""Width of a contact, in thicknesses, from which the skin below is squeezed, and all of it is."""
+# What such an error may be with a fineness of 1.
 SQUEEZE_ERROR = 0.016
-"""What such an error may be with a fineness of 1."""
 
 
 def squeeze(scene: Scene, width: Array | float) -> Array:
@@ -280,9 +280,9 @@ def resolved(
     return 1.0 / max(coarser_than_asked(asked, x, y), top / (FLATTER * asked.top), 1e-6)
 
 
+# Height of the topmost elements over that of a mesh that follows the contact, at which it costs as
+# much as their sides: forces hang on it much less.
 FLATTER = 2.5
-"""Height of the topmost elements over that of a mesh that follows the contact, at which it costs as
-much as their sides: forces hang on it much less."""
 
 
 def coarser_than_asked(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) -> float:
@@ -323,27 +323,27 @@ def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Siz
 
 # What touches, before anything is solved.
 
+# Pixels along the longer side of a window on a contact.
 WINDOW = 64
-"""Pixels along the longer side of a window on a contact."""
+# Sides of a window that differ more than this have twice as many pixels.
 NARROW = 4
-"""Sides of a window that differ more than this have twice as many pixels."""
+# Rim around what the indenter covers of the untouched top, over its width.
 WIDER = 0.15
-"""Rim around what the indenter covers of the untouched top, over its width."""
+# Thickness of the linear layer at most, in narrower sides of the window: a thicker one answers a
+# contact of that size alike within a few per cent.
 LAYERS = 2.0
-"""Thickness of the linear layer at most, in narrower sides of the window: a thicker one answers a
-contact of that size alike within a few per cent."""
+# Natural residual to which the layer's contact is solved: its width is what counts.
 RESIDUAL = 0.02
-"""Natural residual to which the layer's contact is solved: its width is what counts."""
+# Contacts of a motion that are looked at, at most.
 LOOKS = 24
-"""Contacts of a motion that are looked at, at most."""
+# Largest contact over the smallest that one mesh resolves; sizes of elements that differ more make
+# the equations so hard that a beginning is better solved alone.
 MANY_SIZES = 4.0
-"""Largest contact over the smallest that one mesh resolves; sizes of elements that differ more make
-the equations so hard that a beginning is better solved alone."""
+# Depths less than this apart have alike contacts.
 ALIKE = 1.25
-"""Depths less than this apart have alike contacts."""
+# Points along x and y, and heights, at which an indenter is looked at; the second pass looks only
+# where the first has found it.
 SAMPLES, LEVELS, PASSES = 61, 6, 2
-"""Points along x and y, and heights, at which an indenter is looked at; the second pass looks only
-where the first has found it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -477,8 +477,8 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     return sizes_of(contact.traction[2] < 0, x, y, here, indenter.sharpest, on_body)
 
 
+# Height of a dome over the thickness below which a contact there is one on a thinner layer.
 THIN = 0.5
-"""Height of a dome over the thickness below which a contact there is one on a thinner layer."""
 
 
 def _thickness_under(body: Body, tip: Array) -> float:

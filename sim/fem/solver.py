@@ -255,8 +255,8 @@ class Round:
         return bool((self._scene.indenter.distance(under)[0] < 0).any())
 
 
+# Places around a round side wall at which an indenter is looked for.
 AROUND = 256
-"""Places around a round side wall at which an indenter is looked for."""
 
 
 # What is kept of an accepted state: force, surface, and how far it can be trusted.
@@ -416,23 +416,23 @@ class Collector:
 # The batches of a call, in the precision that each takes, and the steps of one batch.
 
 Progress = Callable[[float], None]
+# What is asked of meshes, by the number of a scene and how many of its waypoints they are for.
 Asked = dict[tuple[int, int], Sizes]
-"""What is asked of meshes, by the number of a scene and how many of its waypoints they are for."""
 
+# Samples along a side of a face at which overlap is measured, of a frame and of states on the way
+# to it; and how many of those a step has, its end included.
 FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
-"""Samples along a side of a face at which overlap is measured, of a frame and of states on the way
-to it; and how many of those a step has, its end included."""
+# Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there.
 POISSON_FLOAT32 = 0.4995
-"""Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there."""
+# A step that fails with a residual below this many tolerances lacks digits: a smaller step would
+# fail too. After this many such steps `auto` starts again in float64.
 ROUNDING, ROUNDED_MOST = 10.0, 2
-"""A step that fails with a residual below this many tolerances lacks digits: a smaller step would
-fail too. After this many such steps `auto` starts again in float64."""
+# Times that `auto` halves a step to a waypoint in float32 before it starts again in float64: most
+# of such steps lack digits, where forces or elements are small, and each costs as much as ten good
+# ones.
 HALVINGS_FLOAT32 = 1
-"""Times that `auto` halves a step to a waypoint in float32 before it starts again in float64: most
-of such steps lack digits, where forces or elements are small, and each costs as much as ten good
-ones."""
+# Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory.
 ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
-"""Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory."""
 
 
 def simulate_fem(
@@ -566,28 +566,28 @@ def _on_meshes(
 
 # Whether a mesh was fine enough for what the solution shows on it.
 
+# How often a mesh is made anew where the solution shows that it was too coarse.
 REMESHED = 2
-"""How often a mesh is made anew where the solution shows that it was too coarse."""
+# Elements over what the solution's own contact asks for: above the first the mesh is made anew,
+# above the second a finer mesh is built for that contact from the start.
 TOO_COARSE, COARSE = 1.6, 1.25
-"""Elements over what the solution's own contact asks for: above the first the mesh is made anew,
-above the second a finer mesh is built for that contact from the start."""
+# Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
+# there, or a warning says so; above the second there is no result.
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
-"""Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
-there, or a warning says so; above the second there is no result."""
+# Overlap over the side of the smallest elements below which nothing has passed through: a touch on
+# elements that are far too large for it.
 PASSED = 0.1
-"""Overlap over the side of the smallest elements below which nothing has passed through: a touch on
-elements that are far too large for it."""
 PASSES = (
     "the indenter passes through the skin: {}; the mesh does not resolve the contact (allowed: "
     "finer elements, a rounder edge)"
 )
+# Why there is no result.
 MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
 )
-"""Why there is no result."""
+# Depth of the skin below the base plane, over the thickness, that is not worth a warning.
 BELOW_GOOD = 0.01
-"""Depth of the skin below the base plane, over the thickness, that is not worth a warning."""
 
 
 def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
@@ -724,10 +724,10 @@ def _buckling_load(body: Body) -> float:
     return float(np.pi**2 * body.modulus * long * short**3 / 12 / (4 * body.thickness**2))
 
 
+# Elements of a thickness up to which `Numerics.penalty` holds as it is; with smaller ones contact
+# is stiffer by the same factor, in powers of 2, as small contacts press as hard over smaller
+# depths.
 SOFT_SHARE = 24
-"""Elements of a thickness up to which `Numerics.penalty` holds as it is; with smaller ones contact
-is stiffer by the same factor, in powers of 2, as small contacts press as hard over smaller depths.
-"""
 
 
 def _penalty(mesh: Mesh, numerics: Numerics) -> float:
@@ -822,11 +822,11 @@ def _check_device(device: str) -> None:
         raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
+# Calls that a GPU may be ahead of its thread: frames that wait to be kept take memory.
 AHEAD = 32
-"""Calls that a GPU may be ahead of its thread: frames that wait to be kept take memory."""
+# Time [s] that such a thread may hold Python for while the GPU waits for its next launch; 5 ms
+# unless set, which made 162 presses on an H200 7 to 9 % slower.
 TURN = 2e-4
-"""Time [s] that such a thread may hold Python for while the GPU waits for its next launch; 5 ms
-unless set, which made 162 presses on an H200 7 to 9 % slower."""
 
 
 class Aside:

@@ -174,10 +174,10 @@ def blend(active, share: float, source, mean) -> None:
 # repeats to the last bit. One thread takes a run of `RUN` nodes, whose share of the dot products it
 # adds up in float64.
 
+# Sums that `residual_kernel` takes, see there.
 SUMS = 10
-"""Sums that `residual_kernel` takes, see there."""
+# Nodes of one thread: long enough to make partial sums few, short enough to fill a GPU.
 RUN = 32
-"""Nodes of one thread: long enough to make partial sums few, short enough to fill a GPU."""
 
 
 @functools.cache

@@ -16,8 +16,8 @@ from sim.indenters.solid import FLAT
 
 # The signed distance to a body from a file on the device, as `Field.distance` has it.
 
+# Nodes that a cubic spline feels along each axis.
 TAPS = 4
-"""Nodes that a cubic spline feels along each axis."""
 
 
 def field_function(real: type, table_type: Any) -> Any:
@@ -204,13 +204,13 @@ def parts_function(real: type, table_type: Any) -> Any:
     return parts_distance
 
 
+# Gaps beyond this may be given too small [m]: the distance from the bounding box serves.
 FAR = 1e-3
-"""Gaps beyond this may be given too small [m]: the distance from the bounding box serves."""
+# Codes of a part: view, figure, join, its rows; its numbers: four values, the axis in x and y, the
+# cosine.
 CODES, NUMBERS = 5, 7
-"""Codes of a part: view, figure, join, its rows; its numbers: four values, the axis in x and y,
-the cosine."""
+# First number of the field of an indenter that has none.
 NOWHERE = -1
-"""First number of the field of an indenter that has none."""
 
 # Which of a part's four values are lengths; the first two are a normal in the first two cases.
 SCALED = {"half_plane": (2,), "band": (2, 3), "circle": (0, 1, 2), "path": ()}

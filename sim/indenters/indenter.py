@@ -17,15 +17,15 @@ from sim.indenters.solid import Solid
 # The first crossing of a signed distance along upright columns: heights of a lower surface.
 
 Array = NDArray[np.float64]
+# Gap and z of its gradient, in the columns of these numbers at these heights.
 Distance = Callable[[NDArray[np.int64], Array], tuple[Array, Array]]
-"""Gap and z of its gradient, in the columns of these numbers at these heights."""
 
+# Share of the gap that a march dares: gaps near rounded edges are exact to first order only.
 STRIDE = 0.8
-"""Share of the gap that a march dares: gaps near rounded edges are exact to first order only."""
+# Gaps below this are contact [m].
 TOUCHING = 1e-13
-"""Gaps below this are contact [m]."""
+# A crossing is found when it moves by less than this [m].
 SETTLED = 1e-12
-"""A crossing is found when it moves by less than this [m]."""
 
 
 def lower_surface(distance: Distance, count: int, reach: float) -> Array:
@@ -81,19 +81,18 @@ def _crossing(distance: Distance, low: Array, high: Array) -> Array:
 Tilt = tuple[float, float]
 
 UPRIGHT: Tilt = (0.0, 0.0)
+# Largest angle from upright [rad].
 TILT_MAX = math.radians(30)
-"""Largest angle from upright [rad]."""
+# How far from its axis the lowest point of a body without sides is looked for [m].
 SPAN = 20e-3
-"""How far from its axis the lowest point of a body without sides is looked for [m]."""
+# Places along x and y from which it is.
 SEEDS = 41
-"""Places along x and y from which it is."""
+# Steps downwards, in half-widths of the body: far ones, then near ones, where distances are exact.
 STRIDES = (0.2, 0.005)
-"""Steps downwards, in half-widths of the body: far ones, then near ones, where distances are
-exact."""
+# Steps of each kind, and how often each is taken back along the normal.
 STEPS_MAX, RETURNS = 300, 6
-"""Steps of each kind, and how often each is taken back along the normal."""
+# Gain that ends the steps [m]; what counts as on the surface [m].
 TILT_SETTLED, ON_SURFACE = 1e-13, 1e-10
-"""Gain that ends the steps [m]; what counts as on the surface [m]."""
 
 
 def rotation(tilt: Tilt) -> Array:
@@ -177,9 +176,9 @@ def _on_surface(upright: Indenter, points: Array) -> tuple[Array, Array]:
     return points, gap
 
 
+# Least gradient of a rounded edge: below it the faces are so nearly opposite that there is no edge,
+# and the nearer face alone counts.
 STEEPNESS_MIN = 0.1
-"""Least gradient of a rounded edge: below it the faces are so nearly opposite that there is no
-edge, and the nearer face alone counts."""
 
 
 @dataclass(frozen=True, slots=True)

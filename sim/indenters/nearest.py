@@ -15,19 +15,19 @@ from sim.indenters.grid import Grid
 
 Array = NDArray[np.float64]
 
+# Unit of the queries: the tree is of float32 and expects numbers around 1.
 MM = 1e-3
-"""Unit of the queries: the tree is of float32 and expects numbers around 1."""
+# Beyond anything, in that unit.
 FARTHEST = 1e6
-"""Beyond anything, in that unit."""
+# Triangles farther than this many of their own sizes are summed up as one (Barill et al., Fast
+# winding numbers for soups and clouds, 2018).
 ACCURACY = 2.0
-"""Triangles farther than this many of their own sizes are summed up as one (Barill et al., Fast
-winding numbers for soups and clouds, 2018)."""
+# Distance below which the triangle's own normal is the direction [mm].
 TOUCHING = 1e-5
-"""Distance below which the triangle's own normal is the direction [mm]."""
+# Points of one launch.
 QUERIES_AT_ONCE = 1 << 20
-"""Points of one launch."""
+# Nodes of a grid from one to the next that is asked where nothing is near.
 SKIP = 4
-"""Nodes of a grid from one to the next that is asked where nothing is near."""
 
 
 class Nearest:

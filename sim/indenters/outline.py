@@ -20,12 +20,12 @@ from sim.errors import SceneError, check_range
 
 Pair = tuple[float, float]
 
+# Lengths below this are rounding [m].
 POINT = 1e-12
-"""Lengths below this are rounding [m]."""
+# Turns below this are rounding, not corners [rad].
 _SMOOTH = 1e-6
-"""Turns below this are rounding, not corners [rad]."""
+# Steps in which a fillet grows to its radius.
 _GROWTH = 8
-"""Steps in which a fillet grows to its radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,10 +244,10 @@ def _fillet(before: Piece, after: Piece, radius: float) -> Piece | None:
 
 Array = NDArray[np.float64]
 
+# Kinds of row.
 LINE, ARC, CORNER = 0, 1, 2
-"""Kinds of row."""
+# Numbers in a row.
 ROW = 7
-"""Numbers in a row."""
 
 
 @lru_cache(maxsize=256)
@@ -328,8 +328,8 @@ def _rotated(pair: Pair, angle: float) -> Pair:
 # One part of an indenter: a flat figure, drawn in plan, drawn in side view, or turned.
 
 Interval = tuple[float, float]
+# Least and greatest x, y and z [m]; infinite where there is no end.
 Bounds = tuple[Interval, Interval, Interval]
-"""Least and greatest x, y and z [m]; infinite where there is no end."""
 
 View = Literal["plan", "side", "turned"]
 Figure = Literal["half_plane", "band", "circle", "path"]

@@ -13,8 +13,8 @@ from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part
 from sim.indenters.solid import REACH, SPACING, Axis, Solid, Unit, Up, digest
 
+# Everything above z = 0: the flat face of a punch.
 TIP_PLANE = Part("side", "half_plane", (0.0, -1.0, 0.0))
-"""Everything above z = 0: the flat face of a punch."""
 
 
 def sphere(radius: float, *, name: str = "sphere") -> Indenter:
@@ -298,14 +298,14 @@ _TABLE: dict[str, tuple[Callable[[], Indenter], float]] = {
     "moon": (_moon, 0.2),
     "random": (_random, 0.3),
 }
+# The names that `named` knows.
 NAMES: tuple[str, ...] = tuple(_TABLE)
-"""The names that `named` knows."""
 
 
 # An indenter from any STL file.
 
+# Edge radius unless told otherwise [m]: what most of the named indenters have.
 EDGE_RADIUS = 0.3e-3
-"""Edge radius unless told otherwise [m]: what most of the named indenters have."""
 
 
 def from_stl(

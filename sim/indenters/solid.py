@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Gradients shorter than this have no direction.
 FLAT = 1e-6
-"""Gradients shorter than this have no direction."""
+# Points that are looked up together: their numbers then stay in the processor's cache.
 AT_ONCE = 1 << 18
-"""Points that are looked up together: their numbers then stay in the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,16 +136,16 @@ UPS: tuple[Up, ...] = get_args(Up)
 AXES: tuple[Axis, ...] = get_args(Axis)
 METRES: dict[Unit, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 25.4e-3}
 
+# Bytes before the first triangle of a binary file, and of each triangle.
 HEADER, RECORD = 84, 50
-"""Bytes before the first triangle of a binary file, and of each triangle."""
+# Longest side of an indenter [m]; anything else is taken for a mistake in the unit.
 SIZE_MIN, SIZE_MAX = 0.5e-3, 0.2
-"""Longest side of an indenter [m]; anything else is taken for a mistake in the unit."""
+# Least volume, as a share of the longest side cubed: a body with less has no inside.
 FLAT_TRIANGLE = 1e-5
-"""Least volume, as a share of the longest side cubed: a body with less has no inside."""
+# Share of the height that counts as an end of the body, when it is asked which one is wider.
 END = 0.02
-"""Share of the height that counts as an end of the body, when it is asked which one is wider."""
+# How much wider the lower end has to be for the tip to be taken for the upper one.
 WIDER = 1.2
-"""How much wider the lower end has to be for the tip to be taken for the upper one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,13 +306,13 @@ def _tip_up(vertices: Array, faces: NDArray[np.int64], name: str, up: Up) -> lis
 
 Whole = NDArray[np.int64]
 
+# The four cells around an edge of the grid, as steps back along the two other axes.
 AROUND = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-"""The four cells around an edge of the grid, as steps back along the two other axes."""
+# Looks at every edge that is crossed.
 PASSES = 3
-"""Looks at every edge that is crossed."""
+# Directions that the planes of a cell hold less firmly than this, against the firmest, are free:
+# the normals lie within some 10 degrees of the others' plane.
 SHARP = 0.01
-"""Directions that the planes of a cell hold less firmly than this, against the firmest, are
-free: the normals lie within some 10 degrees of the others' plane."""
 
 
 def level_surface(
@@ -428,23 +428,23 @@ def _where_planes_meet(
     return met
 
 
+# Of the grid, and how far above the tip it goes, unless told otherwise [m].
 SPACING, REACH = 0.1e-3, 5e-3
-"""Of the grid, and how far above the tip it goes, unless told otherwise [m]."""
+# How far around the body distances are known [m]; what is farther is far (see `device.FAR`).
 MARGIN = 1.2e-3
-"""How far around the body distances are known [m]; what is farther is far (see `device.FAR`)."""
+# How far from the rounded surface distances are exact [m]; from there on they are good.
 EXACT = 0.5e-3
-"""How far from the rounded surface distances are exact [m]; from there on they are good."""
+# Nodes of a grid; a node takes 8 bytes, and 100 while it is made.
 NODES_MAX = 16_000_000
-"""Nodes of a grid; a node takes 8 bytes, and 100 while it is made."""
+# Least edge radius, in spacings: a smaller one is none to the grid.
 FINENESS = 1.5
-"""Least edge radius, in spacings: a smaller one is none to the grid."""
+# Most that rounding may take off anywhere, in radii: a corner between walls at 20 degrees loses
+# 4.8; what loses more is no corner, but a wall too narrow for the radius.
 LOSS_MAX = 5.0
-"""Most that rounding may take off anywhere, in radii: a corner between walls at 20 degrees loses
-4.8; what loses more is no corner, but a wall too narrow for the radius."""
+# Shortening of the tip, in edge radii, that is worth a note.
 LIFT_NOTED = 0.05
-"""Shortening of the tip, in edge radii, that is worth a note."""
+# Share of the surface that may be buried in the body or face inwards.
 MISPLACED_MAX = 1e-3
-"""Share of the surface that may be buried in the body or face inwards."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,18 +76,18 @@ def descend(
     return Found(x, slope, residual, done)
 
 
+# Iterations of one descent; 10 are usual, 30 from nothing.
 ITERATIONS = 300
-"""Iterations of one descent; 10 are usual, 30 from nothing."""
+# Turns between normal and tangential contact; 2 to 4 are usual.
 TURNS = 200
-"""Turns between normal and tangential contact; 2 to 4 are usual."""
+# How far below the residual it met a descent goes: the other one will move its goal again.
 SHARE = 0.1
-"""How far below the residual it met a descent goes: the other one will move its goal again."""
+# A turn that leaves more than this of the residual has overshot.
 STALLED = 0.8
-"""A turn that leaves more than this of the residual has overshot."""
+# What is left of the share of the new shear that is taken, each time; and its least.
 DAMPED, DAMPED_MOST = 0.6, 0.05
-"""What is left of the share of the new shear that is taken, each time; and its least."""
+# Keeps 0 / 0 away where nothing presses [Pa].
 TINY = 1e-30
-"""Keeps 0 / 0 away where nothing presses [Pa]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +190,8 @@ def _within(shear: Array, bound: Array) -> Array:
 
 # The gap between the untouched body and the indenter, wherever its tip goes.
 
+# Samples of the indenter's lower surface in a pixel's width.
 FINENESS = 2
-"""Samples of the indenter's lower surface in a pixel's width."""
 
 
 class Clearance:

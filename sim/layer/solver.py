@@ -90,22 +90,22 @@ class History:
 
 # A layer under an indenter: the state it is in, and the steps that move it on.
 
+# Longest step in radii of the contact. Within a step every pixel slides and relaxes evenly, also
+# those touched half-way, and halving the step halves that error. At 0.1 a sphere's shear forces are
+# off by 0.1, 0.3, 1.5 % of their peak with friction 0.3, 0.8, 3, against steps 20 times as short.
 TRAVEL = 0.1
-"""Longest step in radii of the contact. Within a step every pixel slides and relaxes evenly, also
-those touched half-way, and halving the step halves that error. At 0.1 a sphere's shear forces are
-off by 0.1, 0.3, 1.5 % of their peak with friction 0.3, 0.8, 3, against steps 20 times as short."""
+# The same in pixels, where the contact is small.
 TRAVEL_LEAST = 0.5
-"""The same in pixels, where the contact is small."""
+# How often a step that does not converge is halved.
 HALVINGS = 4
-"""How often a step that does not converge is halved."""
+# Share of the overlap by which the skin may rise beside the contact and touch elsewhere.
 BULGE = 0.2
-"""Share of the overlap by which the skin may rise beside the contact and touch elsewhere."""
+# Windows grow by this many pixels, so that few sizes occur.
 BLOCK = 8
-"""Windows grow by this many pixels, so that few sizes occur."""
+# Least tolerance that is left to single precision, which ends at some 1e-5.
 SINGLE = 1e-3
-"""Least tolerance that is left to single precision, which ends at some 1e-5."""
+# Share of the tip's depth that may be left as overlap outside of the window.
 OVERLAP = 1e-2
-"""Share of the tip's depth that may be left as overlap outside of the window."""
 
 
 def precision(tolerance: float) -> type[np.floating[Any]]:
@@ -409,10 +409,10 @@ class Frames:
         )
 
 
+# Pixels along the longer side: on a body of 20 mm, forces of spheres within 0.1 %.
 GRID = 128
-"""Pixels along the longer side: on a body of 20 mm, forces of spheres within 0.1 %."""
+# Natural residual of the contact: moves forces by some 1e-4.
 TOLERANCE = 2e-3
-"""Natural residual of the contact: moves forces by some 1e-4."""
 
 Progress = Callable[[float], None]
 

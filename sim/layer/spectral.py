@@ -66,12 +66,12 @@ def compliance(
 
 # Where the layer is sampled: pixels across the body, and the period its waves repeat with.
 
+# Thicknesses that are added to twice the body's size before its waves repeat. Against waves that
+# never repeat, forces are 0.005 % off at most on the default body and 0.06 % on one as thick as
+# wide (contacts to two thirds of the body's width, nu to 0.5).
 MARGIN = 5.0
-"""Thicknesses that are added to twice the body's size before its waves repeat. Against waves that
-never repeat, forces are 0.005 % off at most on the default body and 0.06 % on one as thick as wide
-(contacts to two thirds of the body's width, nu to 0.5)."""
+# Thickest body over its narrower side: the model knows no sides, and the period grows with it.
 THICKNESS_MAX = 2.0
-"""Thickest body over its narrower side: the model knows no sides, and the period grows with it."""
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,8 @@ class Grid:
 
 Spectrum = NDArray[np.complexfloating[Any, Any]]
 
+# Shapes of windows that are kept before all are made anew; each takes a megabyte or so.
 SHAPES_KEPT = 64
-"""Shapes of windows that are kept before all are made anew; each takes a megabyte or so."""
 
 
 class Convolution:

@@ -13,16 +13,16 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
+# Pixels of an image: those of a mask (`recorder.markers`), which needs a store to be imported.
 WIDTH, HEIGHT = 640, 480
-"""Pixels of an image: those of a mask (`recorder.markers`), which needs a store to be imported."""
+# Focal length and width of the film [m]: Blender's defaults, which the paper renders with.
 LENS, FILM = 35e-3, 36e-3
-"""Focal length and width of the film [m]: Blender's defaults, which the paper renders with."""
+# Its focal length in pixels.
 FOCAL = LENS / FILM * WIDTH
-"""Its focal length in pixels."""
+# From the paper's pinhole to the untouched top [m]; a pixel sees 33.9 um of it.
 DISTANCE = 21.11e-3
-"""From the paper's pinhole to the untouched top [m]; a pixel sees 33.9 um of it."""
+# Column and row of the middle of the image; pixel centres lie at whole numbers.
 MIDDLE = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-"""Column and row of the middle of the image; pixel centres lie at whole numbers."""
 
 
 @dataclass(frozen=True, slots=True)

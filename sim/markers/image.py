@@ -20,8 +20,8 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
+# Segments looked at for each point: the nearest middle need not be that of the nearest segment.
 NEAREST = 4
-"""Segments looked at for each point: the nearest middle need not be that of the nearest segment."""
 _TOP, _RIGHT, _BOTTOM, _LEFT = range(4)
 
 

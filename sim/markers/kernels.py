@@ -65,24 +65,24 @@ def seen(lens: Lens, place: wp.vec3):
 # gives the material point. The first pass keeps one number a pixel, nearness before triangle, and
 # takes the largest: the result does not depend on the order in which triangles come.
 
+# Steps of nearness in a pixel's number: finer than float32 tells; 1 is the untouched top.
 NEARNESS_UNIT = 2.0**28
-"""Steps of nearness in a pixel's number: finer than float32 tells; 1 is the untouched top."""
+# Larger ones are taken for this; the number keeps its sign.
 NEARNESS_MOST = 7.9
-"""Larger ones are taken for this; the number keeps its sign."""
 NEARNESS_BITS = wp.int64(32)
 TRIANGLE_MASK = wp.int64(2**32 - 1)
 CELL_BITS = 15
+# A pixel's number is its nearness, the cell along x, the cell along y, which of its triangles.
 CELL_MASK = 2**CELL_BITS - 1
-"""A pixel's number is its nearness, the cell along x, the cell along y, which of its triangles."""
+# The number of a pixel that sees no gel.
 NOTHING = -1
-"""The number of a pixel that sees no gel."""
+# Share of a triangle's height that a pixel's centre may lie beyond its edge: ten times what float32
+# is off, so that no pixel on an edge is lost between two triangles.
 OVERLAP = 1e-4
-"""Share of a triangle's height that a pixel's centre may lie beyond its edge: ten times what
-float32 is off, so that no pixel on an edge is lost between two triangles."""
+# Twice the area of what is too thin to be seen [px^2].
 AREA_LEAST = 1e-9
-"""Twice the area of what is too thin to be seen [px^2]."""
+# Pixels that one thread of a CPU takes, one after the other; a GPU's takes one.
 RUN = 32
-"""Pixels that one thread of a CPU takes, one after the other; a GPU's takes one."""
 
 
 @wp.func
@@ -238,10 +238,10 @@ def find_material(top: Top, vertex, number, samples: int) -> wp.array:
 # then thresholded, to first order in the size of a pixel. Several samples a pixel count the share
 # that is covered instead; bent edges and corners are then as exact as the samples are fine.
 
+# Pixels in a byte of a packed mask.
 BITS = 8
-"""Pixels in a byte of a packed mask."""
+# Change of the distance from pixel to pixel below which there is no edge [m].
 FLAT = 1e-12
-"""Change of the distance from pixel to pixel below which there is no edge [m]."""
 
 
 @wp.func
@@ -511,9 +511,9 @@ def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface
 
 # From the displacement of the untouched image back to where material points are seen.
 
+# Layers of places beside the gel that are given a displacement before anything is drawn: four
+# values around a point of its border reach two of them, three where the image is turned.
 LAYERS = 4
-"""Layers of places beside the gel that are given a displacement before anything is drawn: four
-values around a point of its border reach two of them, three where the image is turned."""
 
 
 def without_gaps(field: np.ndarray, known: np.ndarray) -> np.ndarray:

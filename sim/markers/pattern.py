@@ -18,8 +18,8 @@ Shape = Literal["disc", "square", "diamond"]
 Place = tuple[float, float]
 
 SHAPES = get_args(Shape)
+# What a marker may reach beyond the gel by rounding [m].
 ROUND_OFF = 1e-9
-"""What a marker may reach beyond the gel by rounding [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,10 +217,10 @@ def _centred(count: int, pitch: float) -> list[float]:
 # that is compared with other sensors, that 56 markers are in view.
 
 MM = 1e-3
+# Shift [m] and turn [rad] that make Array-II of Array-I.
 MOVED: tuple[Place, float] = ((0.55 * MM, -0.4 * MM), math.radians(3.0))
-"""Shift [m] and turn [rad] that make Array-II of Array-I."""
+# The same for the circles.
 MOVED_CIRCLE: tuple[Place, float] = ((-0.45 * MM, 0.5 * MM), math.radians(-4.0))
-"""The same for the circles."""
 
 
 def _pattern(name: str, shape: Shape, size_mm: float, places: Sequence[Place]) -> Pattern:
@@ -259,10 +259,10 @@ _PATTERNS = (
 _BY_NAME = {pattern.name: pattern for pattern in _PATTERNS}
 
 NAMES = tuple(_BY_NAME)
+# The paper's 12 simulated patterns.
 SIMULATED = NAMES[:12]
-"""The paper's 12 simulated patterns."""
+# The five GelSights of the paper's homogeneous test.
 HOMOGENEOUS = NAMES[12:17]
-"""The five GelSights of the paper's homogeneous test."""
 
 
 def named(name: str) -> Pattern:

@@ -71,11 +71,11 @@ class View:
 Array = NDArray[np.float64]
 Surface = NDArray[np.float32]
 
+# Distance of the points that the surface is refined to [m].
 SPACING = 0.1e-3
-"""Distance of the points that the surface is refined to [m]."""
+# Samples along a pixel's side. An even number makes markers larger: an edge along a pixel's middle
+# lies between samples, and half of them count as half of the pixel wherever it is in between.
 SAMPLES = (1, 3, 5, 7, 9)
-"""Samples along a pixel's side. An even number makes markers larger: an edge along a pixel's middle
-lies between samples, and half of them count as half of the pixel wherever it is in between."""
 
 
 class Renderer:

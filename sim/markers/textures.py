@@ -18,10 +18,10 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
+# Between samples [m]: with it the edge of a disc of 0.25 mm radius is 0.2 um off at most.
 STEP = 20e-6
-"""Between samples [m]: with it the edge of a disc of 0.25 mm radius is 0.2 um off at most."""
+# How far from a marker the distance is told [m]; several pixels of every camera in use.
 BAND = 0.25e-3
-"""How far from a marker the distance is told [m]; several pixels of every camera in use."""
 
 
 class Markers(Protocol):

@@ -64,8 +64,8 @@ def heights(body: Body, x: Array, y: Array) -> Array:
 # (at an end, through the last three): the curve and its slope are continuous, parabolas come out
 # exactly, and the curve depends linearly on the values, so its weights are computed once.
 
+# Values that a place depends on.
 TAPS = 4
-"""Values that a place depends on."""
 
 
 @dataclass(frozen=True, slots=True)

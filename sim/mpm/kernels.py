@@ -15,14 +15,14 @@ from sim.scalars import matrix_of, vector_of
 # Weights and their affine moment: Jiang et al., The affine particle-in-cell method (2015), section
 # 5; for this spline the moment of inertia is a quarter of a cell squared along each axis.
 
+# Units of the integers in which nodes sum up mass and momentum.
+#
+# Integers add to the same bits in any order, so that a run repeats on every device. One unit is
+# 2e-16, the range is +-2,048; in units of cells and time steps a node's mass is about 1 and speeds
+# are below 0.5. Larger units would let a slow body lose speed: the conversion cuts towards 0.
 FIXED_POINT = 2.0**52
-"""Units of the integers in which nodes sum up mass and momentum.
-
-Integers add to the same bits in any order, so that a run repeats on every device. One unit is
-2e-16, the range is +-2,048; in units of cells and time steps a node's mass is about 1 and speeds
-are below 0.5. Larger units would let a slow body lose speed: the conversion cuts towards 0."""
+# One over the spline's moment of inertia [1/cell^2].
 MOMENT = 4.0
-"""One over the spline's moment of inertia [1/cell^2]."""
 
 
 @functools.cache
@@ -63,10 +63,10 @@ def spline_functions(real):
     return first_node, weights, arms
 
 
+# Impulses of a step: force of the indenter, its torque about the tip, force of the base.
 READINGS = 9
-"""Impulses of a step: force of the indenter, its torque about the tip, force of the base."""
+# Units of the integers in which these are summed up: one is 1e-12, the range is +-8 million.
 IMPULSE_UNIT = 2.0**40
-"""Units of the integers in which these are summed up: one is 1e-12, the range is +-8 million."""
 
 
 # A grid node's time step: velocity from momentum, weight, the bonded base, the rigid indenter.
@@ -301,10 +301,10 @@ def tip_kernel(real):
 # them, and a particle keeps only its displacement and its displacement gradient. Lengths are in
 # cells, times in time steps, masses in that of a cell of the material.
 
+# Why a simulation ended early.
 LEFT_GRID, COLLAPSED, TOO_FAST = 1, 2, 3
-"""Why a simulation ended early."""
+# Cells a particle may move in a step: far beyond anything stable.
 SPEED_LIMIT = 0.5
-"""Cells a particle may move in a step: far beyond anything stable."""
 
 
 @functools.cache

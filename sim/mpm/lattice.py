@@ -15,10 +15,10 @@ from sim.scene import Body, Scene
 
 Array = NDArray[np.float64]
 
+# Height of the base plane above the lowest grid node [cells]: the spline reaches 1.5 down.
 BASE_NODE = 2
-"""Height of the base plane above the lowest grid node [cells]: the spline reaches 1.5 down."""
+# Cells of air beside and above the body, beyond what the press is expected to squeeze out.
 ROOM = 3
-"""Cells of air beside and above the body, beyond what the press is expected to squeeze out."""
 PARTICLES_MOST = 50_000_000
 
 
@@ -153,17 +153,17 @@ def same_body(scenes: Sequence[Scene]) -> Body:
 
 # How heavy the body is made, how long a time step is, and at which step each waypoint comes.
 
+# Tip speed over wave speed above which a press without inertia is not called quasi-static.
 QUASI_STATIC = 0.03
-"""Tip speed over wave speed above which a press without inertia is not called quasi-static."""
+# How long the tip of a scene without inertia stands where its motion has it stand still [slowest
+# periods of the layer].
 STANDING = 4.0
-"""How long the tip of a scene without inertia stands where its motion has it stand still [slowest
-periods of the layer]."""
+# How long a body is given to come to rest under its weight, with critical damping [periods].
 SETTLING = 6.0
-"""How long a body is given to come to rest under its weight, with critical damping [periods]."""
+# Speed of a tip whose motion has none [m/s].
 ENTRY_SPEED = 10e-3
-"""Speed of a tip whose motion has none [m/s]."""
+# The readings of that many steps fill 360 MB.
 STEPS_MOST = 5_000_000
-"""The readings of that many steps fill 360 MB."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,8 @@ from sim.scene import Scene
 
 # What is kept of a press at its waypoints: force, surface, and how far it can be trusted.
 
+# Penetration is compared with the depth of the press, and with this where it is less [m].
 DEPTH_LEAST = 1e-6
-"""Penetration is compared with the depth of the press, and with this where it is less [m]."""
 
 
 def end_of_line(values: np.ndarray) -> np.ndarray:
@@ -163,14 +163,14 @@ def _tip_velocity(pace: Pace, cell: float) -> np.ndarray:
 
 Progress = Callable[[float], None]
 
+# Particles per cell and dimension below which the material falls apart into loose columns.
 COUPLED = 1.0
-"""Particles per cell and dimension below which the material falls apart into loose columns."""
+# Share of the work above which what a frictionless press loses is told of: spheres lose 0.05.
 LOST = 0.1
-"""Share of the work above which what a frictionless press loses is told of: spheres lose 0.05."""
 
 
+# Least height of a dome at its corners, over the thickness: particles are squeezed there.
 RIM_LEAST = 0.5
-"""Least height of a dome at its corners, over the thickness: particles are squeezed there."""
 
 
 def simulate_mpm(

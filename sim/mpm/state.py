@@ -25,10 +25,10 @@ from sim.mpm.numerics import MpmNumerics
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
+# Steps between two looks at the device, and of one captured graph.
 ROUND = 64
-"""Steps between two looks at the device, and of one captured graph."""
+# Gaps beyond this may be given too small [cells].
 FAR = 2.0
-"""Gaps beyond this may be given too small [cells]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from sim.scene import Body
 
 Value = TypeVar("Value")
 
+# SI value of one of each unit, by the suffix of a key.
 SI_PER_UNIT = {
     "um": 1e-6,
     "mm": 1e-3,
@@ -33,7 +34,6 @@ SI_PER_UNIT = {
     "ma_m2": 1e-3,
     "counts_per_mt": 1e3,
 }
-"""SI value of one of each unit, by the suffix of a key."""
 
 UNITS: Mapping[type, Mapping[str, str]] = {
     Body: {

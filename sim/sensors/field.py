@@ -16,8 +16,8 @@ from sim.scene import Body
 Array = NDArray[np.float64]
 Places = NDArray[np.float32]
 
+# Step of the even grid that slopes are taken on [m]: a few times finer than any mesh.
 EVEN_STEP = 0.2e-3
-"""Step of the even grid that slopes are taken on [m]: a few times finer than any mesh."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,8 +19,8 @@ from sim.sensors.variation import Placement, Segmenter, generator
 
 Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
+# Least coverage of a marker's pixel, of 255.
 COVERED = 128
-"""Least coverage of a marker's pixel, of 255."""
 
 
 class Readout(Protocol):

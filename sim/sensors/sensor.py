@@ -151,18 +151,18 @@ class SimulatedSensor:
 
 # The sensors that come with the simulator, by name, and sensors from files of one's own.
 
+# A file a sensor; its name is the sensor's.
 ROWS = Path(__file__).parent / "rows"
-"""A file a sensor; its name is the sensor's."""
 
+# The names that `sensor` knows.
 NAMES: tuple[str, ...] = tuple(sorted(path.stem for path in ROWS.glob("*.yaml")))
-"""The names that `sensor` knows."""
 
+# The paper's five GelSights of one material and different markers.
 HOMOGENEOUS = ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i")
-"""The paper's five GelSights of one material and different markers."""
+# Its seven skins of different hardness, from hard to soft.
 MATERIAL = ("r6", "r8", "r10", "r12", "r14", "r16", "r18")
-"""Its seven skins of different hardness, from hard to soft."""
+# Its three kinds of sensors, from hard to soft.
 HETEROGENEOUS = ("uskin", "gelsight", "tacpalm")
-"""Its three kinds of sensors, from hard to soft."""
 
 
 def sensor(name: str) -> SimulatedSensor:

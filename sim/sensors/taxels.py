@@ -18,8 +18,8 @@ from sim.sensors.field import SurfaceField, cubic_weights
 
 Array = NDArray[np.float64]
 
+# Magnetic constant over 4 pi [T m / A], to nine digits.
 MU_0_OVER_4_PI = 1e-7
-"""Magnetic constant over 4 pi [T m / A], to nine digits."""
 
 
 def flux_density(moments: Array, magnets: Array, places: Array) -> Array:
@@ -54,12 +54,12 @@ def rotations(gradient: Array) -> Array:
 
 Waves = NDArray[np.complex128]
 
+# Distance of samples of the top [m]. A wave that this cannot hold has died away to a hundredth 0.75
+# mm below the top.
 STEP = 0.5e-3
-"""Distance of samples of the top [m]. A wave that this cannot hold has died away to a hundredth
-0.75 mm below the top."""
+# Thicknesses beside the body before its waves repeat; in the first of them the displacement of the
+# edge fades to nothing.
 MARGIN = 2.0
-"""Thicknesses beside the body before its waves repeat; in the first of them the displacement of the
-edge fades to nothing."""
 
 
 class Interior:
@@ -233,10 +233,10 @@ def _turned(plane: Array, across: Array, cosine: Array, sine: Array) -> Waves:
 
 Counts = NDArray[np.int32]
 
+# Taxels along each side.
 SIDE = 4
-"""Taxels along each side."""
+# Largest raw count: the device reports 16 bits without sign.
 COUNT_MAX = 65535
-"""Largest raw count: the device reports 16 bits without sign."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,19 +49,19 @@ Greys = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
+# Grey of a pixel that a marker covers wholly.
 WHITE = 255
-"""Grey of a pixel that a marker covers wholly."""
+# Largest jitter [px]: edges are followed for 2.5 px either way, beyond that they stay.
 JITTER_MAX = 1.0
-"""Largest jitter [px]: edges are followed for 2.5 px either way, beyond that they stay."""
+# Grey across a straight edge that is softened by 1 4 6 4 1, linear in between: distance inside the
+# edge [px], and share of white. It rounds a marker of radius r by 1 / (2 r).
 PROFILE = (
     np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5]),
     np.array([0.0, 1.0, 5.0, 11.0, 15.0, 16.0]) / 16,
 )
-"""Grey across a straight edge that is softened by 1 4 6 4 1, linear in between: distance inside the
-edge [px], and share of white. It rounds a marker of radius r by 1 / (2 r)."""
+# Size of the field of noise that every frame takes a window of [px]: a new one each frame would
+# cost more than all the rest.
 BANK = (768, 1024)
-"""Size of the field of noise that every frame takes a window of [px]: a new one each frame would
-cost more than all the rest."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,8 @@ from sim.stream.stream import LiveTips
 
 Array = NDArray[np.float64]
 
+# Points of a rim: a disc's chords lie 0.5 % of its radius inside of it at most.
 POINTS = 32
-"""Points of a rim: a disc's chords lie 0.5 % of its radius inside of it at most."""
 
 
 class LiveMarkers:

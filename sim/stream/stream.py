@@ -67,14 +67,14 @@ class CarriedPress(Press):
 
 # A layer under an indenter whose tip goes where it is told, from pose to pose.
 
+# Pixels along the longer side: fewer than a `simulate` has, for half of its time.
 GRID = 96
-"""Pixels along the longer side: fewer than a `simulate` has, for half of its time."""
+# Residual of the contact: moves forces by some 1e-3, five times what a `simulate` allows.
 TOLERANCE = 1e-2
-"""Residual of the contact: moves forces by some 1e-3, five times what a `simulate` allows."""
+# How far it goes on pressing, in depths that the sensor is meant for: an arm may overshoot.
 DEEPER = 2.0
-"""How far it goes on pressing, in depths that the sensor is meant for: an arm may overshoot."""
+# A dent that is left of a press counts as gone when it is shallower than this [m].
 RECOVERED = 0.1e-6
-"""A dent that is left of a press counts as gone when it is shallower than this [m]."""
 
 
 class LivePress:
@@ -210,9 +210,9 @@ def _beyond_reach(indenter: Indenter, size_x: float, size_y: float) -> tuple[flo
 
 # What a sensor's values do when the tip goes on, learned from the moves that it made.
 
+# A move this long is believed by half [m]: the shorter it is, the more of what it changed is the
+# tolerance of the solutions and the grain of the grid.
 SURE = 20e-6
-"""A move this long is believed by half [m]: the shorter it is, the more of what it changed is the
-tolerance of the solutions and the grain of the grid."""
 
 
 class Slope:
@@ -238,12 +238,12 @@ class Slope:
         self.matrix = self.matrix + np.outer(missed, share)
 
 
+# Time over which relaxation is foretold [s]: about that from one solution to the next.
 WITHIN = 20e-3
-"""Time over which relaxation is foretold [s]: about that from one solution to the next."""
+# Tips of a press that tries the sensor out, in depths that it is meant for.
 LIGHT = ((0.0, 0.0, -0.05), (0.025, 0.0, -0.05), (0.025, 0.025, -0.05))
-"""Tips of a press that tries the sensor out, in depths that it is meant for."""
+# Counts of a pad: 16 taxels, 3 axes.
 COUNTS = 48
-"""Counts of a pad: 16 taxels, 3 axes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -334,9 +334,9 @@ def _touched(before: Array, now: Array) -> Array:
 
 FloatArray = NDArray[np.float64]
 
+# Places along an axis whose weighted mean is a Gaussian's, in its standard deviations: exact for
+# polynomials up to the fifth degree (Gauss and Hermite's rule of three).
 NODES = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
-"""Places along an axis whose weighted mean is a Gaussian's, in its standard deviations: exact for
-polynomials up to the fifth degree (Gauss and Hermite's rule of three)."""
 SHARES = np.array([1.0, 4.0, 1.0]) / 6.0
 
 

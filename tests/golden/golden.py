@@ -29,29 +29,29 @@ HERE = Path(__file__).resolve().parent
 DATA, EXPECTED = HERE / "data", HERE / "expected"
 CHECKOUT = HERE.parent.parent
 
+# A value that is not compared; one that may be missing, too; and a number within a text.
 ANY, MAYBE, NUMBER = "<any>", "<maybe>", "<#>"
-"""A value that is not compared; one that may be missing, too; and a number within a text."""
 
+# Codecs that are ours: such arrays are compared by their stored bytes.
 PRODUCT_CODECS = {"imagecodecs_jpeg"}
-"""Codecs that are ours: such arrays are compared by their stored bytes."""
+# Keys of JSON whose values are never compared: they say how long it took.
 TIMES = {"seconds", "seconds_by_stage", "cpu_seconds", "wall_s"}
-"""Keys of JSON whose values are never compared: they say how long it took."""
+# Keys of JSON, and arrays, that count or measure what an iteration left: their numbers count on the
+# same machine only.
 ITERATIONS = {"newton", "cg", "residual", "contact", "balance", "slip_excess"}
-"""Keys of JSON, and arrays, that count or measure what an iteration left: their numbers count on
-the same machine only."""
+# Verbs that measure the product and are no part of it: help pages may name them or not.
 MEASURING = {
     *("refine", "hard-cases", "effects", "accuracy", "cost-table", "speed"),
     *("faults", "endurance", "bench-recorder", "bench", "tables"),
 }
-"""Verbs that measure the product and are no part of it: help pages may name them or not."""
+# Files of a folder that are told one by one; of more, one hash tells.
 MOST_NAMES = 60
-"""Files of a folder that are told one by one; of more, one hash tells."""
 
+# Lines of standard error that tell of progress, or of a library's own doings.
 _NOISE = re.compile(
     r"^[\w -]+: (compiling kernels|[\d.]+ %|[\d.]+ s\b)|^\d[\d,]* of \d[\d,]* |left *$|^\d+/\d+ |"
     r"^\[ WARN|site-packages"
 )
-"""Lines of standard error that tell of progress, or of a library's own doings."""
 _DURATION = re.compile(r"(?<![\w.])\d[\d.,]* (s|ms|min|h|images/s|a second)(?![\w/])")
 _CLOCK = re.compile(r"(?<![\w.:])(\d+|\?):(\d\d|\?\?)(:\d\d)?(?![\w:])")
 _NUMBERS = re.compile(r"[-+]?\d[\d.,:]*(e[-+]?\d+)?")

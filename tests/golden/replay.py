@@ -16,8 +16,8 @@ from pathlib import Path
 from cases import CASES
 from golden import CHECKOUT, Case, compare, run_case
 
+# Differences of a case that are shown without --all-lines.
 MOST_LINES = 12
-"""Differences of a case that are shown without --all-lines."""
 
 
 def replayed(case: Case, root: Path) -> tuple[list[str], str, float]:

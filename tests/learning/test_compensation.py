@@ -32,8 +32,8 @@ from recorder import PHASES, MarkerArchive
 
 DOWN, SHEARED, BACK, UP = range(len(PHASES))
 DEPTH = np.linspace(0.1e-3, 1.2e-3, 12)
+# Springs: N/m^2 and N/m of depth.
 HARD, SOFT, EMPTY = (0.8e6, 4.0e3), (0.3e6, 1.5e3), (0.0, 0.0)
-"""Springs: N/m^2 and N/m of depth."""
 
 
 def spring(name: str, down: tuple[float, float], up: tuple[float, float] | None = None) -> Prior:

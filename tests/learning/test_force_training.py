@@ -19,6 +19,7 @@ from learning.force.predict import KIND, ForcePredictor
 from learning.force.train import train_force
 from learning.training.run import RunFolder
 
+# All that a run has to remember.
 EVERYTHING = toy(
     stages=(
         StageSettings(epochs=3, learning_rate=3e-3, schedule="authors", one_sensor=True),
@@ -29,7 +30,6 @@ EVERYTHING = toy(
     ema=0.9,
     patience_epochs=2,
 )
-"""All that a run has to remember."""
 
 
 def _open(path: Path, settings: ForceSettings = TOY, *, resume: bool = False) -> RunFolder:

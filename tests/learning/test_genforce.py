@@ -36,8 +36,8 @@ from recorder.markers import pack, unpack
 
 Change = Callable[[Path], None]
 
+# Last frames of the phases of every press.
 LAST = (4, 7, 9, 12)
-"""Last frames of the phases of every press."""
 FRAMES = LAST[-1] + 1
 SENSORS, INDENTERS, POINTS = ("Array1", "uskin_a"), ("cone", "sphere"), 2
 HEADER = "Fx(N),Fy(N),Fz(N),Tx(Nmm),Ty(Nmm),Tz(Nmm)"

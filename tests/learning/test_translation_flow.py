@@ -23,8 +23,8 @@ STATES = [
 ]
 UNTOUCHED = State(CENTRE, WIDTH_PX, 0.0)
 DEEP = STATES[-1]
+# The part of the lattice that lies in the image.
 INSIDE = (slice(4, 53), slice(4, 69))
-"""The part of the lattice that lies in the image."""
 
 
 @pytest.fixture(scope="module")

@@ -27,8 +27,8 @@ from rig.core.packaged import BENCHES
 from rig.monitor.forces import ForceLine, Seen, watch
 from rig.monitor.watched import Watched, mock_bench, replayed
 
+# What the stub takes for a frame.
 WORK_NS = 5_000_000
-"""What the stub takes for a frame."""
 
 
 @dataclass(frozen=True, slots=True)

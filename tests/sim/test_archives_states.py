@@ -13,9 +13,9 @@ from recorder.archive import ArchivedSensor
 from recorder.markers import HEIGHT, WIDTH
 from sim.dataset import Plan, gel
 
+# Indenters, and how far the surface moves outwards 6 to 9 mm from a press 1.5 mm deep [mm]; the
+# small one displaces less.
 SPHERES = {"sphere": (0.09, 0.18), "sphere_s": (0.05, 0.18)}
-"""Indenters, and how far the surface moves outwards 6 to 9 mm from a press 1.5 mm deep [mm]; the
-small one displaces less."""
 SYMMETRIC = ("sphere", "sphere_s", "cylinder_sh")
 
 

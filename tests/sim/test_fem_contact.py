@@ -15,14 +15,14 @@ from sim.indenters.device import PartTable
 from sim.scalars import matrix_of, vector_of
 
 MESHES = oracle.domed_meshes()
+# Their topology is the same.
 MESH = MESHES[0]
-"""Their topology is the same."""
 VARIANT = [1, 0, 1, 0]
 PLACED = [MESHES[variant] for variant in VARIANT]
 UNIT = 3e-3
 PENALTY, STICK = 1000.0, 0.1
+# One an environment.
 INDENTERS = [sphere(2e-3), flat_punch(1.5e-3, 0.3e-3), named("triangle"), plane()]
-"""One an environment."""
 TIPS = np.array([[0.02, 0.05, -0.12], [0.05, -0.03, -0.1], [0.0, 0.0, -0.15], [0.1, 0.0, -0.2]])
 
 

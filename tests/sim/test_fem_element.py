@@ -13,8 +13,8 @@ from sim.fem.element import GAUSS_POINTS, element_kernels
 from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
+# Mesh of each environment: not in their order.
 VARIANT = [1, 0]
-"""Mesh of each environment: not in their order."""
 PLACED = [MESHES[variant] for variant in VARIANT]
 ELEMENTS = MESHES[0].elements
 NODES = len(MESHES[0].nodes)

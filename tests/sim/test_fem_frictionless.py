@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 ROUGH = Numerics(fineness=0.4)
 SLOW = pytest.mark.slow
+# Shifts within one element.
 SIDES = 8
-"""Shifts within one element."""
 
 
 def _face(indenter: Indenter) -> Array:
@@ -42,13 +42,13 @@ def _along(force: Array, normal: Array) -> float:
 # A plate wider than the body, whose low edge is beside it: the body feels one plane and no more.
 
 WIDE = 24e-3
+# Degrees, distance of the low edge from the body's side, and depth of the edge [m].
 PLATE: dict[int, tuple[float, float]] = {
     0: (0.0, 0.3e-3),
     5: (1.0e-3, 0.4e-3),
     15: (1.0e-3, 0.8e-3),
     30: (0.8e-3, 0.9e-3),
 }
-"""Degrees, distance of the low edge from the body's side, and depth of the edge [m]."""
 
 
 def _plate(degrees: int, shift: tuple[float, float], numerics: Numerics) -> None:

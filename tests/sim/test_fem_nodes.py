@@ -24,8 +24,8 @@ from sim.fem.vectors import (
 from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
+# Their topology is the same.
 MESH = MESHES[0]
-"""Their topology is the same."""
 VARIANT = [1, 0, 1]
 MASS = np.stack([MESHES[variant].node_volume for variant in VARIANT])[:, :, None]
 COUNT = len(MESH.nodes)

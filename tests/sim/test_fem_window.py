@@ -12,8 +12,8 @@ from sim.indenters import cone, flat_punch, named, plane, sphere, torus
 
 RIM = 0.5e-3
 AROUND = np.array([-RIM, RIM])
+# Of both bodies, along x and y.
 SIDES = np.array([-10e-3, 10e-3])
-"""Of both bodies, along x and y."""
 FLAT = Body()
 DOMED = Body(dome_radius=60e-3)
 INDENTERS = [

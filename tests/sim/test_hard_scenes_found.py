@@ -14,8 +14,8 @@ from benchmarks.sim.stability.chance.shrink import failure, load
 from benchmarks.sim.stability.chance.verdict import Settings, judge_scene
 
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
+# Why an answer is still silently wrong.
 NOT_YET: dict[str, str] = {}
-"""Why an answer is still silently wrong."""
 
 
 def _case(path: Path) -> object:
@@ -24,6 +24,7 @@ def _case(path: Path) -> object:
     return pytest.param(path, id=path.stem, marks=[*marks, *SLOW.get(path.stem, [])])
 
 
+# More than 5 seconds.
 SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "blade-goes-through": [pytest.mark.slow],
     "corner-below-the-base": [pytest.mark.slow, pytest.mark.timeout(180)],
@@ -31,7 +32,6 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "deep-cone-leaves-the-axis": [pytest.mark.slow],
     "press-at-the-corner": [pytest.mark.slow],
 }
-"""More than 5 seconds."""
 
 
 @pytest.mark.parametrize("path", [_case(path) for path in FOUND])

@@ -22,8 +22,8 @@ DEVICES = [
         ],
     ),
 ]
+# A body with a hole, of long triangles.
 TUBE = files.revolved([(3, 0), (3, 4), (2, 4), (2, 0)], 12)
-"""A body with a hole, of long triangles."""
 
 
 def _nearest(body: files.Body, *, closed: bool, device: str = "cpu") -> Nearest:

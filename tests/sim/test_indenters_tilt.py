@@ -32,10 +32,10 @@ from sim.scene import Scene, press
 
 Array = NDArray[np.float64]
 
+# 15 degrees in all, unlike about x and y.
 TILT = math.radians(9), math.radians(-12)
-"""15 degrees in all, unlike about x and y."""
+# Every kind of part; the others are looked at with the slow tests.
 QUICK = ("sphere", "cone", "cylinder_si", "torus", "dots", "wave", "line", "moon")
-"""Every kind of part; the others are looked at with the slow tests."""
 
 
 def _cloud(count: int, seed: int = 0) -> Array:

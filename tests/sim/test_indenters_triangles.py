@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 WEDGE = np.array([(0, 0, 0), (3, 0, 0), (0, 4, 0), (0, 0, 6), (3, 0, 6), (0, 4, 6)], float)
 SIDES = np.array([(0, 2, 1), (3, 4, 5), (0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3)])
+# A body unlike its mirror image, away from the origin.
 PRISM: files.Body = (WEDGE + np.array([10, 20, 30]), np.vstack([SIDES, [(2, 3, 5)]]))
-"""A body unlike its mirror image, away from the origin."""
 
 
 def _read(path: Path, unit: Unit = "mm", up: Up = "+z", axis: Axis = "middle") -> Triangles:

@@ -27,8 +27,8 @@ SCENES = [
     for depth, at in ((0.1e-3, (0, 0)), (0.2e-3, (1e-3, 0)), (0.1e-3, (0, 1e-3)))
 ]
 HEAVY = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
+# Half a minute or more: nothing that is stopped has finished by itself.
 HEAVY_NUMERICS = Numerics(spacing=0.3e-3)
-"""Half a minute or more: nothing that is stopped has finished by itself."""
 
 
 @pytest.fixture(autouse=True)

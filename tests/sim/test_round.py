@@ -29,8 +29,8 @@ from sim.simulate import simulate_many
 MM = 1e-3
 DISC = Body(12 * MM, 12 * MM, 4 * MM, footprint="ellipse")
 DOME = Body(28 * MM, 28 * MM, 5.5 * MM, dome_radius=28.4 * MM, footprint="ellipse")
+# 0.56 mm high at its rim.
 THIN = replace(DOME, size_x=32 * MM, size_y=32 * MM)
-"""0.56 mm high at its rim."""
 BALL = sphere(2 * MM)
 COARSE = Numerics(spacing=1 * MM)
 

@@ -16,12 +16,12 @@ from sim.fem.mesh import SLOTS, Mesh, neighbours
 from sim.scalars import matrix_of
 
 GRID = oracle.domed_mesh()
+# Two bodies on one grid.
 MESHES = (GRID, oracle.moved(GRID, 0.06))
-"""Two bodies on one grid."""
 COUNT = len(GRID.nodes)
 SHAPE = face_rule(2)[0]
+# What is in the matrix before it is assembled.
 FILLED = 7.0
-"""What is in the matrix before it is assembled."""
 
 
 class Tangents:

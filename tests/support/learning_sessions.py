@@ -21,8 +21,8 @@ DEPTH, SHEAR = 1.0e-3, 0.5e-3
 CONTACT_FRAME = [0.4, -0.1, 0.2, 0.0, 0.0, 0.0]
 CAMERA_HZ, FORCE_HZ = 60.0, 200.0
 SECONDS = 1.0
+# Pictures in which markers are hidden.
 HIDDEN = range(38, 41)
-"""Pictures in which markers are hidden."""
 TARGETS = 2
 
 

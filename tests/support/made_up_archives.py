@@ -29,10 +29,10 @@ MM_PER_PX = 0.03
 LATTICE = Lattice()
 OUTWARD_PX_PER_MM, FAR = 16.0, 2.0
 DEPTHS_MM, SHEAR_MM = (1.0, 1.5), 0.6
+# Width of the field under an indenter; others have that of the sphere.
 WIDTHS_PX = {"sphere": 90.0, "cone": 60.0, "prism": 120.0}
-"""Width of the field under an indenter; others have that of the sphere."""
+# Factor on the forces of a sensor, by its name, which is its pattern's too.
 STIFFNESS = {"dots": 1.0, "grid": 1.6, "diamonds": 0.6, "dense": 1.2}
-"""Factor on the forces of a sensor, by its name, which is its pattern's too."""
 FORCE_DEPTH_MM = 1.2
 NORMAL_N_PER_MM, NORMAL_N_PER_MM2, SHEAR_N_PER_MM = 2.0, 0.8, 1.5
 

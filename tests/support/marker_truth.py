@@ -20,13 +20,13 @@ from learning.markers import CameraPreset, Segmenter, find_centres, grey, preset
 from rig.bench.worlds import MarkerView
 from rig.mock.world.picture import MarkerCamera, Surface
 
+# What the mock benches show, by the preset that is meant for it.
 VIEWS = {
     "bench-gelsight": MarkerView("grid", 1.6e-3, 0.26e-3, 0.0249e-3, rows=7, columns=9),
     "bench-tacpalm": MarkerView(
         "hexagon", 2.6e-3, 0.55e-3, 0.075e-3, background=(92, 96, 104), ink=(226, 228, 222)
     ),
 }
-"""What the mock benches show, by the preset that is meant for it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

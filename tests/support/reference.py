@@ -15,8 +15,8 @@ sys.path.insert(0, str(ROOT))
 from tactile.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
 
 FOLDER = ROOT / "docs" / "reference"
+# Characters of a value that is told where nothing else is.
 SHORT = 60
-"""Characters of a value that is told where nothing else is."""
 PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
 ABOUT_COMMANDS = """\
 # Commands
@@ -95,13 +95,13 @@ def _exported(path: Path) -> list[str]:
 def _told(path: Path, name: str) -> str:
     """First line of a name's docstring, wherever it is defined."""
     body = ast.parse(path.read_text()).body
-    for index, node in enumerate(body):
+    for node in body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
             return _summary(node)
         if isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             if any(isinstance(target, ast.Name) and target.id == name for target in targets):
-                return _after(body, index) or _value(node)
+                return _above(path, node) or _value(node)
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 if (alias.asname or alias.name) == name:
@@ -117,16 +117,14 @@ def _imported(module: str, name: str) -> str:
     return ""
 
 
-def _after(body: list[ast.stmt], index: int) -> str:
-    """The string below an assignment."""
-    after = body[index + 1] if index + 1 < len(body) else None
-    if (
-        isinstance(after, ast.Expr)
-        and isinstance(after.value, ast.Constant)
-        and isinstance(after.value.value, str)
-    ):
-        return _line(after.value.value)
-    return ""
+def _above(path: Path, node: ast.stmt) -> str:
+    """The comment that stands right above an assignment."""
+    told: list[str] = []
+    for line in reversed(path.read_text().splitlines()[: node.lineno - 1]):
+        if not line.startswith("#"):
+            break
+        told.insert(0, line.removeprefix("#").strip())
+    return _line("\n".join(told))
 
 
 def _value(node: ast.Assign | ast.AnnAssign) -> str:

@@ -19,6 +19,7 @@ from sim.sensors import sensor
 from sim.simulate import Tier, simulate_many
 
 LAYER = Solving(tier="layer")
+# A family of two skins and one of taxels: 5 units, two of them force and depth.
 SKINS = Plan(
     "targets",
     (sensor("r6"), sensor("r18"), sensor("uskin")),
@@ -29,9 +30,9 @@ SKINS = Plan(
     unit_presses=2,
     together=2,
 )
-"""A family of two skins and one of taxels: 5 units, two of them force and depth."""
 UNITS, IMAGES = 5, 2 * (2 + 3) * 5 + (4 + 3) * 5
 _IN_USE = sensor("array-i")
+# A sensor with everything that life does to it, pressed at its middle alone.
 LIVED = replace(
     SKINS,
     sensors=(
@@ -45,7 +46,6 @@ LIVED = replace(
     ),
     seed=5,
 )
-"""A sensor with everything that life does to it, pressed at its middle alone."""
 
 
 def make(path: Path, plan: Plan, units: Callable[[Sequence[Unit]], Any] = tuple) -> Filled:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
+# Vertices (V, 3) and triangles (F, 3), counterclockwise from outside.
 Body = tuple[Array, Faces]
-"""Vertices (V, 3) and triangles (F, 3), counterclockwise from outside."""
 
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
 

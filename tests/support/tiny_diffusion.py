@@ -13,10 +13,10 @@ from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
 from learning.translation.diffusion.train import Pretrained
 
+# Of images: their latents are 4 x 4.
 SIDE = 16
-"""Of images: their latents are 4 x 4."""
+# Of the cross-attention: as many as a latent has pixels, as with the real networks at 256.
 WIDTH = 16
-"""Of the cross-attention: as many as a latent has pixels, as with the real networks at 256."""
 UNET: dict[str, Any] = {
     "sample_size": 4,
     "in_channels": 4,
@@ -41,13 +41,13 @@ VAE: dict[str, Any] = {
     "latent_channels": 4,
     "scaling_factor": 0.18215,
 }
+# For images of 256 x 256, whose latents are 16 x 16 then.
 DEEP_VAE: dict[str, Any] = {
     **VAE,
     "down_block_types": ["DownEncoderBlock2D"] * 5,
     "up_block_types": ["UpDecoderBlock2D"] * 5,
     "block_out_channels": [2, 2, 2, 4, 4],
 }
-"""For images of 256 x 256, whose latents are 16 x 16 then."""
 CLIP: dict[str, Any] = {
     "hidden_size": 8,
     "intermediate_size": 16,

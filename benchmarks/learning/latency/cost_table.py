@@ -9,8 +9,8 @@ from pathlib import Path
 
 from benchmarks.learning.latency.costs import Cost
 
+# What a live model should reach.
 LIVE_HZ = 60
-"""What a live model should reach."""
 
 
 def markdown(rows: Sequence[Cost]) -> str:

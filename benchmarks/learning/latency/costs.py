@@ -25,8 +25,8 @@ from learning.force.model import ForceModel
 from learning.force.predict import ForcePredictor
 from learning.force.stream import ForceStream, open_exported
 
+# Frames before the clock starts.
 WARM_UP = 5
-"""Frames before the clock starts."""
 
 
 @dataclass(frozen=True, slots=True)

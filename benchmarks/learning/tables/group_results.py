@@ -28,12 +28,12 @@ from recorder.strict_yaml import natural_key
 
 NO_TRANSLATOR = ""
 
+# A row of scores, and whose they are.
 Scored = tuple[TranslationScores, PairedScore]
-"""A row of scores, and whose they are."""
 
 
+# Method and translator.
 Variant = tuple[str, str]
-"""Method and translator."""
 
 
 @dataclass(frozen=True, slots=True)

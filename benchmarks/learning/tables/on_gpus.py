@@ -30,12 +30,12 @@ CLEAN = "heterogeneous-clean"
 ABLATIONS = ("whole", "half", "quarter", "single-frame", "direct", "direct-blind", "clean")
 ABLATION = "ablation "
 ARCHIVES_AT_ONCE = 2
+# Memory of a GPU that each of the models trained side by side takes, at most.
 JOB_BYTES = 7 * 2**30
-"""Memory of a GPU that each of the models trained side by side takes, at most."""
+# Time between two looks at what runs [s].
 LOOK_EVERY = 0.5
-"""Time between two looks at what runs [s]."""
+# Of what a piece said before it failed.
 SAID_LINES = 15
-"""Of what a piece said before it failed."""
 
 
 @dataclass(frozen=True)

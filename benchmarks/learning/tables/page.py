@@ -26,19 +26,19 @@ from learning.evaluation.translation import TRANSLATED, score_line
 from recorder.store.durable import replace_file
 from recorder.strict_yaml import natural_key
 
+# R2 on unseen indenters that is hoped for, mean over axes and pairs.
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}
-"""R2 on unseen indenters that is hoped for, mean over axes and pairs."""
+# The same of Dice, and from the taxels of a uSkin.
 GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
-"""The same of Dice, and from the taxels of a uSkin."""
+# Errors that are hoped for, over the paper's: both as shares of the range of the labels.
 GOAL_SHARE = 0.5
-"""Errors that are hoped for, over the paper's: both as shares of the range of the labels."""
+# Stands above the table of all groups.
 TOLD = """\
 Means over pairs, on unseen indenters. `before`: the source's model on the target's own frames;
 `after`: the model named, which learned from no label of the target; `but for one`: the same without
 the indenter that costs most; `own labels`: the target's model. `labels alone`: R2 of the labels
 that the model named learned from, were they predictions of the target's own, on the presses that it
 learned from."""
-"""Stands above the table of all groups."""
 TITLE = "# Forces on sensors that never saw a force gauge"
 
 

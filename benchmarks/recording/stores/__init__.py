@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
+# How many frames a store holds, and what reads n images from a first one: (n, 480, 640, 3).
 Opened = tuple[int, Callable[[int, int], Image]]
-"""How many frames a store holds, and what reads n images from a first one: (n, 480, 640, 3)."""
+# Numbers of the frames found, in order; None for one that is not what was written.
 Numbers = list[int | None]
-"""Numbers of the frames found, in order; None for one that is not what was written."""
 
 
 class Appender(Protocol):

@@ -26,12 +26,12 @@ from sim.progress import duration
 from sim.result import Result
 from sim.scene import Scene, press
 
+# Depth of the press that loads the kernels before a measurement [m].
 WARM = 0.02e-3
-"""Depth of the press that loads the kernels before a measurement [m]."""
+# Power of the fineness that the time of a press grows with, to tell what would take too long.
 GROWTH = 4.0
-"""Power of the fineness that the time of a press grows with, to tell what would take too long."""
+# Ladder of the formulas: they take no time.
 CLOSED_FORM = "closed form"
-"""Ladder of the formulas: they take no time."""
 
 
 @dataclass(frozen=True, slots=True)

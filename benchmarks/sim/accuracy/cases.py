@@ -10,10 +10,10 @@ from sim.indenters import NAMES, Indenter, flat_punch, named, rounded_cone, sphe
 from sim.scene import Body, Scene, press, press_shear_return, ramp_hold
 
 MM = 1e-3
+# Depths of the plain presses [m].
 DEPTHS = (0.5 * MM, 1.0 * MM, 1.5 * MM)
-"""Depths of the plain presses [m]."""
+# Edge radius of shapes that have room for it [m]; sharper edges ask for finer elements only.
 EDGE = 0.5 * MM
-"""Edge radius of shapes that have room for it [m]; sharper edges ask for finer elements only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,10 @@ def _edged(name: str) -> Indenter:
 
 _BODY = Body()
 _BALL = sphere(4 * MM)
+# Without friction the skin under an edge slides until it creases, in one of many ways: there is no
+# one answer to be compared with.
 _RUB = Effects(friction=Friction(0.5))
-"""Without friction the skin under an edge slides until it creases, in one of many ways: there is
-no one answer to be compared with."""
+# Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45.
 CASES: tuple[Case, ...] = (
     Case("sphere", "sphere R 4 mm", (Scene(_BALL, press(DEPTHS), body=_BODY),)),
     Case(
@@ -82,7 +83,6 @@ CASES: tuple[Case, ...] = (
         ),
     ),
 )
-"""Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45."""
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Case, ...]:

@@ -19,8 +19,8 @@ COLUMNS = 4
 PANEL_WIDTH, PANEL_HEIGHT = 330, 290
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 34, 36
 HEAD = 56
+# Drawn so much larger, then reduced: Pillow's lines have steps.
 SMOOTH = 2
-"""Drawn so much larger, then reduced: Pillow's lines have steps."""
 BAND: Colour = (226, 229, 235)
 
 

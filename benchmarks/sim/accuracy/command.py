@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
 SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem fineness 0.5", "fem even 1.25 mm")
+# Fineness of the reference with --smoke.
 SMOKE_REFERENCE = 0.8
-"""Fineness of the reference with --smoke."""
 
 
 def add_to(verbs: Verbs) -> None:

@@ -14,14 +14,14 @@ from sim.simulate import simulate, simulate_many
 
 Outcomes = list[Result | SimulationDiverged]
 
+# Of `fem` on meshes that follow the contact, beside the default.
 FINENESS = (0.5, 1.0, 1.4)
-"""Of `fem` on meshes that follow the contact, beside the default."""
+# What is asked for, to be met by measuring.
 TOLERANCES = ("5 %", "2 %", "1 %")
-"""What is asked for, to be met by measuring."""
+# Edges of an element of `fem` on even meshes [m], coarse to fine.
 EVEN_SPACINGS = (1.25e-3, 0.8e-3, 0.5e-3)
-"""Edges of an element of `fem` on even meshes [m], coarse to fine."""
+# Cells of `mpm` [m], coarse to fine; two particles a cell and dimension.
 MPM_CELLS = (1.0e-3, 0.8e-3, 0.5e-3, 0.4e-3)
-"""Cells of `mpm` [m], coarse to fine; two particles a cell and dimension."""
 
 
 @dataclass(frozen=True, slots=True)

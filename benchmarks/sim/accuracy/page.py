@@ -14,6 +14,7 @@ from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
 from sim.fem.numerics import Numerics
 
+# Colour of each ladder; the mark tells the device.
 COLOURS: dict[str, Colour] = {
     CLOSED_FORM: (128, 132, 142),
     "layer": (52, 148, 96),
@@ -24,7 +25,6 @@ COLOURS: dict[str, Colour] = {
     "mpm": (232, 150, 44),
     "mpm as published": (200, 62, 54),
 }
-"""Colour of each ladder; the mark tells the device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +52,8 @@ CHARTS = (
     Chart("accuracy-markers.png", "Error of the markers", "marker_rms", 1, "markers, rms [px]"),
     Chart("accuracy-memory.png", "Memory", "memory", 1 / 2**20, "memory [MiB]"),
 )
+# Errors of the force that the first table looks for.
 GOALS = (0.1, 0.03, 0.01, 0.003)
-"""Errors of the force that the first table looks for."""
 
 _INTRO = """# What accuracy costs
 

@@ -20,13 +20,13 @@ from sim.simulate import simulate_many
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
 
+# Elements of the second reference over those of the first. Where errors fall with the square of the
+# element, the first one's own error is 0.8 of the difference.
 COARSER = 1.5
-"""Elements of the second reference over those of the first. Where errors fall with the square of
-the element, the first one's own error is 0.8 of the difference."""
+# Parts that each piece of a viscous motion is cut into: its time steps are finer as well.
 VISCOUS_PARTS = 3
-"""Parts that each piece of a viscous motion is cut into: its time steps are finer as well."""
+# Of the file; another one is computed anew.
 FORMAT = 2
-"""Of the file; another one is computed anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class Reference:
     """Of each error of `Errors.worst`: the difference of the two finest meshes."""
 
 
+# Of a reference's mesh.
 ELEMENTS_MAX = 1_000_000
-"""Of a reference's mesh."""
 
 
 def reference_numerics(fineness: float) -> Numerics:

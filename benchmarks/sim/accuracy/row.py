@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+# Errors of a row, largest over frames and axes: N, 1, 1, m, m, m, px, px.
 MEASURES = (
     "force",
     "force_share",
@@ -18,7 +19,6 @@ MEASURES = (
     "marker",
     "marker_rms",
 )
-"""Errors of a row, largest over frames and axes: N, 1, 1, m, m, m, px, px."""
 
 
 @dataclass(frozen=True, slots=True)

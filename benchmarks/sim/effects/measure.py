@@ -24,8 +24,8 @@ from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate
 
+# Parts of an effect's weak share at which its answer is compared.
 PARTS = (1.0, 0.5, 0.1)
-"""Parts of an effect's weak share at which its answer is compared."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,14 @@ from sim.scene import Body, Motion, Scene
 
 BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
 NUMERICS = Numerics(spacing=1e-3, precision="float64")
+# For differences far below the usual tolerance.
 EXACT = Numerics(
     spacing=1e-3, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10
 )
-"""For differences far below the usual tolerance."""
+# Down half a millimetre, then a little aside, in 1 ms: fast enough for mass to be felt.
 MOTION = Motion(
     ((0.0, 0.0, 0.0), (0.0, 0.0, -0.5e-3), (0.15e-3, 0.0, -0.5e-3)), (0.0, 0.5e-3, 1e-3)
 )
-"""Down half a millimetre, then a little aside, in 1 ms: fast enough for mass to be felt."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,13 @@ from benchmarks.sim.substitute import in_place_of, rebuilt
 from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.effects.declaration import Snippet
 
+# The effects by the names they have in `Effects`.
 EFFECTS: dict[str, type[Friction] | type[Gravity] | type[Inertia] | type[Viscosity]] = {
     "friction": Friction,
     "viscosity": Viscosity,
     "inertia": Inertia,
     "gravity": Gravity,
 }
-"""The effects by the names they have in `Effects`."""
 
 
 def cut(source: str, flag: str) -> str:

@@ -26,20 +26,20 @@ from benchmarks.sim.independent.profile import Profile
 Array = NDArray[np.float64]
 Base = Literal["bonded", "sliding"]
 
+# Contact stiffness in modulus per contact radius, or per thickness where that is less.
 STIFFNESS = 3000.0
-"""Contact stiffness in modulus per contact radius, or per thickness where that is less."""
+# Gauss points along each element edge of the top.
 POINTS = 4
-"""Gauss points along each element edge of the top."""
+# Out-of-balance force over contact force that ends Newton's method, and its limit.
 CONVERGED, ITERATIONS = 1e-7, 20
-"""Out-of-balance force over contact force that ends Newton's method, and its limit."""
+# How often `carried` is brought up to date at most, and the change of force that ends it.
 AUGMENTATIONS, STANDS_STILL = 4, 2e-5
-"""How often `carried` is brought up to date at most, and the change of force that ends it."""
+# Part of a Newton step that is made whatever comes of it.
 SHARE_MIN = 0.1
-"""Part of a Newton step that is made whatever comes of it."""
+# Determinant of the deformation gradient below which a Newton step is cut.
 DET_MIN = 0.02
-"""Determinant of the deformation gradient below which a Newton step is cut."""
+# How often a step may be cut in half before the press is given up.
 FAILURES = 40
-"""How often a step may be cut in half before the press is given up."""
 
 
 class NotSolved(Exception):

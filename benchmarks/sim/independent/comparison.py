@@ -30,8 +30,8 @@ from sim.scene import Body, Scene, press, through
 from sim.simulate import simulate
 from sim.tiers import Tier
 
+# Error that is counted as good [%].
 WITHIN = 3.0
-"""Error that is counted as good [%]."""
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from scipy.sparse import csc_matrix
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+# Gauss points along each edge of an element.
 POINTS = 3
-"""Gauss points along each edge of an element."""
 
 
 def quadratic(place: Array) -> tuple[Array, Array]:

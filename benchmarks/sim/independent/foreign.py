@@ -17,12 +17,12 @@ from benchmarks.sim.independent.foreign_cases import CASES, ForeignCase
 
 FILE = Path(__file__).with_name("foreign.csv")
 ROOT = Path(__file__).parents[3]
+# Environment variable with the interpreter that has GetFEM.
 PYTHON = "FOREIGN_PYTHON"
-"""Environment variable with the interpreter that has GetFEM."""
+# Where Debian and Ubuntu put `python3-getfem`.
 SYSTEM = "/usr/bin/python3"
-"""Where Debian and Ubuntu put `python3-getfem`."""
+# What the sizes of elements are multiplied by.
 FINE, COARSE = 1.3, 2.0
-"""What the sizes of elements are multiplied by."""
 
 
 class MissingProgram(Exception):

@@ -33,17 +33,17 @@ except ImportError:
 
 Array = NDArray[np.float64]
 
+# Numbers of regions.
 BASE, TOP = 1, 2
-"""Numbers of regions."""
+# Of contact, in modulus per millimetre of contact radius.
 STIFFNESS = 300.0
-"""Of contact, in modulus per millimetre of contact radius."""
+# Friction with which hardly anything slips.
 STUCK = 50.0
-"""Friction with which hardly anything slips."""
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
+# Of a change that Newton's method proposes, tried in turn.
 SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Of a change that Newton's method proposes, tried in turn."""
+# First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements.
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
-"""First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements."""
 
 
 def lines(low: float, high: float, zones: Any, scale: float, coarsest: float) -> Array:

@@ -12,8 +12,8 @@ from benchmarks.sim.independent.element import Grid
 
 Array = NDArray[np.float64]
 
+# Places at which the wanted size of an element is summed.
 SAMPLES = 20_000
-"""Places at which the wanted size of an element is summed."""
 
 
 @dataclass(frozen=True)

@@ -16,23 +16,23 @@ from sim.indenters.shapes import NAMES, named
 
 Array = NDArray[np.float64]
 
+# Width of what a tile shows [m]: the widest indenter and a margin.
 VIEW = 17e-3
-"""Width of what a tile shows [m]: the widest indenter and a margin."""
+# Heights beyond this are not drawn [m]: a press never goes so deep.
 REACH = 5e-3
-"""Heights beyond this are not drawn [m]: a press never goes so deep."""
 COLUMNS = 6
+# Samples along each side of a pixel.
 SAMPLES = 2
-"""Samples along each side of a pixel."""
+# Height of the text under a tile [px].
 CAPTION = 40
-"""Height of the text under a tile [px]."""
+# Length of the scale bar [m].
 SCALE = 5e-3
-"""Length of the scale bar [m]."""
 
 PAPER, INK, GREY = (250, 250, 248), (32, 36, 44), (120, 126, 134)
+# Colours of the tip plane and of what is REACH away from it.
 NEAR, FAR = np.array([236.0, 196.0, 128.0]), np.array([44.0, 74.0, 112.0])
-"""Colours of the tip plane and of what is REACH away from it."""
+# Direction to the lamp: over the left shoulder of who looks at the tip.
 LIGHT = np.array([-0.5, 0.6, -0.62]) / np.linalg.norm([-0.5, 0.6, -0.62])
-"""Direction to the lamp: over the left shoulder of who looks at the tip."""
 
 
 def draw_sheet(

@@ -17,13 +17,13 @@ from sim.markers import HEIGHT, WIDTH, Camera
 from sim.markers.pattern import HOMOGENEOUS, NAMES, SIMULATED, Pattern, named
 
 COLUMNS = 6
+# Height of the text under a tile [px].
 CAPTION = 42
-"""Height of the text under a tile [px]."""
+# Side of the gel that is drawn, unless the pattern is wider [m].
 GEL = 20e-3
-"""Side of the gel that is drawn, unless the pattern is wider [m]."""
 MARKER = np.array([40.0, 44.0, 54.0])
+# Colour of what the camera sees.
 FRAME = (196, 78, 62)
-"""Colour of what the camera sees."""
 GELSIGHT_MM_PER_PX = 0.0249
 
 

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
+# How the layer is held below: glued to the base, or sliding on it without lifting.
 Base = Literal["bonded", "frictionless"]
-"""How the layer is held below: glued to the base, or sliding on it without lifting."""
 
 
 def layer_ratio(alpha: ArrayLike, poisson: float, base: Base = "bonded") -> Array:

@@ -43,6 +43,7 @@ class DeepIndentation:
     """Their displacement away from the axis at the last of `depths`, without friction [m]."""
 
 
+# Sphere R 4 mm, to 1.5 of 4 mm.
 NEO_HOOKEAN_SPHERE = DeepIndentation(
     size_x=20e-3,
     size_y=20e-3,
@@ -58,4 +59,3 @@ NEO_HOOKEAN_SPHERE = DeepIndentation(
     outward_at=(3e-3, 4e-3, 6e-3),
     outward=(0.0986e-3, 0.1322e-3, 0.139e-3),
 )
-"""Sphere R 4 mm, to 1.5 of 4 mm."""

@@ -7,9 +7,11 @@ from types import MappingProxyType
 
 from benchmarks.sim.reference_solutions.axisymmetric import layer_punch
 
+# Poisson's ratios of the columns of `HAYES_KAPPA`.
 HAYES_POISSON = (0.30, 0.40, 0.45, 0.49, 0.50)
-"""Poisson's ratios of the columns of `HAYES_KAPPA`."""
 
+# kappa at punch radius over thickness a/h (keys) and `HAYES_POISSON` (columns), from Hayes'
+# integral equation solved to convergence: every digit counts.
 HAYES_KAPPA: Mapping[float, tuple[float, ...]] = MappingProxyType(
     {
         0.2: (1.2066, 1.2323, 1.2523, 1.2741, 1.2806),
@@ -21,9 +23,9 @@ HAYES_KAPPA: Mapping[float, tuple[float, ...]] = MappingProxyType(
         2.0: (4.3532, 5.2985, 6.4206, 8.3370, 9.1494),
     }
 )
-"""kappa at punch radius over thickness a/h (keys) and `HAYES_POISSON` (columns), from Hayes'
-integral equation solved to convergence: every digit counts."""
 
+# kappa at a/h for nu = 0.5 as the paper prints it (Hayes, Keer, Herrmann & Mockros, J. Biomech. 5
+# (1972) 541) and cartilage studies use it; up to 0.9 % below the converged values.
 HAYES_PRINTED: Mapping[float, float] = MappingProxyType(
     {
         0.2: 1.281,
@@ -35,8 +37,6 @@ HAYES_PRINTED: Mapping[float, float] = MappingProxyType(
         2.0: 9.069,
     }
 )
-"""kappa at a/h for nu = 0.5 as the paper prints it (Hayes, Keer, Herrmann & Mockros, J. Biomech. 5
-(1972) 541) and cartilage studies use it; up to 0.9 % below the converged values."""
 
 
 def hayes_kappa(ratio: float, poisson: float) -> float:

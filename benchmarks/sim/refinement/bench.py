@@ -16,9 +16,9 @@ from sim.result import Result
 from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
+# Radius outside of the deepest contact, where surfaces are compared [m]: at its rim a mesh can only
+# say where the edge of the contact lies to within an element.
 FAR = 4e-3
-"""Radius outside of the deepest contact, where surfaces are compared [m]: at its rim a mesh can
-only say where the edge of the contact lies to within an element."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,11 @@ from sim.scene import Scene, press_shear_return
 from sim.simulate import simulate_many
 
 DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5
+# Edge radius given to every shape that has room for it [m]: that of an element of the finer meshes,
+# since an edge sharper than an element makes the force depend on the path.
 EDGE = 0.5e-3
-"""Edge radius given to every shape that has room for it [m]: that of an element of the finer
-meshes, since an edge sharper than an element makes the force depend on the path."""
+# Frames of each phase.
 STEPS = 2
-"""Frames of each phase."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,14 +27,14 @@ from sim.markers.renderer import Renderer
 from sim.markers.top import heights
 
 PATTERNS = ("Array1", "Circle1", "Diamond1")
+# Side of the texture [px]: 4.9 um a pixel on the paper's gel.
 TEXTURE = 4096
-"""Side of the texture [px]: 4.9 um a pixel on the paper's gel."""
+# Distance of the mesh's points [m].
 SPACING = 0.1e-3
-"""Distance of the mesh's points [m]."""
+# Rays a pixel.
 SAMPLES = 256
-"""Rays a pixel."""
+# Blender's clipping likes millimetres.
 MM = 1e3
-"""Blender's clipping likes millimetres."""
 
 
 def render(state: State, texture: Path, out: Path) -> np.ndarray:

@@ -25,10 +25,10 @@ Masks = NDArray[np.bool_]
 PATTERNS = ("Array1", "Circle1", "Diamond1", "Array3")
 SAMPLES = (1, 3, 5)
 SPACINGS = (0.2e-3, 0.05e-3)
+# Steps of the lattice besides the usual one [px].
 STEPS = (5, 20)
-"""Steps of the lattice besides the usual one [px]."""
+# Rays along each side of a pixel.
 RAY_SAMPLES = 5
-"""Rays along each side of a pixel."""
 
 
 @dataclass(frozen=True, slots=True)

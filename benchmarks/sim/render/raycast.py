@@ -20,8 +20,8 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
+# Distance of the mesh's points [m]: half of what is checked.
 SPACING = 0.05e-3
-"""Distance of the mesh's points [m]: half of what is checked."""
 
 
 @functools.cache

@@ -28,12 +28,12 @@ from sim.stream.stream import GRID, LivePress
 Array = NDArray[np.floating[Any]]
 
 INDENTERS = ("sphere", "prism", "cylinder")
+# Poses that the live one is told in a second.
 RATE = 60.0
-"""Poses that the live one is told in a second."""
+# Frames of each of the four ways.
 STEPS = 4
-"""Frames of each of the four ways."""
+# Direction of the shear [rad]: along no row of pixels.
 ANGLE = 0.3
-"""Direction of the shear [rad]: along no row of pixels."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -34,22 +34,22 @@ from sim.simulate import simulate
 
 Array = NDArray[np.float64]
 
+# The prism's force at full depth, in parts (paper: TacTip's is four times below uSkin's and two
+# times below GelSight's).
 FORCES = {"uskin": 4.0, "gelsight": 2.0, "tacpalm": 1.0}
-"""The prism's force at full depth, in parts (paper: TacTip's is four times below uSkin's and two
-times below GelSight's)."""
+# The one whose modulus is given.
 ANCHOR = "gelsight"
-"""The one whose modulus is given."""
+# Share of the press's area that is lost; assumed, 10 to 20 %.
 LOSS = {"uskin": 0.12, "gelsight": 0.15, "tacpalm": 0.15}
-"""Share of the press's area that is lost; assumed, 10 to 20 %."""
+# Largest counts along z, and along x or y, that presses of the trajectory's full depth and shear
+# give: discs grow to 2,300 points^2, 8 times, and move by 0.4 of their pitch; they keep apart.
 COUNTS_NORMAL, COUNTS_SHEAR = 10_000.0, 2_000.0
-"""Largest counts along z, and along x or y, that presses of the trajectory's full depth and shear
-give: discs grow to 2,300 points^2, 8 times, and move by 0.4 of their pitch; they keep apart."""
+# Height of an element [m]; where the indenter comes it is half as wide.
 SPACING = {"uskin": 0.667e-3, "gelsight": 0.667e-3, "tacpalm": 1.2e-3}
-"""Height of an element [m]; where the indenter comes it is half as wide."""
+# Frames of a press.
 STEPS = 8
-"""Frames of a press."""
+# Relative difference from which a row is out of date.
 AGREED = 0.01
-"""Relative difference from which a row is out of date."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,15 +33,15 @@ from sim.simulate import Tier, simulate
 Colours = NDArray[np.uint8]
 
 ORDER = (*HETEROGENEOUS, *HOMOGENEOUS, *MATERIAL, "gel")
+# Tiles in a row, the size of one, the space around it and the height of its caption [px].
 COLUMNS, TILE, GAP, CAPTION = 4, (400, 300), 18, 50
-"""Tiles in a row, the size of one, the space around it and the height of its caption [px]."""
 MARKER, GROUND, UNTOUCHED = (240, 240, 236), (22, 26, 34), (240, 140, 40)
+# Patterns that are shown of a sensor with many.
 PATTERNS = 4
-"""Patterns that are shown of a sensor with many."""
+# Largest height of an element [m]; none is above a sixth of the thickness.
 SPACING = 1.2e-3
-"""Largest height of an element [m]; none is above a sixth of the thickness."""
+# Of what their lives draw.
 SEED = 0
-"""Of what their lives draw."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ from sim.errors import SceneError
 
 Array = NDArray[np.float64]
 
+# Steps that each way of a press is cut into.
 STEPS = 400
-"""Steps that each way of a press is cut into."""
 
 
 def hysteresis(depth: Array, force: Array) -> float:

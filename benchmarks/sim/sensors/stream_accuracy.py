@@ -40,10 +40,10 @@ from sim.stream.stream import LivePress
 
 Array = NDArray[np.float64]
 
+# Tips this high above the surface say nothing of the contact [m].
 FREE = 1e-3
-"""Tips this high above the surface say nothing of the contact [m]."""
+# Images that are compared, evenly among those of contact.
 IMAGES = 40
-"""Images that are compared, evenly among those of contact."""
 _STAMP = re.compile(rb"state_t_ns=(-?\d+)")
 
 

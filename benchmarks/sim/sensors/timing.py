@@ -24,8 +24,8 @@ from sim.sensors.readout import CameraReadout, TaxelReadout, readout
 from sim.sensors.sensor import sensor
 
 REPEATS = 3
+# Points of a field along x, and along y.
 POINTS = 41
-"""Points of a field along x, and along y."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

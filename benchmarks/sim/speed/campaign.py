@@ -27,17 +27,17 @@ if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.mpm import MpmNumerics
 
+# Of the timed presses: out-of-balance force over force at the depths that are kept and between
+# them, and how often the pressure is brought up. Tighter ones move no mesh's error by 0.1 %; see
+# the step that is left out.
 TOLERANCE, PATH_TOLERANCE, AUGMENTATIONS = 1.5e-2, 0.1, 1
-"""Of the timed presses: out-of-balance force over force at the depths that are kept and between
-them, and how often the pressure is brought up. Tighter ones move no mesh's error by 0.1 %; see the
-step that is left out."""
+# Of the reference. Tighter ones find the skin creasing under sharp edges, where there are many
+# states, and give up.
 REFERENCE_TOLERANCE, REFERENCE_AUGMENTATIONS = 3e-4, 5
-"""Of the reference. Tighter ones find the skin creasing under sharp edges, where there are many
-states, and give up."""
+# Numbers of presses beside the whole and the dense one.
 SCALING = (1, 9)
-"""Numbers of presses beside the whole and the dense one."""
+# Speed of the tip in the authors' released parameters, which Tacchi was timed with [m/s].
 AUTHORS_SPEED = 40e-3
-"""Speed of the tip in the authors' released parameters, which Tacchi was timed with [m/s]."""
 REFERENCE_FILE = "reference.csv"
 
 

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from sim.cli.options import Verbs
     from sim.mpm import MpmNumerics
 
+# What is measured; `page` draws.
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
-"""What is measured; `page` draws."""
+# Other heights of elements that the presses are timed with [m].
 MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6)
-"""Other heights of elements that the presses are timed with [m]."""
+# Elements with --smoke [mm].
 SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
-"""Elements with --smoke [mm]."""
 
 
 def add_to(verbs: Verbs) -> None:

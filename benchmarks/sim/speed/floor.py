@@ -8,38 +8,38 @@ from dataclasses import dataclass
 from benchmarks.sim.speed.record import Machine, Run
 from sim.fem.numerics import ELASTIC_EVERY
 
+# Bytes of a float32, and of a float16.
 NUMBER, HALF = 4, 2
-"""Bytes of a float32, and of a float16."""
+# Bytes of a vector and of a 3x3 matrix.
 VECTOR, BLOCK = 3 * NUMBER, 9 * NUMBER
-"""Bytes of a vector and of a 3x3 matrix."""
 SLOTS = 27
 
+# A node's row of the tangent, all of it stored.
 ROW_BYTES = SLOTS * BLOCK
-"""A node's row of the tangent, all of it stored."""
+# The same as products read it on a GPU.
 HALF_ROW_BYTES = SLOTS * 9 * HALF
-"""The same as products read it on a GPU."""
+# Pivot and coupling of a node, each read once.
 PRECONDITIONER_BYTES = 2 * BLOCK
-"""Pivot and coupling of a node, each read once."""
+# Direction, product, solution and residual read, the two last and the preconditioned residual
+# written; then that one and the direction read, and the direction written.
 VECTORS_BYTES = 10 * VECTOR
-"""Direction, product, solution and residual read, the two last and the preconditioned residual
-written; then that one and the direction read, and the direction written."""
+# Of a node and iteration of conjugate gradients on a GPU; in the product a vector, which stays
+# near, is read and one written.
 CG_BYTES = HALF_ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
-"""Of a node and iteration of conjugate gradients on a GPU; in the product a vector, which stays
-near, is read and one written."""
+# The same where products read the tangent as it was assembled, as on a CPU.
 WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
-"""The same where products read the tangent as it was assembled, as on a CPU."""
+# The product, three small products of the preconditioner, four vector updates and dot products.
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
-"""The product, three small products of the preconditioner, four vector updates and dot products."""
+# The elastic part read, the tangent written, its columns factored, displacement and residual;
+# beside them the elastic part is written where it is new, and on a GPU the tangent in float16.
 NEWTON_NODE_BYTES = 2 * ROW_BYTES + 4 * BLOCK + 4 * VECTOR
-"""The elastic part read, the tangent written, its columns factored, displacement and residual;
-beside them the elastic part is written where it is new, and on a GPU the tangent in float16."""
+# Inverse Jacobians, weights and node numbers of an element.
 _GEOMETRY_BYTES = 8 * BLOCK + 8 * NUMBER + 8 * NUMBER
-"""Inverse Jacobians, weights and node numbers of an element."""
+# Forces of its corners, written and read.
 _FORCES_BYTES = 2 * 8 * VECTOR
-"""Forces of its corners, written and read."""
+# Of an element's tangent and one evaluation of its forces, counted in the kernels' source; about 20
+# % sure.
 _TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
-"""Of an element's tangent and one evaluation of its forces, counted in the kernels' source; about
-20 % sure."""
 
 
 def anew(*, cpu: bool) -> float:

@@ -15,15 +15,15 @@ from sim.errors import SimulationDiverged
 from sim.result import Result
 
 Array = NDArray[np.float64]
+# Indenter, x, y, depth [mm].
 Key = tuple[str, float, float, float]
-"""Indenter, x, y, depth [mm]."""
+# Force of the indenter on the body (3,) [N].
 Forces = dict[Key, Array]
-"""Force of the indenter on the body (3,) [N]."""
 
 COLUMNS = ("indenter", "x_mm", "y_mm", "depth_mm", "fx", "fy", "fz")
+# From this depth on a press counts for the first error: before, forces are a few hundredths of the
+# largest.
 SHALLOW_MM = 0.6
-"""From this depth on a press counts for the first error: before, forces are a few hundredths of the
-largest."""
 
 
 @dataclass(frozen=True, slots=True)

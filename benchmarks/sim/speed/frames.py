@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
+# Presses at once.
 COUNTS = (1, 64, 256, 1024)
-"""Presses at once."""
+# Presses whose errors are told.
 JUDGED = 4
-"""Presses whose errors are told."""
+# First frame that is judged, 0 being the touch: 0.1 mm.
 FROM = 2
-"""First frame that is judged, 0 being the touch: 0.1 mm."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
+# Size of the array whose copy no cache holds.
 FAR_BYTES = 256 * 2**20
-"""Size of the array whose copy no cache holds."""
+# How long each rate is measured at least [s].
 LEAST_SECONDS = 0.2
-"""How long each rate is measured at least [s]."""
+# Of the matrices that are multiplied.
 SIDE = 1024
-"""Of the matrices that are multiplied."""
+# float32 operations a second outside of tensor cores, by a word of the GPU's name: NVIDIA's data
+# sheets of the H200 SXM, H100 SXM and A100.
 STATED_FLOPS = {"H200": 66.9e12, "H100": 66.9e12, "A100": 19.5e12}
-"""float32 operations a second outside of tensor cores, by a word of the GPU's name: NVIDIA's data
-sheets of the H200 SXM, H100 SXM and A100."""
 
 
 def machine_name(device: str) -> str:

@@ -15,15 +15,15 @@ from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read
 from benchmarks.sim.speed.record import Record, Run
 from sim.extrapolation import COARSER, left_of_difference
 
+# Ratio of the elements of two meshes at least: closer ones multiply what is left to chance.
 APART = 1.3
-"""Ratio of the elements of two meshes at least: closer ones multiply what is left to chance."""
+# Of devices.
 COLOURS: tuple[Colour, ...] = ((59, 111, 182), (217, 130, 43), (63, 155, 107), (176, 64, 62))
-"""Of devices."""
+# Whether there are two meshes, how they are drawn and called.
 KINDS: tuple[tuple[bool, Mark, str], ...] = (
     (False, "disc", "a mesh"),
     (True, "diamond", "two meshes"),
 )
-"""Whether there are two meshes, how they are drawn and called."""
 
 
 @dataclass(frozen=True, slots=True)

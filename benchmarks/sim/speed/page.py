@@ -27,11 +27,11 @@ from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 
+# Seconds for the whole work and error of the force, by kind of device: wanted, and hoped for.
 GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01))}
-"""Seconds for the whole work and error of the force, by kind of device: wanted, and hoped for."""
 WHOLE, DENSE = 162, 810
+# The picture, in the folder `images` beside the page.
 CHART = "speed.png"
-"""The picture, in the folder `images` beside the page."""
 
 _INTRO = """# Speed
 

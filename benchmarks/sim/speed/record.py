@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+# What is measured, in the order that it is.
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
-"""What is measured, in the order that it is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 Where = Literal["cpu", "gpu", "both"]
 
+# Elements of the even mesh that is as exact, about, as a graded one, over those of that one.
 EVEN = 0.6
-"""Elements of the even mesh that is as exact, about, as a graded one, over those of that one."""
+# Name of the run that the others are held against.
 AS_IT_IS = "as it is"
-"""Name of the run that the others are held against."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,9 +226,9 @@ REPLACED = (
         "conjugate gradients by whole blocks of threads",
     ),
 )
+# Seconds of a product a node, assembled and without a matrix, and of an assembly an element; one
+# core of a CPU, float32, measured when both were in the code.
 ASSEMBLED_NODE, FREE_NODE, ASSEMBLY_ELEMENT = 0.052e-6, 0.7e-6, 2.2e-6
-"""Seconds of a product a node, assembled and without a matrix, and of an assembly an element; one
-core of a CPU, float32, measured when both were in the code."""
 
 
 def steps_on(device: str) -> list[Step]:

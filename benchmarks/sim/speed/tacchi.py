@@ -33,8 +33,8 @@ CITED = (
     ),
     Cited("the same at the paper's 10 mm/s", "4 times that", "32 h", "970 s"),
 )
+# How the figures came about.
 SOURCE = (
     "Taichi 1.7.4; on a CPU single presses were run and multiplied, on an H200 as well (4.6 s and "
     "6.0 s a press, 9 to 16 s more for each process to compile); good to 20 %"
 )
-"""How the figures came about."""

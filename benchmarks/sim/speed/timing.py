@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from sim.mpm import MpmNumerics
 
 Value = TypeVar("Value")
+# From scenes, and what is told of the share done, to outcomes.
 Solve = Callable[[Sequence[Scene], Callable[[float], None]], list[Outcome]]
-"""From scenes, and what is told of the share done, to outcomes."""
 
+# Depth of the press that loads the kernels [m].
 WARM = 0.02e-3
-"""Depth of the press that loads the kernels [m]."""
 TINY = Body(4e-3, 4e-3, 4e-3)
+# Time between two looks at the workers' memory [s].
 LOOK_EVERY = 0.1
-"""Time between two looks at the workers' memory [s]."""
 
 
 def timed(

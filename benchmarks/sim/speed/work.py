@@ -12,12 +12,12 @@ from sim.indenters import NAMES, named
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.scene import Scene, press
 
+# Places along x and y between the outermost when 810 presses are asked for.
 DENSE_X, DENSE_Y = 9, 5
-"""Places along x and y between the outermost when 810 presses are asked for."""
+# Middle, corner and side [mm]: what all nine places are, but for turns and mirrors.
 REFERENCE_AT = ((0.0, 0.0), (4.0, 4.0), (0.0, 4.0))
-"""Middle, corner and side [mm]: what all nine places are, but for turns and mirrors."""
+# Stand for all 18 where those would take too long: smooth, many bumps, an edge, a ring.
 SAMPLE_SHAPES = ("sphere", "wave", "prism", "torus")
-"""Stand for all 18 where those would take too long: smooth, many bumps, an edge, a ring."""
 SMOKE_SHAPES = ("sphere", "prism")
 
 

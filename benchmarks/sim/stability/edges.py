@@ -29,9 +29,9 @@ CONE = shapes.cone(math.radians(30), 0.3 * MM, 0.1 * MM)
 PUNCH = shapes.flat_punch(3 * MM, 0.3 * MM)
 PUNCH_DEPTH = 0.3 * MM
 MANY = [0.1 * MM * step for step in range(1, 11)]
+# Two ways to press an edge in: with the edge radius below the element, contact points slip over the
+# edge, which leaves states a little apart; a path that matters would show as 10 to 30 %.
 PATH = 2e-3
-"""Two ways to press an edge in: with the edge radius below the element, contact points slip over
-the edge, which leaves states a little apart; a path that matters would show as 10 to 30 %."""
 
 
 def _one_way_or_another(

@@ -30,10 +30,10 @@ from sim.result import Result
 from sim.scene import Motion, Scene, press, press_shear_return, through
 
 LOOP = press_shear_return(1 * MM, 1 * MM, steps=5)
+# Frames of `LOOP` at the end of the shear and of its return.
 ASIDE, BACK = 10, 15
-"""Frames of `LOOP` at the end of the shear and of its return."""
+# Work is summed by the trapezoid rule over some 50 steps of a loop: 1 % of it at most.
 QUADRATURE = 0.01
-"""Work is summed by the trapezoid rule over some 50 steps of a loop: 1 % of it at most."""
 
 
 def _rubbed(coefficient: float, motion: Motion = LOOP) -> Scene:

@@ -28,12 +28,12 @@ from benchmarks.sim.stability.laws import (
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 
+# Stiffness of the one branch over the rest, and its relaxation time [s].
 RATIO, TIME = 0.5, 0.2
-"""Stiffness of the one branch over the rest, and its relaxation time [s]."""
 VISCOUS = Effects(viscosity=Viscosity(ratios=(RATIO,), times=(TIME,)))
 DEPTH = 1 * MM
+# Depths over the largest, evenly down and up.
 THERE_AND_BACK = (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)
-"""Depths over the largest, evenly down and up."""
 
 
 def _cycle(speed: float) -> Motion:

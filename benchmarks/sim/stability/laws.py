@@ -18,19 +18,19 @@ from sim.result import Result
 
 Array = NDArray[np.float64]
 
+# Base reaction against contact force: the solver accepts nodal forces that are out of balance by
+# 1e-4 of the contact's (l2); summed over the nodes they may add up to a few times that.
 BALANCE = 5e-4
-"""Base reaction against contact force: the solver accepts nodal forces that are out of balance by
-1e-4 of the contact's (l2); summed over the nodes they may add up to a few times that."""
+# Contact lighter than this share of the press's largest is balanced to that share: the solver asks
+# for no more digits of a touch than float32 has.
 LIGHT = 0.01
-"""Contact lighter than this share of the press's largest is balanced to that share: the solver
-asks for no more digits of a touch than float32 has."""
+# Shear traction over the friction limit, in the largest pressure: the last digits of float32.
 SLIP = 1e-5
-"""Shear traction over the friction limit, in the largest pressure: the last digits of float32."""
+# Symmetry of displacements relative to the largest: float32 has 6e-8, sums of some 1e5 terms and a
+# conjugate gradient that amplifies them lose two to three digits.
 LAST_DIGITS = 2e-5
-"""Symmetry of displacements relative to the largest: float32 has 6e-8, sums of some 1e5 terms and
-a conjugate gradient that amplifies them lose two to three digits."""
+# Two ways to one elastic state, relative force: each is accepted 1e-4 out of balance.
 SAME = 5e-4
-"""Two ways to one elastic state, relative force: each is accepted 1e-4 out of balance."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,13 @@ import numpy as np
 
 from benchmarks.sim.substitute import in_place_of, rebuilt
 
+# By mistake, the cheapest cases that fail with it: what `--planted all` runs.
 CATCHERS: dict[str, tuple[str, ...]] = {
     "full-integration": ("poisson-0-49",),
     "nodal-contact": ("flat-punch-between-bounds", "flat-punch-off-the-grid"),
     "lagged-friction": ("lifted-while-it-slips", "full-stick-stiffens"),
     "energy-line-search": ("float32-reaches-its-tolerance",),
 }
-"""By mistake, the cheapest cases that fail with it: what `--planted all` runs."""
 
 MISTAKES = tuple(CATCHERS)
 
@@ -29,9 +29,10 @@ WHAT: dict[str, str] = {
     "energy-line-search": "steps accepted by a drop of the energy",
 }
 
+# A module of the solver, a name in it, and what the name stands for instead.
 Part = tuple[ModuleType, str, Any]
-"""A module of the solver, a name in it, and what the name stands for instead."""
 
+# Lines of `sim.fem.element`, what stands there instead, and how often the lines are there.
 _FULL_INTEGRATION = (
     # In the forces, the pressure of each Gauss point in place of the element's.
     (
@@ -64,7 +65,6 @@ _FULL_INTEGRATION = (
         1,
     ),
 )
-"""Lines of `sim.fem.element`, what stands there instead, and how often the lines are there."""
 
 
 @cache

@@ -27,8 +27,8 @@ from sim.result import Result
 from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
 
+# The tolerance of 1e-7, summed over the nodes.
 BALANCE_TIGHT = 1e-6
-"""The tolerance of 1e-7, summed over the nodes."""
 PRESS = press([0.5 * MM, 1.0 * MM, 1.5 * MM])
 
 

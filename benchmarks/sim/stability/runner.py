@@ -129,8 +129,8 @@ def side_by_side(
             os.environ["OMP_NUM_THREADS"] = before
 
 
+# Exit code of a run that Ctrl-C ended, as of any program.
 INTERRUPTED = 130
-"""Exit code of a run that Ctrl-C ended, as of any program."""
 
 
 @contextmanager

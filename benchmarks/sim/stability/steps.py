@@ -24,14 +24,14 @@ from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named
 from sim.scene import Body, Motion, Scene, press, ramp_hold, through
 
+# A longest step of the tip [m] that limits nothing.
 UNLIMITED = 1.0
-"""A longest step of the tip [m] that limits nothing."""
+# Contact brought up to its answer: by default 15 frames on the way get 0.1 % closer than one.
 CLOSED = {"penalty": 1000.0, "augmentations": 5}
-"""Contact brought up to its answer: by default 15 frames on the way get 0.1 % closer than one."""
 
 
+# With rounder edges: under sharper ones the skin creases, or goes through coarse meshes.
 ROUND_PRISM = named("prism", 0.8 * MM)
-"""With rounder edges: under sharper ones the skin creases, or goes through coarse meshes."""
 
 
 def one_huge_step(solver: Solver) -> list[Law]:

@@ -20,8 +20,8 @@ from sim.indenters import Part, named, shapes
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 from sim.simulate import simulate, simulate_many
 
+# Puts a number into one field of a scene, which must refuse it.
 Make = Callable[[float], object]
-"""Puts a number into one field of a scene, which must refuse it."""
 
 
 def _fields() -> Iterator[tuple[str, Make]]:

@@ -23,24 +23,24 @@ Progress = Callable[[float], None]
 
 RADIUS = 4e-3
 DEPTHS = (0.5e-3, 1.0e-3, 1.5e-3)
+# Force at `DEPTHS` on the paper's gel, frictionless [N]; two element families agree to 0.1 %.
 FORCE = (0.2652, 0.9197, 1.9560)
-"""Force at `DEPTHS` on the paper's gel, frictionless [N]; two element families agree to 0.1 %."""
+# The same on the body that the released parameters make, by elements of 0.5 mm [N].
 FORCE_RELEASED = (0.2405, 0.7894, 1.618)
-"""The same on the body that the released parameters make, by elements of 0.5 mm [N]."""
+# At the last depth when nothing slips [N].
 FORCE_STICKING = 2.185
-"""At the last depth when nothing slips [N]."""
 RADII = (4e-3, 5e-3, 6e-3, 8e-3)
+# Height of the surface at `RADII` around the deepest press [m], from the same elements.
 UP = (0.0001e-3, 0.0439e-3, 0.0424e-3, 0.0097e-3)
-"""Height of the surface at `RADII` around the deepest press [m], from the same elements."""
 SPEED = 10e-3
+# Speed of the tip in the paper, and in GenForce's released parameters [m/s].
 SPEED_RELEASED = 40e-3
-"""Speed of the tip in the paper, and in GenForce's released parameters [m/s]."""
+# The body that the released parameters really make.
 BODY_RELEASED = Body(size_x=25e-3, size_y=25e-3, thickness=5e-3)
-"""The body that the released parameters really make."""
+# Between the particles of the authors' presets [m].
 SPACINGS = {"authors": 0.2e-3, "authors, as released": 0.25e-3}
-"""Between the particles of the authors' presets [m]."""
+# Where `UP` holds: along the axes. The free sides let the diagonals move more.
 ANGLES = np.arange(4) * np.pi / 2
-"""Where `UP` holds: along the axes. The free sides let the diagonals move more."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,14 +16,14 @@ from sim.layer.solver import GRID, TOLERANCE, Press, simulate_layer
 from sim.layer.spectral import Grid
 from sim.scene import Body, Motion, Scene, press, through
 
+# Where spheres are pressed [m]: on a corner of four pixels, and off it.
 PLACES = ((0.0, 0.0), (0.13e-3, -0.21e-3), (1.037e-3, 0.512e-3))
-"""Where spheres are pressed [m]: on a corner of four pixels, and off it."""
 RADII = (2e-3, 4e-3, 10e-3)
 DEPTHS = (0.5e-3, 1.0e-3, 1.5e-3)
+# Of the tip [m/s].
 SPEED = 10e-3
-"""Of the tip [m/s]."""
+# Frames in a second of the motion.
 RATE = 60.0
-"""Frames in a second of the motion."""
 DEPTH, SHEAR = 1.2e-3, 1.0e-3
 EFFECTS = {
     "frictionless": Effects(),

@@ -26,8 +26,8 @@ from recorder.spec import PHASES
 
 Rows = NDArray[np.int64]
 NAMED = 5
+# Phases whose depths are in inc_z.csv; those of the others are in dec_z.csv.
 LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
-"""Phases whose depths are in inc_z.csv; those of the others are in dec_z.csv."""
 
 
 def export_training(

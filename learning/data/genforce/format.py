@@ -26,8 +26,8 @@ Packed = NDArray[np.uint8]
 ReadMask = Callable[[Path], Packed]
 
 NO_LOCATION = -1
+# What stands in `t_ns`: the folders have no times.
 NO_TIME = 0
-"""What stands in `t_ns`: the folders have no times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,8 +153,8 @@ def no_phases(count: int) -> NDArray[np.int64]:
 # Mask files: packed bits in .npy, plain arrays in .npy, pictures in .jpg.
 
 SUFFIXES = (".npy", ".jpg")
+# A pixel of a picture is a marker's above this grey of 255.
 WHITE_ABOVE = 50
-"""A pixel of a picture is a marker's above this grey of 255."""
 
 
 def read_mask(path: Path) -> Packed:

@@ -26,14 +26,14 @@ from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, prese
 from recorder.archive import MarkerCount
 from recorder.markers import pack
 
+# What can be read, and what it is.
 LAYOUTS: Mapping[str, str] = {
     "training": "packed masks a contact point, with forces and depths",
     "states": "simulated pictures by place and depth",
     "raw": "a run as it was collected: pictures or taxels, forces, poses",
 }
-"""What can be read, and what it is."""
+# Size of a pixel of the authors' GelSights [mm]; where nothing else is said.
 MM_PER_PX = 0.0249
-"""Size of a pixel of the authors' GelSights [mm]; where nothing else is said."""
 TAXELS_MM_PER_PX = 0.03671875
 _NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
 

@@ -34,11 +34,11 @@ from recorder.spec import PHASES
 from recorder.store import decode_jpeg
 
 _RUN = re.compile(r"(.+)-\d{8}_\d{6}")
+# Phases of force-depth runs, and the codes that they are given.
 FORCE_DEPTH: Mapping[str, int] = {
     "down": PHASES.index("normal_inc"),
     "up": PHASES.index("normal_dec"),
 }
-"""Phases of force-depth runs, and the codes that they are given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,13 +31,13 @@ from learning.data.genforce.format import (
 from learning.errors import LearningError
 
 DEPTH_UNKNOWN = "unknown: 0"
+# Heights at which the authors' heterogeneous depths are 0 [mm]: their files hold heights, with
+# these in the denominator of the normalised depth. Elsewhere the files hold depths.
 SURFACES_MM: Mapping[str, float] = {
     "uskin": 1.08649,
     "tactip": 4.648126681,
     "gelsight": 1.12310475,
 }
-"""Heights at which the authors' heterogeneous depths are 0 [mm]: their files hold heights, with
-these in the denominator of the normalised depth. Elsewhere the files hold depths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

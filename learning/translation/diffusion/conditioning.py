@@ -21,8 +21,8 @@ from torch import nn
 from learning.errors import LearningError
 
 Conditioning = Literal["channel_tokens", "patch_tokens", "pixel_tokens"]
+# Side of a patch [px of the latent].
 PATCH = 2
-"""Side of a patch [px of the latent]."""
 
 
 class ReferenceTokens(nn.Module):

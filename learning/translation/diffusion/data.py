@@ -235,10 +235,10 @@ def _read(
 # Differentiable augmentation (Zhao et al. 2020) with its own ranges, as the vision-aided
 # discriminator uses it: colour, translation, cutout. What leaves the image or is cut out becomes 0.
 
+# Largest shift, as a part of the side.
 TRANSLATION = 1 / 8
-"""Largest shift, as a part of the side."""
+# Side of the square that is cut out, as a part of the image's.
 CUTOUT = 1 / 2
-"""Side of the square that is cut out, as a part of the image's."""
 
 
 def augment(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:

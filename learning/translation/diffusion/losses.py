@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from accelerate import Accelerator
 
 
+# After these of CLIP's blocks the patches' features are taken.
 BLOCKS = (4, 8)
-"""After these of CLIP's blocks the patches' features are taken."""
+# Width of a head (vision-aided GAN).
 HEAD_WIDTH = 256
-"""Width of a head (vision-aided GAN)."""
+# What true images should be judged as: one-sided smooth labels, `multilevel_sigmoid_s`.
 REAL = 0.8
-"""What true images should be judged as: one-sided smooth labels, `multilevel_sigmoid_s`."""
+# Mean colour of the images CLIP was trained on, of [0, 1].
 PIXEL_MEAN = (0.48145466, 0.4578275, 0.40821073)
-"""Mean colour of the images CLIP was trained on, of [0, 1]."""
+# Its standard deviation.
 PIXEL_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
-"""Its standard deviation."""
+# Binomial filter before the heads halve their raster (Zhang 2019).
 BLUR = (1.0, 3.0, 3.0, 1.0)
-"""Binomial filter before the heads halve their raster (Zhang 2019)."""
 
 
 class ClipFeatures(nn.Module):

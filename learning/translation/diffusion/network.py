@@ -29,10 +29,11 @@ from learning.translation.diffusion.weights import vendor
 #
 # Names of adapters and targets are those of the authors' checkpoints, so that these load by name.
 
+# Name of the UNet's adapter.
 UNET_ADAPTER = "unet_lora"
-"""Name of the UNet's adapter."""
+# Name of the autoencoder's adapter, the translator's and the reference encoder's alike.
 VAE_ADAPTER = "ref_encoder_lora"
-"""Name of the autoencoder's adapter, the translator's and the reference encoder's alike."""
+# Ends of the names of the UNet's layers that get an adapter (authors' code).
 UNET_TARGETS = (
     "to_k",
     "to_q",
@@ -48,7 +49,7 @@ UNET_TARGETS = (
     "ff.net.2",
     "ff.net.0.proj",
 )
-"""Ends of the names of the UNet's layers that get an adapter (authors' code)."""
+# The same for the autoencoder's layers (authors' code).
 VAE_TARGETS = (
     "conv1",
     "conv2",
@@ -61,9 +62,8 @@ VAE_TARGETS = (
     "to_v",
     "to_out.0",
 )
-"""The same for the autoencoder's layers (authors' code)."""
+# Over the rank, what an adapter counts: 1 at rank 8, 2 at rank 4 (peft's default).
 ALPHA = 8
-"""Over the rank, what an adapter counts: 1 at rank 8, 2 at rank 4 (peft's default)."""
 
 
 def add_adapter(
@@ -133,13 +133,13 @@ def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
 # With one step, DDPM's update at t = 999 is the prediction of the clean latent itself: the weight
 # of the noisy latent and the added noise are both zero. So no scheduler is needed.
 
+# Times of Stable Diffusion's schedule.
 TIMES = 1000
-"""Times of Stable Diffusion's schedule."""
+# The one time that SD-Turbo is asked at.
 LAST_TIME = TIMES - 1
-"""The one time that SD-Turbo is asked at."""
+# Noise variance of the first and the last time; square roots are evenly spaced between them (Stable
+# Diffusion's `scaled_linear` schedule).
 BETA_FIRST, BETA_LAST = 0.00085, 0.012
-"""Noise variance of the first and the last time; square roots are evenly spaced between them
-(Stable Diffusion's `scaled_linear` schedule)."""
 
 
 @cache

@@ -16,8 +16,8 @@ from learning.translation.diffusion.settings import TranslatorSettings
 from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
 from learning.translation.translator import require_masks
 
+# Frames that are translated together (the paper, Methods).
 BATCH = 8
-"""Frames that are translated together (the paper, Methods)."""
 _KEPT = 64  # references whose latents are kept
 
 
@@ -120,12 +120,12 @@ class DiffusionTranslator:
 # published ones are read from `base/` in it (a folder or a link), or from where training found
 # them; `facts.base` says which ones they must be.
 
+# Of the folder of a translator.
 KIND = "diffusion"
-"""Of the folder of a translator."""
+# Of the folder of a marker autoencoder.
 MARKER_VAE = "marker-vae"
-"""Of the folder of a marker autoencoder."""
+# Name of the fact that tells published weights apart, and of the folder for them.
 BASE = "base"
-"""Name of the fact that tells published weights apart, and of the folder for them."""
 
 
 def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTranslator:

@@ -21,14 +21,14 @@ from learning.training.checkpoint import load_weights, read_weights
 # The trunk has torchvision's names of parameters (`features.0.weight`, ...), so that its file loads
 # as it is; the linear heads are those of the lpips package.
 
+# Channels of VGG16's five stages.
 WIDTHS = (64, 128, 256, 512, 512)
-"""Channels of VGG16's five stages."""
+# Convolutions of each stage; features are taken behind the last one's ReLU.
 LAYERS = (2, 2, 3, 3, 3)
-"""Convolutions of each stage; features are taken behind the last one's ReLU."""
+# ImageNet's mean and deviation for images in [-1, 1] (lpips' scaling layer).
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-"""ImageNet's mean and deviation for images in [-1, 1] (lpips' scaling layer)."""
+# Added under the root, which has no slope where all features are zero.
 LEAST_SQUARE = 1e-10
-"""Added under the root, which has no slope where all features are zero."""
 
 
 class PerceptualDistance(nn.Module):

@@ -28,8 +28,8 @@ from learning.training.optim import Constant, Cosine, Schedule
 from learning.training.run import LaunchSettings, generator
 from recorder import MarkerArchive
 
+# Groups of a group normalisation; every width is a multiple of it.
 GROUPS = 8
-"""Groups of a group normalisation; every width is a multiple of it."""
 
 
 class ResidualBlock(nn.Module):
@@ -255,8 +255,8 @@ def soft_dice(images: Tensor, targets: Tensor) -> Tensor:
 
 # How an autoencoder is built and trained; presets lie beside, in `presets/`.
 
+# YAML files, a preset each.
 PRESETS = Path(__file__).parent / "presets" / "autoencoder"
-"""YAML files, a preset each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,8 +331,8 @@ class AutoencoderSettings:
 
 # A trained autoencoder from its folder.
 
+# What its folder says that it is.
 KIND = "autoencoder"
-"""What its folder says that it is."""
 
 
 def load_autoencoder(folder: Path, device: torch.device | str = "cpu") -> Autoencoder:

@@ -52,12 +52,12 @@ class Augmentation:
     """Most by which they are stretched, as a share."""
 
 
+# Of the blur under a threshold that is moved [px].
 EDGE_SIGMA = 1.2
-"""Of the blur under a threshold that is moved [px]."""
+# Places at which an image may be blotted out.
 BLOTS = 8
-"""Places at which an image may be blotted out."""
+# Radius of a blot [px]: about that of a marker.
 BLOT_RADIUS = 3.0, 9.0
-"""Radius of a blot [px]: about that of a marker."""
 
 
 def move_edges(images: Tensor, by: Tensor) -> Tensor:
@@ -308,8 +308,8 @@ def _read_surfaces(
 
 # Training examples of a direct translator, drawn on the device.
 
+# Numbers of a source and of a target sensor.
 Pair = tuple[int, int]
-"""Numbers of a source and of a target sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -94,11 +94,11 @@ class TransformerBlock(nn.Module):
         return tokens + perceived
 
 
+# First value of the plane that stands for a source reference nobody gave: no image has it.
 ABSENT = -1.0
-"""First value of the plane that stands for a source reference nobody gave: no image has it."""
 
+# Largest way that the reference's features go, as a share of the image's side: 96 columns.
 FARTHEST = 0.15
-"""Largest way that the reference's features go, as a share of the image's side: 96 columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

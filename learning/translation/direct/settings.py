@@ -12,8 +12,8 @@ from learning.training.run import LaunchSettings
 from learning.translation.direct.data import Augmentation
 from learning.translation.direct.losses import LossWeights
 
+# YAML files, a preset each.
 PRESETS = Path(__file__).parent / "presets" / "translator"
-"""YAML files, a preset each."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from learning.training.run import RunFolder, Stop
     from learning.translation.direct.autoencoder import Encoder
 
+# Steps from one line of the log to the next.
 LOG_EVERY = 25
-"""Steps from one line of the log to the next."""
+# Of the adversary's AdamW, as in pix2pix (Isola et al. 2017).
 ADVERSARY_BETAS = 0.5, 0.999
-"""Of the adversary's AdamW, as in pix2pix (Isola et al. 2017)."""
 
 
 def new_network(settings: DirectSettings, encoder: Encoder) -> DirectNetwork:

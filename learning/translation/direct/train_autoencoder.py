@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
     from learning.training.run import RunFolder, Stop
 
+# Steps from one line of the log to the next.
 LOG_EVERY = 25
-"""Steps from one line of the log to the next."""
 
 
 def new_autoencoder(settings: AutoencoderSettings) -> Autoencoder:

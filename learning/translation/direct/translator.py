@@ -14,8 +14,8 @@ from learning.translation.direct.network import DirectNetwork
 from learning.translation.direct.settings import DirectSettings
 from learning.translation.translator import require_masks
 
+# Frames that go through the network together.
 AT_ONCE = 32
-"""Frames that go through the network together."""
 
 
 class DirectTranslator:
@@ -74,8 +74,8 @@ def _image(mask: Tensor, device: torch.device) -> Tensor:
 
 # A trained direct translator from its folder.
 
+# What its folder says that it is.
 KIND = "direct"
-"""What its folder says that it is."""
 
 _HASH_SHOWN = 8
 

@@ -14,8 +14,8 @@ from learning.data.images import sampled
 from learning.data.synthetic import untouched
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
+# Groups of a group normalisation; every width is a multiple of it.
 GROUPS = 8
-"""Groups of a group normalisation; every width is a multiple of it."""
 
 
 class ResidualBlock(nn.Module):
@@ -147,10 +147,10 @@ class FieldUnet(nn.Module):
 # of a uSkin grow where they are pressed, though nothing there moves aside. It is a matter of whole
 # markers and so kept coarse: fine growth could draw markers that are not there.
 
+# Shift along columns, shift along rows, growth.
 CHANNELS = 3
-"""Shift along columns, shift along rows, growth."""
+# Cells along either axis: 10 x 7.5 px each, the step of the archive's lattice.
 SIDE = 64
-"""Cells along either axis: 10 x 7.5 px each, the step of the archive's lattice."""
 _GROWTH_CELLS = 4  # one value of growth is for so many cells along either axis: 40 x 30 px
 _INVERSIONS = 12  # fixed-point steps; each shrinks the error by the largest slope of the field
 
@@ -259,8 +259,8 @@ def _per_px(images: Tensor) -> Tensor:
 
 # From a frame and its untouched reference to the deformation between them.
 
+# What the networks count deformations in [px]: they see numbers around one.
 UNIT_PX = 16.0
-"""What the networks count deformations in [px]: they see numbers around one."""
 
 
 class FieldNet(nn.Module):
@@ -409,8 +409,8 @@ class FieldMap(nn.Module):
 # constant that is added to it makes every marker grow by as many pixels, as the discs of a uSkin do
 # under pressure; and a loss on it has a gradient however far a marker is from where it should be.
 
+# Distances are cut off here: a uSkin's disc grows from 12 to 54 px in radius.
 REACH_PX = 64
-"""Distances are cut off here: a uSkin's disc grows from 12 to 54 px in radius."""
 _BLUR_PX = 1.0
 _NEAR_PX = 1.0  # up to here the blur says where an edge is, and from 1 px farther on nothing of it
 _LEAST_PX = 0.01

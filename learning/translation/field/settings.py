@@ -9,8 +9,8 @@ from learning.errors import LearningError
 from learning.training.run import LaunchSettings
 from learning.translation.field.losses import LossWeights
 
+# The presets that are shipped.
 PRESETS = Path(__file__).parent / "presets"
-"""The presets that are shipped."""
 _MOST_SCALES = 6  # 64 cells halved six times is one
 
 

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 # How good a field model is on frames that it is not trained on.
 
+# Frames that are worked on together.
 AT_ONCE = 64
-"""Frames that are worked on together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,8 +150,8 @@ def _means(scores: dict[str, list[Tensor]]) -> dict[str, float]:
     return {name: float(values.mean()) for name, values in joined.items() if len(values)}
 
 
+# What a look counts, of the next one: only the last is used, each begins where it ended.
 _EARLIER_LOOK = 0.5
-"""What a look counts, of the next one: only the last is used, each begins where it ended."""
 _OF_UNKNOWN = 4  # of so many pairs one is shown under random patterns as well
 _LOG_EVERY_STEPS = 20
 

@@ -163,8 +163,8 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
 
 # A trained field model from its folder, ready to translate.
 
+# Of model, in `config.yaml`.
 KIND = "field"
-"""Of model, in `config.yaml`."""
 
 
 def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:

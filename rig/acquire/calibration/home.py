@@ -21,12 +21,12 @@ from rig.core.geometry import invert, transform
 from trajectories import PHASES, Touch
 
 METHOD = "onset of force, k d^p (1 + c d), profile likelihood"
+# A wider interval is refused unless told otherwise [m].
 WIDTH_MAX = 50e-6
-"""A wider interval is refused unless told otherwise [m]."""
+# Of the approach [m/s].
 SPEED = 1e-3
-"""Of the approach [m/s]."""
+# The approach ends here unless told otherwise [N].
 FORCE = 0.3
-"""The approach ends here unless told otherwise [N]."""
 _NOISE_SHARE = 0.2
 # Noise above this part of the contact force would end approaches by itself.
 _DECELERATING = 10e-6

@@ -28,8 +28,8 @@ from trajectories import Taps
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
+# Force is brought to this raster [s].
 STEP = 1e-3
-"""Force is brought to this raster [s]."""
 _SMOOTH = 17
 # Force is averaged over so many steps: a frame's exposure, and its noise is left behind.
 _FIT = 8
@@ -200,10 +200,10 @@ def _best(lags: Floats, squares: Floats) -> Floats:
 
 
 METHOD = "taps: motion against force and indentation, bootstrap over taps"
+# A wider 95 % interval is refused [s].
 WIDTH_MAX = 2e-3
-"""A wider 95 % interval is refused [s]."""
+# A second peak nearer to the first than this is refused.
 RATIO_MIN = 1.5
-"""A second peak nearer to the first than this is refused."""
 _FORCE = 1.0
 # A tap is as deep as this force goes by the bench file's stiffness [N] ...
 _DEEPEST = 1e-3

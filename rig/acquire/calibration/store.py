@@ -23,10 +23,10 @@ from rig.core.clock import ClockAnchor
 from rig.core.config import build, from_si, key_of, read_yaml
 from rig.core.errors import ConfigError
 
+# Where they lie unless told otherwise.
 FOLDER = Path("calibrations")
-"""Where they lie unless told otherwise."""
+# Older than this a calibration is used with a warning.
 STALE_DAYS = 7.0
-"""Older than this a calibration is used with a warning."""
 _NOTE = "# Measured, not written by hand: make home, make calibrate-latency.\n"
 _SAME_PLACE, _SAME_ANGLE = 1e-6, 1e-6
 # Frames that differ by less are the same [m, rad]: YAML keeps mm to nine digits.

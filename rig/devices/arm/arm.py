@@ -24,10 +24,10 @@ from rig.devices.arm.supervisor import Child, HasFileno
 
 logger = logging.getLogger(__name__)
 
+# The child answers a move, or says how long it will take, within this [s].
 _ANSWER = 10.0
-"""The child answers a move, or says how long it will take, within this [s]."""
+# The same for a halt, which may have to wait for a move to end [s].
 _STOP_ANSWER = 5.0
-"""The same for a halt, which may have to wait for a move to end [s]."""
 
 
 @dataclass(frozen=True, slots=True)

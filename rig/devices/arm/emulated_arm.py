@@ -36,11 +36,11 @@ _ROWS = (
     (0.0, 0.0996, 0.0),
 )
 
+# Elbow up, tool pointing down [rad]: where the emulated arm stands when not told otherwise.
 POSTURE = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
-"""Elbow up, tool pointing down [rad]: where the emulated arm stands when not told otherwise."""
 
+# Every UR5e joint turns at most this far either way [rad].
 JOINT_LIMIT = 2 * math.pi
-"""Every UR5e joint turns at most this far either way [rad]."""
 
 
 def joint_frames(joints: Array) -> list[Array]:
@@ -107,11 +107,11 @@ def find_joints(flange: Array) -> Array | None:
     return None
 
 
+# Controller cycle of the e-Series [s].
 CYCLE = 0.002
-"""Controller cycle of the e-Series [s]."""
 
+# A turn of 1 rad takes as long as this many metres: UR ties both in one movel profile [m/rad].
 _ARM_LENGTH = 0.2
-"""A turn of 1 rad takes as long as this many metres: UR ties both in one movel profile [m/rad]."""
 
 Movement = Iterator[None]
 

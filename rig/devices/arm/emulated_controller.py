@@ -29,8 +29,8 @@ logger = logging.getLogger(__name__)
 READY, DONE = 1, 2
 STOP_SCRIPT = 255
 _REAL_TIME = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
+# stopj is given in rad/s^2; the emulated arm turns it into TCP terms at this radius [m].
 _STOPJ_REACH = 0.5
-"""stopj is given in rad/s^2; the emulated arm turns it into TCP terms at this radius [m]."""
 
 
 class Registers(Protocol):
@@ -235,20 +235,20 @@ class Program:
         self._controller.write_int(1, int(not self._robot.speed.any()))
 
 
+# PolyScope version answered everywhere: the newest whose ur_rtde recipes stay small.
 VERSION = (5, 12, 4, 1101661)
-"""PolyScope version answered everywhere: the newest whose ur_rtde recipes stay small."""
 
+# RTDE runtime_state.
 STOPPED, PLAYING = 1, 2
-"""RTDE runtime_state."""
 
+# RTDE robot_mode.
 RUNNING, POWER_OFF = 7, 3
-"""RTDE robot_mode."""
 
 _NORMAL, _PROTECTIVE, _EMERGENCY = 0x1, 0x404, 0x4C0
 _SAFETY_MODES = {_NORMAL: 1, _PROTECTIVE: 3, _EMERGENCY: 7}
 _COMMAND = "input_int_register_0"
+# Deceleration when a program ends under way, whoever ended it [m/s^2].
 _BRAKING = 10.0
-"""Deceleration when a program ends under way, whoever ended it [m/s^2]."""
 
 
 class Controller:

@@ -39,11 +39,11 @@ logger = logging.getLogger(__name__)
 #
 # Nothing blocks: each client keeps what has arrived and what could not be sent yet.
 
+# A client that lets this much pile up is dropped, as the controller does [bytes].
 _UNSENT_LIMIT = 1 << 20
-"""A client that lets this much pile up is dropped, as the controller does [bytes]."""
 
+# Sent in mm and thousandths of a radian by a controller with the wrong units.
 _POSES = ("actual_TCP_pose", "target_TCP_pose")
-"""Sent in mm and thousandths of a radian by a controller with the wrong units."""
 
 _PROGRAM_END = re.compile(r"^end\s*\n", re.MULTILINE)
 

@@ -13,8 +13,8 @@ from typing import Literal
 from rig.core.guard import GuardLimits, Kind, Mode
 from rig.devices.arm.settings import ArmConfig
 
+# Number of the reply that says the child is ready, or why not: nobody has to ask for it.
 START = 1
-"""Number of the reply that says the child is ready, or why not: nobody has to ask for it."""
 
 Outcome = Literal["done", "force_limited", "stopped", "safety_stop", "device_lost"]
 

@@ -40,10 +40,10 @@ from rig.devices.arm.vendor import UrControl, check_ready
 logger = logging.getLogger(__name__)
 
 _LINK_HZ = 250.0
+# For each connection, and for the first pose, at start [s].
 _CONNECT = 2.0
-"""For each connection, and for the first pose, at start [s]."""
+# Without a parent: halted, retracted and ended by then, or ended by an alarm [s].
 _LEAVING = 20
-"""Without a parent: halted, retracted and ended by then, or ended by an alarm [s]."""
 
 
 class _ParentGoneError(Exception):

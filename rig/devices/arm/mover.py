@@ -17,10 +17,10 @@ from rig.devices.arm.messages import Move, Outcome, Reply, Setup
 from rig.devices.arm.reader import RtdeLink
 from rig.devices.arm.vendor import UrControl
 
+# A pose of our own link older than this: do not talk to ur_rtde, it may hang [s].
 _FRESH = 0.1
-"""A pose of our own link older than this: do not talk to ur_rtde, it may hang [s]."""
+# At rest [m/s, rad/s]: above the noise of the controller's own speed estimate.
 _STILL, _STILL_TURN = 1e-3, 1e-2
-"""At rest [m/s, rad/s]: above the noise of the controller's own speed estimate."""
 
 
 class Watch:
@@ -139,14 +139,14 @@ class Watch:
 _LOOP_HZ = 250.0
 _KICK_TICKS = 10
 # 25 kicks a second: one may be late before a watchdog of 10 Hz stops the arm.
+# What counts as arrived [m, rad]: several times the arm's repeatability (0.03 mm).
 _AT_TARGET, _AT_ANGLE = 2e-4, 2e-3
-"""What counts as arrived [m, rad]: several times the arm's repeatability (0.03 mm)."""
+# After the controller calls a move finished it has this long to be at rest at the target [s].
 _ARRIVING = 1.0
-"""After the controller calls a move finished it has this long to be at rest at the target [s]."""
+# A stop takes at most this long [s]: from 50 mm/s at 2 m/s^2 it takes 25 ms.
 _STOPPING = 3.0
-"""A stop takes at most this long [s]: from 50 mm/s at 2 m/s^2 it takes 25 ms."""
+# A turn of 1 rad may take as long as this many metres [m/rad].
 _STEEPEST = 0.5
-"""A turn of 1 rad may take as long as this many metres [m/rad]."""
 _SAFETY: tuple[Kind, ...] = ("protective_stop", "emergency_stop")
 _LOST: tuple[Kind, ...] = ("stale_force", "stale_pose")
 

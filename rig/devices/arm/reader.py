@@ -28,6 +28,7 @@ VARIABLES = (
     "safety_status_bits",
     "robot_mode",
 )
+# Names of a sample's columns, in the order of VARIABLES; `t_ns` comes on top.
 COLUMNS = (
     "device_t",
     "value",
@@ -38,17 +39,16 @@ COLUMNS = (
     "safety_status",
     "robot_mode",
 )
-"""Names of a sample's columns, in the order of VARIABLES; `t_ns` comes on top."""
 
+# Without a package for this long the controller counts as lost [s].
 SILENCE = 1.0
-"""Without a package for this long the controller counts as lost [s]."""
 
+# A package older than the newest by less than this is late; by more: a restart [s].
 _LATE = 0.5
-"""A package older than the newest by less than this is late; by more: a restart [s]."""
+# No UR arm reaches so far: a pose beyond is not in metres [m].
 _REACH = 3.0
-"""No UR arm reaches so far: a pose beyond is not in metres [m]."""
+# No rotation vector is longer: a pose beyond is not in radians [rad].
 _TURN = 4 * math.pi
-"""No rotation vector is longer: a pose beyond is not in radians [rad]."""
 
 _CHECK = "is the controller on, its network cable in, and no firewall between?"
 

@@ -82,6 +82,7 @@ _SCALARS = (
     "payload",
 )
 
+# What a controller of version 5.12 can report, and each variable's type.
 OUTPUTS: dict[str, str] = {
     **dict.fromkeys(_VECTOR6, "VECTOR6D"),
     **dict.fromkeys(_SCALARS, "DOUBLE"),
@@ -97,8 +98,8 @@ OUTPUTS: dict[str, str] = {
     **{f"output_int_register_{k}": "INT32" for k in range(48)},
     **{f"output_double_register_{k}": "DOUBLE" for k in range(48)},
 }
-"""What a controller of version 5.12 can report, and each variable's type."""
 
+# What a client may write, and each variable's type.
 INPUTS: dict[str, str] = {
     "speed_slider_mask": "UINT32",
     "speed_slider_fraction": "DOUBLE",
@@ -120,7 +121,6 @@ INPUTS: dict[str, str] = {
     **{f"input_int_register_{k}": "INT32" for k in range(48)},
     **{f"input_double_register_{k}": "DOUBLE" for k in range(48)},
 }
-"""What a client may write, and each variable's type."""
 
 
 def pack_message(kind: int, payload: bytes = b"") -> bytes:

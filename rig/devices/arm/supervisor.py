@@ -21,10 +21,10 @@ from rig.core.errors import DeviceLost
 from rig.devices.arm import motion
 from rig.devices.arm.messages import START, Alarm, Command, Reply, Report, Setup, Started
 
+# How long `ask` waits between two calls of `on_wait` [s].
 _SLICE = 0.05
-"""How long `ask` waits between two calls of `on_wait` [s]."""
+# A child that has said its last has this long to end before it is killed [s].
 _EXIT = 3.0
-"""A child that has said its last has this long to end before it is killed [s]."""
 
 
 class HasFileno(Protocol):

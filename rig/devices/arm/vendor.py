@@ -20,8 +20,8 @@ from rig.devices.arm import dashboard, rtde
 from rig.devices.arm.settings import ArmConfig
 
 _PORTS = {rtde.PORT: "RTDE", 30003: "scripts", dashboard.PORT: "dashboard"}
+# Of ur_rtde's own package stream: half the default, since its thread costs more than ours.
 _RATE_HZ = 250.0
-"""Of ur_rtde's own package stream: half the default, since its thread costs more than ours."""
 _T = TypeVar("_T")
 
 

@@ -43,8 +43,8 @@ _TABLES = bytes.fromhex(
     "000102031104052131061241510761711322328108144291a1b1c109233352f0156272d10a162434e125f11718191a"
     "262728292a35363738393a" + _AC_TAIL_CHROMA
 )
+# The standard tables as one DHT segment.
 HUFFMAN_SEGMENT = b"\xff\xc4" + struct.pack(">H", len(_TABLES) + 2) + _TABLES
-"""The standard tables as one DHT segment."""
 
 _STAMP = re.compile(rb"tactile-rig emulator seq=(\d+) state_t_ns=(-?\d+)")
 

@@ -47,10 +47,10 @@ from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, t
 # Where the emulated camera's pictures come from: the World, a folder of images, a video.
 
 Image = npt.NDArray[np.uint8]
+# Width and height of every picture [px].
 SIZE = (640, 480)
-"""Width and height of every picture [px]."""
+# About what a webcam delivers.
 QUALITY_RENDERED = 92
-"""About what a webcam delivers."""
 QUALITY_CONVERTED = 95
 _SUFFIXES_IMAGE = (".png", ".jpg", ".jpeg")
 _MJPG = cv2.VideoWriter.fourcc(*"MJPG")

@@ -95,10 +95,11 @@ def _turn(rotation: tuple[float, float, float]) -> Array:
 # `TorqueUnits` per volt, with the rated range of each axis in `max`; the `Axis` rows are the
 # factory's, before its own transform.
 
+# Names of the rows, in the order of a wrench.
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-"""Names of the rows, in the order of a wrench."""
 
 _POUND_FORCE = 4.4482216152605
+# Newton per unit (standard gravity and the international pound), by the names ATI uses.
 FORCE_UNITS = {
     "N": 1.0,
     "kN": 1e3,
@@ -111,7 +112,6 @@ FORCE_UNITS = {
     "g": 9.80665e-3,
     "gf": 9.80665e-3,
 }
-"""Newton per unit (standard gravity and the international pound), by the names ATI uses."""
 
 _INCH = 0.0254
 _TORQUE_UNITS = {
@@ -122,8 +122,8 @@ _TORQUE_UNITS = {
     ("ft-lb", "lb-ft", "ft-lbf", "lbf-ft"): _POUND_FORCE * 12 * _INCH,
     ("kg-cm", "kgcm", "kgf-cm"): 9.80665e-2,
 }
+# Newton metre per unit, by the names ATI uses.
 TORQUE_UNITS = {name: value for names, value in _TORQUE_UNITS.items() for name in names}
-"""Newton metre per unit, by the names ATI uses."""
 
 _OUTPUT_RANGE = "20"
 # Volts from end to end where a file does not say: an ATI DAQ F/T puts out -10 V to +10 V.

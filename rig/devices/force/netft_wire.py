@@ -28,6 +28,7 @@ COMMAND_BIAS = 0x42
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
 
+# Newton per unit, by the names the box uses.
 FORCE_UNITS = {
     "N": 1.0,
     "kN": 1e3,
@@ -38,8 +39,8 @@ FORCE_UNITS = {
     "gf": 9.80665e-3,
     "g": 9.80665e-3,
 }
-"""Newton per unit, by the names the box uses."""
 
+# Newton metre per unit, by the names the box uses.
 TORQUE_UNITS = {
     "N-m": 1.0,
     "N-mm": 1e-3,
@@ -49,7 +50,6 @@ TORQUE_UNITS = {
     "kgf-cm": 9.80665e-2,
     "kg-cm": 9.80665e-2,
 }
-"""Newton metre per unit, by the names the box uses."""
 
 _STATUS_BITS = {
     30: "CPU or RAM error",
@@ -83,14 +83,14 @@ _STATUS_BITS = {
     1: "HTTP error",
 }
 
+# A gauge or the converter is at its end: the load is beyond what can be measured.
 SATURATION_MASK = 1 << 17
-"""A gauge or the converter is at its end: the load is beyond what can be measured."""
 
 # Not among the errors: 31 only says that another bit is set, 16 is a user's threshold, and the
 # field buses and the web server have no part in an RDT record.
 _NO_ERROR_BITS = (31, 22, 21, 19, 18, 17, 16, 1)
+# Bits with which a record's wrench must not be trusted.
 ERROR_MASK = sum(1 << bit for bit in _STATUS_BITS if bit not in _NO_ERROR_BITS)
-"""Bits with which a record's wrench must not be trusted."""
 
 
 @dataclass(frozen=True, slots=True)

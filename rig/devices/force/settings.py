@@ -88,8 +88,8 @@ class NidaqConfig:
         return place if self.grpc is None else f"{self.grpc} {place}"
 
 
+# Length of one record of the RS-232 controller, by its form.
 RECORD_BYTES = {"binary": 13, "ascii": 45}
-"""Length of one record of the RS-232 controller, by its form."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,5 +144,5 @@ class AtiSerialConfig:
         return self.baud / 10 / RECORD_BYTES[self.records]
 
 
+# Any F/T sensor; `kind` in the bench file says which.
 ForceConfig = NetFtConfig | NidaqConfig | AtiSerialConfig
-"""Any F/T sensor; `kind` in the bench file says which."""

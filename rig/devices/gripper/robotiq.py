@@ -261,8 +261,8 @@ def _hint(error: Exception) -> str:
 
 # Swaps what the gripper holds: lets go, then closes again and again until it holds something.
 
+# An activation takes one to two seconds [s].
 ACTIVATION = 5.0
-"""An activation takes one to two seconds [s]."""
 _GENTLE = 0
 # Slowest and weakest of 0 to 255, while somebody's fingers are near.
 

@@ -61,12 +61,12 @@ from rig.devices.gripper.robotiq_wire import (
 # Faults are methods: what a test or `make faults` injects through the fault port, a test in the
 # same process may call.
 
+# The first open and close takes this long [s].
 ACTIVATION = 1.5
-"""The first open and close takes this long [s]."""
+# Counts per second at rSP 0 and 255: 20 and 150 mm/s of a 2F-85.
 _SLOWEST, _FASTEST = 60.0, 450.0
-"""Counts per second at rSP 0 and 255: 20 and 150 mm/s of a 2F-85."""
+# Where the fingers come to rest with nothing in between, counts.
 _OPEN, _CLOSED = 3, 230
-"""Where the fingers come to rest with nothing in between, counts."""
 _SILENT_NS = SECOND_NS
 _HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
 # Motor current [A].

@@ -14,19 +14,20 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+# First register to write, first to read, and how many of each.
 COMMAND_ADDRESS, STATUS_ADDRESS, REGISTERS = 0x03E8, 0x07D0, 3
-"""First register to write, first to read, and how many of each."""
 
+# gSTA.
 RESET, ACTIVATING, ACTIVE = 0, 1, 3
-"""gSTA."""
+# gOBJ: under way; stopped by an object while opening, while closing; no object in between.
 MOVING, STOPPED_OPENING, STOPPED_CLOSING, AT_POSITION = 0, 1, 2, 3
-"""gOBJ: under way; stopped by an object while opening, while closing; no object in between."""
 
+# Motor current of one count of gCU [A].
 CURRENT_PER_COUNT = 0.01
-"""Motor current of one count of gCU [A]."""
 
+# gFLT after a second without communication.
 SILENT_FAULT = 9
-"""gFLT after a second without communication."""
+# What gFLT says, for people.
 FAULTS = {
     5: "action delayed, the activation must be completed first",
     7: "the activation bit must be set first",
@@ -39,7 +40,6 @@ FAULTS = {
     14: "overcurrent",
     15: "automatic release completed",
 }
-"""What gFLT says, for people."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,11 +170,11 @@ def parse_status(registers: Sequence[int]) -> GripperStatus:
 # Everything but the CRC is big endian. Source: Modbus application protocol V1.1b3, and Modbus over
 # serial line V1.02.
 
+# Functions: read holding registers, read input registers, write several registers.
 READ_HOLDING, READ_INPUT, WRITE = 0x03, 0x04, 0x10
-"""Functions: read holding registers, read input registers, write several registers."""
 
+# Codes of a refusal.
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
-"""Codes of a refusal."""
 
 _REASONS = {
     ILLEGAL_FUNCTION: "illegal function",
@@ -186,8 +186,8 @@ _REASONS = {
 }
 _REFUSED = 0x80
 _POLYNOMIAL = 0xA001
+# Registers one frame can write.
 _MOST = 123
-"""Registers one frame can write."""
 
 
 class FrameError(ValueError):

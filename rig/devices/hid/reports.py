@@ -15,8 +15,8 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+# Counts of a SpaceMouse axis at full deflection.
 FULL_SCALE = 350
-"""Counts of a SpaceMouse axis at full deflection."""
 
 _KEYBOARD = 8
 _FIRST_KEY = 4

@@ -29,8 +29,8 @@ Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
+# Streams that can be replayed, in the order their drivers are opened.
 ORDER = ("force", "pose", "taxels", "camera")
-"""Streams that can be replayed, in the order their drivers are opened."""
 _UINT32 = 1 << 32
 _UINT16 = 1 << 16
 

@@ -63,8 +63,8 @@ class Surface:
 # What the mock camera's pictures have in common: a lit gel, noise, and rims filled with ink.
 
 WIDTH, HEIGHT = 640, 480
+# Rims are filled on so many rows and columns a pixel; its shades are counts of them.
 FINE = 4
-"""Rims are filled on so many rows and columns a pixel; its shades are counts of them."""
 _FIXED_BITS = 4
 # cv2.fillPoly takes corners in 1/16 of a fine pixel.
 _BEYOND = 0.5

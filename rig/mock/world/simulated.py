@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from sim.stream import LiveMarkers as LiveMarkers
     from sim.stream import LiveSensor as LiveSensor
 
+# Records that the solver writes, in the run folder.
 PRESS_FILE, SURFACE_FILE = "press.state", "surface.state"
-"""Records that the solver writes, in the run folder."""
 _AHEAD = 1.5
 # How far beyond the last two deformations a picture goes on, in what lies between them.
 _MOVED = 2e-6

@@ -9,8 +9,8 @@ import numpy as np
 from rig.core.samples import WORLD_STATE
 
 _FIELDS = ("t_ns", "pose", "depth", "contact", "shear", "wrench")
+# One logged state: WORLD_STATE without taxels.
 TRUTH = np.dtype([(name, WORLD_STATE[name]) for name in _FIELDS])
-"""One logged state: WORLD_STATE without taxels."""
 
 
 class TruthLog:

@@ -27,8 +27,8 @@ from rig.core.shared_memory import AwaitedRecord
 TRACE_RATE_HZ = 40.0
 TRACE_SECONDS = 20.0
 
+# Time since the page's start [s] and Fx, Fy, Fz [N].
 Point = tuple[float, float | None, float | None, float | None]
-"""Time since the page's start [s] and Fx, Fy, Fz [N]."""
 
 
 class Look:

@@ -13,12 +13,12 @@ from trajectories import Plan, PressShear
 
 Outcome = Literal["open", "done", "limited"]
 
+# One letter a target on the wire.
 LETTERS: dict[Outcome, str] = {"open": ".", "done": "d", "limited": "l"}
-"""One letter a target on the wire."""
+# What the page may ask for.
 COMMANDS = ("pause", "resume", "abort")
-"""What the page may ask for."""
+# Statuses after which nothing follows.
 ENDED = ("complete", "stopped", "gone")
-"""Statuses after which nothing follows."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,8 +33,8 @@ from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapsho
 
 # The HTTP side: a handful of known files, and the headers that keep strangers out of them.
 
+# Path of the WebSocket.
 LIVE = "/live"
-"""Path of the WebSocket."""
 
 _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -139,21 +139,21 @@ def _headers(kind: str, length: int, host: str) -> Headers:
     )
 
 
+# Open pages at a time.
 MAX_WATCHERS = 8
-"""Open pages at a time."""
+# TCP connections at a time, whatever they are up to.
 MAX_CONNECTIONS = 48
-"""TCP connections at a time, whatever they are up to."""
+# Longest message of a client [bytes]; a command has 20.
 MAX_MESSAGE = 512
-"""Longest message of a client [bytes]; a command has 20."""
+# Messages of one client in MESSAGE_WINDOW.
 MAX_MESSAGES = 20
-"""Messages of one client in MESSAGE_WINDOW."""
 MESSAGE_WINDOW = 5.0
+# Messages that are no command, before a client is let go.
 MAX_NONSENSE = 5
-"""Messages that are no command, before a client is let go."""
 HANDSHAKE_TIMEOUT = 5.0
 STATE_PERIOD = 0.1
+# How long the final state is offered [s]; the process ends sooner when everybody has it.
 LINGER = 3.0
-"""How long the final state is offered [s]; the process ends sooner when everybody has it."""
 _BUFFER = 64 * 1024
 # Of the kernel, per client [bytes]: what lies in there is old by the time it arrives.
 _LOG_LINES = 100

@@ -13,16 +13,16 @@ from sim.result import Result
 from sim.scene import Body, Motion, Scene
 from sim.tiers import simulate_many
 
+# Share of the lower bound that must be there: a corner of the gel yields as much as four times as
+# easily as its middle, and large strain softens it further.
 LOWER = 0.2
-"""Share of the lower bound that must be there: a corner of the gel yields as much as four times as
-easily as its middle, and large strain softens it further."""
+# Multiple of the upper bound that may be there: large strain stiffens, friction adds a third.
 UPPER = 3.0
-"""Multiple of the upper bound that may be there: large strain stiffens, friction adds a third."""
+# Force over that of the spectral layer, which is linear: default meshes are off by 5 to 25 % where
+# contact is a few elements wide, large strain by 10 %.
 LAYER_LEAST, LAYER_MOST = 0.5, 1.8
-"""Force over that of the spectral layer, which is linear: default meshes are off by 5 to 25 % where
-contact is a few elements wide, large strain by 10 %."""
+# Depths, in thicknesses, at which a layer of small strain is a fair judge.
 LAYER_DEPTH = 0.02, 0.15
-"""Depths, in thicknesses, at which a layer of small strain is a fair judge."""
 
 
 def least_force(scene: Scene, tip: tuple[float, float, float]) -> float:

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 
+# Significant digits of what is drawn, so that a scene can be read and typed.
 DIGITS = 3
-"""Significant digits of what is drawn, so that a scene can be read and typed."""
 
 
 class Dice:

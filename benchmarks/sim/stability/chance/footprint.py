@@ -13,8 +13,8 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
+# Places along x and y; the second look covers only where the first has found the indenter.
 SAMPLES = 61
-"""Places along x and y; the second look covers only where the first has found the indenter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

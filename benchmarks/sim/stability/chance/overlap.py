@@ -19,19 +19,19 @@ from sim.result import Result
 
 Array = NDArray[np.float64]
 
+# Samples along half of the narrowest wall.
 PER_WALL = 4
-"""Samples along half of the narrowest wall."""
+# Samples along an element, at most and at least.
 MOST, LEAST = 16, 4
-"""Samples along an element, at most and at least."""
+# Overlap that is no overlap [m]; what a mesh rounds off.
 SMALL = 10e-6
-"""Overlap that is no overlap [m]; what a mesh rounds off."""
+# The same as a share of the depth, but not more than a share of half the narrowest wall.
 OF_DEPTH, OF_WALL = 0.05, 0.5
-"""The same as a share of the depth, but not more than a share of half the narrowest wall."""
+# Share of the depth that gel may stand above the indenter's lower side, where it is inside of it at
+# all: more, and the indenter has passed through the gel.
 THROUGH = 0.7
-"""Share of the depth that gel may stand above the indenter's lower side, where it is inside of it
-at all: more, and the indenter has passed through the gel."""
+# Heights at which it is looked how far down the indenter goes.
 STANDS = 24
-"""Heights at which it is looked how far down the indenter goes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,32 +22,32 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
+# Force that is none, in modulus times thickness squared: 0.2 uN in the paper's gel.
 FLOOR = 1e-7
-"""Force that is none, in modulus times thickness squared: 0.2 uN in the paper's gel."""
+# Overlap with the untouched gel that must be answered by a force [m], and in thicknesses.
 TOUCH = 1e-6, 2.5e-4
-"""Overlap with the untouched gel that must be answered by a force [m], and in thicknesses."""
+# Share of the largest force that is none.
 NOTHING = 1e-3
-"""Share of the largest force that is none."""
+# How exact a solid's surface is, in spacings of its grid.
 OF_GRID = 0.02
-"""How exact a solid's surface is, in spacings of its grid."""
+# Two frames of an elastic gel at one place; or what the result states as the error of either: on a
+# coarse mesh an edge may rest on either side of a node.
 SAME = 0.01
-"""Two frames of an elastic gel at one place; or what the result states as the error of either: on a
-coarse mesh an edge may rest on either side of a node."""
+# Share of the largest force by which a deeper press may give less.
 DROP = 0.005
-"""Share of the largest force by which a deeper press may give less."""
+# Work that a closed loop may give back or, elastic, take, over the most put in: without friction,
+# and with it (the trapezoid rule over a few frames).
 RING = 0.02, 0.05
-"""Work that a closed loop may give back or, elastic, take, over the most put in: without friction,
-and with it (the trapezoid rule over a few frames)."""
+# Shear over pressure without friction, where so many nodes carry the force: nodal forces gather
+# contact points whose normals differ, which a coarse mesh shows as 0.03 to 0.16, and with friction
+# as a sum of squares.
 SHEAR, NODES = 0.2, 9
-"""Shear over pressure without friction, where so many nodes carry the force: nodal forces gather
-contact points whose normals differ, which a coarse mesh shows as 0.03 to 0.16, and with friction
-as a sum of squares."""
+# Pull in all over the largest force, and nodes that pull over those that push.
 PULL, TENSION = 0.05, 0.02
-"""Pull in all over the largest force, and nodes that pull over those that push."""
+# Sum of tractions against the force, torque against that of the force: float32 and rounding.
 SUM, LEVER = 0.02, 0.02
-"""Sum of tractions against the force, torque against that of the force: float32 and rounding."""
+# How far below the base plane the skin may be, in thicknesses.
 BELOW = 1e-3
-"""How far below the base plane the skin may be, in thicknesses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,6 +395,7 @@ def _no_crossing(result: Result) -> list[Law]:
     return [at_most("way through a wall / half of it", max(ways) / limit, overlap.OF_WALL)]
 
 
+# Laws of one result; those of two results are in `twins`.
 LAWS: dict[str, Callable[[Result], list[Law]]] = {
     "above-base": _above_base,
     "no-pull": _no_pull,
@@ -412,4 +413,3 @@ LAWS: dict[str, Callable[[Result], list[Law]]] = {
     "not-through": _not_through,
     "no-crossing": _no_crossing,
 }
-"""Laws of one result; those of two results are in `twins`."""

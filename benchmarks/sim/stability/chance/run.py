@@ -16,8 +16,8 @@ from benchmarks.sim.stability.planted import planted
 from benchmarks.sim.stability.runner import done_counts, side_by_side
 from sim.progress import duration
 
+# Classes that fail a run.
 WRONG = frozenset({"silent", "crash"})
-"""Classes that fail a run."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,18 +17,18 @@ from sim.fem.numerics import Grading, Numerics
 from sim.indenters import Indenter, shapes
 from sim.scene import Body, Motion, Scene, through
 
+# Where STL files and counter-examples go unless told otherwise.
 FOLDER = Path("runs/hard-cases")
-"""Where STL files and counter-examples go unless told otherwise."""
+# How often, in percent: what a bench does, what is known to break simulators, what is a mistake or
+# beyond every limit.
 FAMILIES: dict[str, float] = {"sensible": 70, "trap": 20, "absurd": 10}
-"""How often, in percent: what a bench does, what is known to break simulators, what is a mistake
-or beyond every limit."""
+# Elements of a scene at most (the paper's gel under a sphere has 6144): gels are drawn smaller
+# until they have so few. Seconds on one core.
 ELEMENTS_MAX = 6200
-"""Elements of a scene at most (the paper's gel under a sphere has 6144): gels are drawn smaller
-until they have so few. Seconds on one core."""
+# Longest way of the tip with friction, in thicknesses: such a way takes steps of a fortieth.
 TRAVEL_MAX = 1.0
-"""Longest way of the tip with friction, in thicknesses: such a way takes steps of a fortieth."""
+# How often a bench's gel is round, and the stream that says so: other draws stay as they were.
 ROUND, ROUND_STREAM = 1 / 6, 2_000_000
-"""How often a bench's gel is round, and the stream that says so: other draws stay as they were."""
 MM = 1e-3
 Point = tuple[float, float, float]
 

@@ -16,16 +16,16 @@ from sim.indenters import NAMES, Indenter, Part, from_stl, named, shapes
 Array = NDArray[np.float64]
 
 MM = 1e-3
+# How often each kind is drawn.
 KINDS: dict[str, float] = {
     "sphere": 4, "named": 6, "blade": 3, "box": 2, "punch": 2, "cone": 2, "rounded_cone": 1.5,
     "tube": 1.5, "torus": 1.5, "bar": 2, "needle": 1, "polygon": 1.5, "composed": 2, "stl": 1.5,
     "plane": 0.3,
 }  # fmt: skip
-"""How often each kind is drawn."""
+# Kinds without a recess, round or blunt enough for a mesh to follow.
 CONVEX = {"sphere", "box", "punch", "cone", "rounded_cone", "bar"}
-"""Kinds without a recess, round or blunt enough for a mesh to follow."""
+# [rad], just inside of the 30 degrees that are allowed.
 TILT_MAX = 0.5
-"""[rad], just inside of the 30 degrees that are allowed."""
 
 
 def draw_shape(dice: Dice, unit: float, folder: Path) -> tuple[str, Indenter]:

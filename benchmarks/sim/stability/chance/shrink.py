@@ -16,10 +16,10 @@ from sim.errors import SceneError
 from sim.result import scene_from_json, scene_to_json
 from sim.scene import Body, Motion, Scene, through
 
+# Simpler scenes that are tried, and how long that may take [s].
 TRIES, SECONDS = 30, 30.0
-"""Simpler scenes that are tried, and how long that may take [s]."""
+# Fields whose numbers are not rounded: they follow from others, or stand close to a limit.
 EXACT = frozenset({"cosine", "time", "poisson"})
-"""Fields whose numbers are not rounded: they follow from others, or stand close to a limit."""
 
 Judge = Callable[[Scene], Verdict]
 

@@ -19,10 +19,10 @@ from sim.scene import Body, Motion, Scene
 
 Array = NDArray[np.float64]
 
+# Difference of forces over the largest: what default meshes leave of a symmetry.
 AGREE = 0.02
-"""Difference of forces over the largest: what default meshes leave of a symmetry."""
+# The same with friction, where a point that slips early or late moves others.
 AGREE_RUBBING = 0.05
-"""The same with friction, where a point that slips early or late moves others."""
 LARGER = 10.0
 MIRRORS = ("mirror-x", "mirror-y", "swap-xy")
 
@@ -222,6 +222,7 @@ def _at_once(scene: Scene) -> Twin | None:
     return Twin("at-once", twin, lambda force: np.stack([force[-1] * np.nan, force[-1]]))
 
 
+# How the twin of each name is made.
 KINDS: dict[str, Callable[[Scene], Twin | None]] = {
     "mirror-x": _mirrored_x,
     "mirror-y": _mirrored_y,
@@ -229,4 +230,3 @@ KINDS: dict[str, Callable[[Scene], Twin | None]] = {
     "ten-times": _larger,
     "at-once": _at_once,
 }
-"""How the twin of each name is made."""

@@ -25,16 +25,18 @@ from sim.tiers import simulate_many
 
 Class = Literal["right", "refused", "diverged", "warned", "silent", "crash", "timeout"]
 CLASSES: tuple[Class, ...] = get_args(Class)
+# What a user can live with: an answer, or a word that there is none.
 PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
-"""What a user can live with: an answer, or a word that there is none."""
+# Longest that one solve may take, unless told otherwise.
 SECONDS = 60.0
-"""Longest that one solve may take, unless told otherwise."""
+# Elements of a scene at most, so that it takes seconds; coarser meshes say so.
 SOLVED_MAX = 12_000
-"""Elements of a scene at most, so that it takes seconds; coarser meshes say so."""
+# Share of the scenes that are solved once more as a twin.
 TWINNED = 0.35
-"""Share of the scenes that are solved once more as a twin."""
 
 AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"
+# Words of a warning, and the laws that it owns up to: that a force depends on the mesh does not say
+# that the indenter went through the gel, or that there is no force at all.
 COVERS: tuple[tuple[str, str], ...] = (
     (r"edge radius .* below the element", AMOUNTS),
     (
@@ -48,8 +50,6 @@ COVERS: tuple[tuple[str, str], ...] = (
     (r"its own image in the plane", r"symmetric"),
     (r"touch|light|round-off", r"touches|lets-go|same-place|within-bounds"),
 )
-"""Words of a warning, and the laws that it owns up to: that a force depends on the mesh does not
-say that the indenter went through the gel, or that there is no force at all."""
 
 
 class OutOfTime(Exception):
