@@ -1,0 +1,143 @@
+"""Check the prose of the repository: `make check` runs it, `python tests/support/prose.py PATH...` too.
+
+Prose is the text of Markdown files, docstrings and comments; code in backticks is left out. Every
+finding is one line, `file:line: found; use ...`. The exit code is 1 if there is any.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import subprocess
+import sys
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+
+# Words and phrases that readers have to translate, as regular expressions, and better ones.
+WORDS = {
+    r"what is left\b": "residual, rest",
+    r"so many\b": "a number",
+    r"by its lack\b": "without it",
+    r"as (?:it|they) should\b": "correctly",
+    r"anew\b": "again",
+    r"once more\b": "again",
+    r"one and the same\b": "the same",
+    r"no such thing\b": "none",
+    r"spoil(?:s|t|ed)?\b": "corrupt",
+    r"dear(?:er|est)\b": "costlier",
+    r"(?:is|are|was|were) told\b": "is reported",
+    r"held against\b": "compared with",
+    r"in hand\b": "current",
+    r"without a word\b": "silently",
+    r"by whoever\b": "by anyone",
+    r"that which\b": "rewrite the sentence",
+}
+# "What" in a thousand words, at most; the model projects have 0.05 to 0.3.
+WHAT_MOST = 2.0
+# Words of a sentence, at most.
+SENTENCE_MOST = 40
+# Pages that list what programs wrote, or names that have gone.
+LEFT_OUT = ("docs/reference/", "docs/results/", "CHANGELOG.md")
+
+_WORDS = {re.compile(rf"\b{word}", re.IGNORECASE): instead for word, instead in WORDS.items()}
+_OPENERS = re.compile(r"\s*(What|Whether|How)\b")
+_CODE = re.compile(r"```.*?```|`[^`]*`|<!--.*?-->|https?://\S+", re.DOTALL)
+_WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
+_ENDS = re.compile(r"(?<=[.!?:;])\s+|\n\s*\n|\n\s*[-*|#>]|\n\s*\d+\.\s|\|")
+
+
+class Text(NamedTuple):
+    """A piece of prose and where it begins."""
+
+    line: int
+    text: str
+    docstring: bool
+
+
+def texts_of(path: Path) -> Iterator[Text]:
+    """Yield the pieces of prose in a file, by its kind."""
+    content = path.read_text(encoding="utf-8")
+    if path.suffix == ".md":
+        yield Text(1, content, docstring=False)
+        return
+    for node in ast.walk(ast.parse(content)):
+        body = getattr(node, "body", None)
+        for statement in body if isinstance(body, list) else ():
+            if (
+                isinstance(statement, ast.Expr)
+                and isinstance(statement.value, ast.Constant)
+                and isinstance(statement.value.value, str)
+            ):
+                yield Text(statement.lineno, statement.value.value, docstring=True)
+    block: list[str] = []
+    begin = last = 0
+    for token in tokenize.generate_tokens(io.StringIO(content).readline):
+        if token.type != tokenize.COMMENT:
+            continue
+        if block and token.start[0] != last + 1:
+            yield Text(begin, "\n".join(block), docstring=False)
+            block = []
+        begin = begin if block else token.start[0]
+        block.append(token.string.lstrip("# "))
+        last = token.start[0]
+    if block:
+        yield Text(begin, "\n".join(block), docstring=False)
+
+
+def findings_of(text: Text) -> Iterator[str]:
+    """Yield `line: found; use ...` for each finding in a piece of prose."""
+    if text.docstring and (opener := _OPENERS.match(text.text)):
+        yield f"{text.line}: docstring begins with {opener[1]}; begin with a verb or a noun"
+    plain = _CODE.sub(lambda code: "code" + "\n" * code[0].count("\n"), text.text)
+    for pattern, instead in _WORDS.items():
+        for found in pattern.finditer(plain):
+            line = text.line + plain.count("\n", 0, found.start())
+            yield f"{line}: {found[0]!r}; use {instead}"
+    for sentence in _ENDS.split(plain):
+        if (count := len(_WORD.findall(sentence))) > SENTENCE_MOST:
+            line = text.line + plain.count("\n", 0, plain.find(sentence))
+            yield f"{line}: a sentence of {count} words; at most {SENTENCE_MOST}"
+
+
+def files(paths: list[str]) -> list[Path]:
+    """Return the Python and Markdown files among those that Git knows under `paths`."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--", *(paths or ["."])],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+    return [
+        ROOT / name
+        for name in listed
+        if name.endswith((".py", ".md"))
+        and not name.startswith(LEFT_OUT)
+        and Path(name) != Path(__file__).relative_to(ROOT)
+        and (ROOT / name).exists()
+    ]
+
+
+def main(paths: list[str]) -> int:
+    """Print all findings and return the exit code."""
+    words = whats = count = 0
+    for path in files(paths):
+        for text in texts_of(path):
+            for finding in findings_of(text):
+                print(f"{path.relative_to(ROOT)}:{finding}")
+                count += 1
+            found = [word.lower() for word in _WORD.findall(_CODE.sub(" ", text.text))]
+            words += len(found)
+            whats += found.count("what")
+    rate = 1000 * whats / max(words, 1)
+    print(f'prose: {words} words, {rate:.2f} times "what" in 1,000, {count} findings')
+    return int(count > 0 or rate > WHAT_MOST)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
