@@ -1,4 +1,4 @@
-"""From signals to force: marker images, published recordings. Reads what `recorder` stores."""
+"""Force sensing from marker images, trained on recordings that `recorder` stores."""
 
 from learning.errors import LearningError
 

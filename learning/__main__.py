@@ -1,4 +1,4 @@
-"""Command line of learning: `python -m learning VERB`; only the verb's own module is imported."""
+"""Command line of learning: `python -m learning VERB`; imports only the module of that command."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib import import_module
 
 from learning.command import EXIT_WRONG_INPUT, run
 
-# The module of each verb, below `learning`, and its line in the list of verbs.
+# The module of each command, below `learning`, and its line in the list of commands.
 _VERBS = {
     # Data
     "markers": ("cli.markers", "make a marker archive of recorded sessions"),
@@ -20,8 +20,8 @@ _VERBS = {
         "cli.export_genforce",
         "write a marker archive as a GenForce training folder",
     ),
-    "split": ("cli.split", "say which presses models are trained on and which they are tested on"),
-    # From sensor to sensor
+    "split": ("cli.split", "assign each press of an archive to training or to a held-out part"),
+    # Sensor to sensor
     "train-field": (
         "translation.field.command",
         "train the field translator on a group of sensors",
@@ -36,7 +36,7 @@ _VERBS = {
     ),
     "train-marker-vae": (
         "translation.diffusion.vae_command",
-        "train the autoencoder of the paper's translator, before that",
+        "train the autoencoder that the paper's translator needs",
     ),
     "train-diffusion": (
         "translation.diffusion.command",
@@ -46,15 +46,15 @@ _VERBS = {
         "translation.diffusion.weights_command",
         "make the authors' published checkpoints usable",
     ),
-    "translate": ("cli.translate", "make of a sensor's frames what another would have shown"),
+    "translate": ("cli.translate", "translate frames of a sensor into frames of another"),
     # Forces
     "compensate": (
         "compensation.command",
-        "fit material priors, choose how labels are brought from skin to skin",
+        "fit material priors and choose how labels are transferred between skins",
     ),
     "train-force": ("force.command", "train a force model on labelled presses"),
     "export-onnx": ("cli.export_onnx", "write one step of a force model as ONNX"),
-    # What came of it
+    # Results
     "predict": ("cli.predict", "predict the forces of frames"),
     "evaluate": ("cli.evaluate", "write the report of predictions and translations"),
     "experiment": (
@@ -65,15 +65,15 @@ _VERBS = {
 
 
 def arguments(verb: str = "") -> argparse.ArgumentParser:
-    """Return a parser that knows all verbs, and the options of one.
+    """Return a parser that lists all commands and has the options of one.
 
     Args:
-        verb: Whose options; none where the list of verbs is all that is asked for.
+        verb: The command whose options are added; empty for the list of commands alone.
     """
     parser = argparse.ArgumentParser(
         prog="python -m learning",
-        description="From recordings to forces on sensors that never saw a force gauge: marker "
-        "archives, translators from sensor to sensor, force models, reports.",
+        description="Force sensing on sensors without force labels, from recordings: marker "
+        "archives, translators between sensors, force models, reports.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True)
     for name, (module, line) in _VERBS.items():
@@ -84,12 +84,12 @@ def arguments(verb: str = "") -> argparse.ArgumentParser:
     return parser
 
 
-# Verbs that measured, and the benchmark that each is now.
+# Commands that are benchmarks now, and their names there.
 _MOVED = {"bench": "latency", "tables": "learning-tables"}
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; the exit code."""
+    """Run one command and return the exit code."""
     words = sys.argv[1:] if argv is None else argv
     if words and words[0] in _MOVED:
         now = f"python -m benchmarks {_MOVED[words[0]]}"

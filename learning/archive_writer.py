@@ -1,4 +1,4 @@
-"""Writes a marker archive from anything whose frames can be read by rows; goes on where it was."""
+"""Writing of marker archives, resumable, from any source that reads frames by row."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from recorder import MarkerArchive
 from recorder.archive import COLUMNS, ArchivePlan, ArchiveWriter, MarkerCount, SensorPlan
 from recorder.markers import MarkerCheck, find_blobs, unpack
 
-# Frames that are compressed together, and frames that are written at once.
+# Rows per compressed chunk, and rows per write.
 CHUNK_ROWS, UNIT_ROWS = 32, 256
 
 
@@ -30,19 +30,19 @@ class Frames:
     table: Mapping[str, NDArray[Any]]
     """Columns of `recorder.archive.GIVEN`."""
     source: Sequence[str]
-    """A line of provenance for each."""
+    """Provenance of each row."""
 
 
 class SensorFrames(Protocol):
-    """A sensor whose frames can be made at any time, the same ones each time."""
+    """A sensor whose frames can be made repeatedly, with the same result each time."""
 
     @property
     def plan(self) -> SensorPlan:
-        """What the archive will hold of it."""
+        """Plan of its part of the archive."""
         ...
 
     def read(self, rows: slice) -> Frames:
-        """Make some of its frames."""
+        """Make the given rows."""
         ...
 
 
@@ -53,19 +53,19 @@ def fill_archive(
     attrs: Mapping[str, Any],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
-    """Begin an archive or go on with it; return how many frames were made now.
+    """Begin or resume an archive and return the number of frames made by this call.
 
-    Killed at any moment and called again with the same sensors, it ends in the same archive.
+    A call that is killed at any moment and repeated with the same sensors yields the same archive.
 
     Args:
-        path: Where it is, or is to be.
+        path: Path of the archive, which may exist in part.
         sensors: Its sensors.
         indenters: Names of the indenters, by code.
-        attrs: What else is known of the archive; anything JSON holds.
-        progress: Called with the frames that are there and those there will be.
+        attrs: Further attributes of the archive; JSON values.
+        progress: Called with the number of frames that exist and the total.
 
     Raises:
-        SessionError: Another archive lies there, or something cannot be stored in one.
+        SessionError: Another archive is at the path, or a value cannot be stored in one.
         LearningError: A frame cannot be made.
         OSError: The disk is full, or not writable.
     """
@@ -98,9 +98,9 @@ def _rows(writer: ArchiveWriter, name: str, unit: int) -> slice:
     return writer.sensors[name].rows_of(unit)
 
 
-# Frames whose markers are not those of their reference, told of where the frame comes from.
+# Flags for frames whose markers differ from those of their reference.
 
-# Keys of a line of provenance: what the marker count said, and why there is no frame.
+# Keys in the provenance of a frame: result of the marker count, and reason for a missing frame.
 FLAG, INVALID = "marker_flag", "invalid"
 
 
@@ -108,15 +108,15 @@ class Flagger:
     """Counts the markers of one sensor's frames."""
 
     def __init__(self, name: str, references: NDArray[np.uint8], count: MarkerCount | None) -> None:
-        """Prepare to compare with references.
+        """Prepare the comparison with references.
 
         Args:
-            name: Of the sensor.
-            references: Packed masks of the untouched sensor (K, 38400).
-            count: How markers are counted; None: they are not.
+            name: Name of the sensor.
+            references: Packed masks of the sensor without contact (K, 38400).
+            count: Settings of the marker count; None: markers are not counted.
 
         Raises:
-            LearningError: A reference without markers.
+            LearningError: A reference has no markers.
         """
         self._checks: list[MarkerCheck] = []
         if count is None:
@@ -136,12 +136,12 @@ class Flagger:
         reference: NDArray[np.integer],
         there: NDArray[np.bool_],
     ) -> dict[int, str]:
-        """Return what is wrong with the markers of frames, by row; nothing of sound ones.
+        """Return a description of each frame whose markers are wrong, by row.
 
         Args:
             masks: Frames (n, 480, 640).
             reference: Number of the reference of each (n,).
-            there: Which of them there are (n,).
+            there: True for frames that exist (n,).
         """
         flags: dict[int, str] = {}
         if not self._checks:
@@ -154,17 +154,18 @@ class Flagger:
         return flags
 
 
-# One number for what an archive says of itself and of its frames, without reading them all.
+# Fingerprint of an archive that does not need to read its masks.
 
 
 def archive_fingerprint(archive: MarkerArchive) -> str:
     """Return the SHA-256 of attributes, tables, provenance and references, 64 hexadecimal digits.
 
-    Masks and fields are left out: there are gigabytes of them, and whoever makes others says so in
-    the attributes or in the lines of provenance.
+    Masks and fields are not hashed: they are gigabytes, and code that makes different ones records
+    the
+    difference in the attributes or in the provenance.
 
     Raises:
-        SessionError: The archive is still being written, or a table is damaged.
+        SessionError: The archive is still being written, or a table is corrupt.
     """
     digest = hashlib.sha256()
     digest.update(json.dumps(archive.attrs, sort_keys=True).encode())

@@ -1,4 +1,4 @@
-"""What verbs share: how they run and end, the type of their parsers, and lists of names."""
+"""Common parts of the commands: error handling, exit codes, shared options."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXIT_INTERRUPTED = 130
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    """Run the command that `argv` names; print errors and return the exit code."""
     options = parser.parse_args(argv)
     try:
         return int(options.run(options))
@@ -33,22 +33,22 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         print(f"cannot read or write: {error}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     except WorkerLost as error:
-        print(f"cannot go on: {error}", file=sys.stderr)
+        print(f"cannot continue: {error}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     except KeyboardInterrupt:
-        print("interrupted; the same command goes on with an archive", file=sys.stderr)
+        print("interrupted; repeat the command to continue an archive", file=sys.stderr)
         return EXIT_INTERRUPTED
 
 
 def add_inputs(parser: argparse.ArgumentParser) -> None:
-    """Add what a training reads, and where it writes."""
+    """Add the inputs and the output folder of a training."""
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="of its presses")
     add_run(parser)
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Add where a training writes."""
+    """Add the output folder of a training."""
     parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
 
 
@@ -58,13 +58,13 @@ def add_settings(
     known: str | None = None,
     example: str = "over the preset",
 ) -> None:
-    """Add a preset, and settings over it.
+    """Add the options for a preset and for settings that override it.
 
     Args:
-        parser: Of the verb.
-        preset: The one that is taken unless another is named.
-        known: What is said of presets; None: that there are others and files.
-        example: What is said of settings.
+        parser: Parser of the command.
+        preset: Name of the default preset.
+        known: Help text of `--preset`; None: a general one.
+        example: Help text of `--set`.
     """
     parser.add_argument(
         "--preset", default=preset, metavar="NAME", help=known or f"or a YAML file ({preset})"
@@ -80,18 +80,18 @@ def add_sensors(parser: argparse.ArgumentParser) -> None:
 
 
 def add_resume(
-    parser: argparse.ArgumentParser, help_text: str = "go on with the run that is there"
+    parser: argparse.ArgumentParser, help_text: str = "continue the run in that folder"
 ) -> None:
-    """Add the option to go on."""
+    """Add the option that resumes a run."""
     parser.add_argument("--resume", action="store_true", help=help_text)
 
 
 def add_unseen(parser: argparse.ArgumentParser) -> None:
-    """Add the option that says which indenters are held out."""
+    """Add the option for held-out indenters."""
     parser.add_argument(
         "--unseen",
         metavar="NAME,...",
-        help=f"indenters that models may not be trained on ({','.join(UNSEEN)}; none: '')",
+        help=f"indenters excluded from training ({','.join(UNSEEN)}; none: '')",
     )
 
 
@@ -101,10 +101,10 @@ def unseen(listed: str | None) -> tuple[str, ...]:
 
 
 def by_name(given: list[str] | None, option: str) -> dict[str, float]:
-    """Return numbers given as NAME=NUMBER.
+    """Parse numbers given as NAME=NUMBER.
 
     Raises:
-        LearningError: Not of that form.
+        LearningError: A text is not of that form.
     """
     found = {}
     for text in given or []:

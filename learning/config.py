@@ -1,8 +1,8 @@
-"""Settings of trainings: frozen dataclasses from strict YAML, and `key.sub=value` over it.
+"""Settings of trainings: frozen dataclasses read from strict YAML, with `key.sub=value` overrides.
 
-Every error names file, key, what was found and what is allowed. A file may name another one that it
-`extends`; mappings merge key by key, everything else replaces. Where a field may be one of several
-dataclasses, `kind` says which: their `KIND`.
+Every error names file, key, value and allowed values. A file can name another that it `extends`;
+mappings are merged key by key, other values are replaced. Where a field can be one of several
+dataclasses, `kind` selects one by its `KIND`.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ def preset_names(preset_dir: Path) -> tuple[str, ...]:
 
 
 def preset_path(preset_dir: Path, name_or_path: str | Path) -> Path:
-    """Return the file of a preset in a folder, or the YAML file of one's own that was named.
+    """Return the file of a preset in a folder, or the given path if it is a YAML file.
 
     Raises:
-        LearningError: No such preset.
+        LearningError: There is no preset of that name.
     """
     path = Path(name_or_path)
     if path.suffix in _SUFFIXES:
@@ -51,16 +51,16 @@ def read_settings(
     name_or_path: str | Path,
     overrides: Sequence[str] = (),
 ) -> Settings:
-    """Return settings from a preset or a file, with some of them replaced.
+    """Read settings from a preset or a file and apply overrides.
 
     Args:
         kind: Frozen dataclass to build.
-        preset_dir: The folder of the presets.
-        name_or_path: Name of a preset, or a YAML file of one's own.
+        preset_dir: Folder of the presets.
+        name_or_path: Name of a preset, or path of a YAML file.
         overrides: `key=value` or `key.sub=value`, the value in YAML; later ones win.
 
     Raises:
-        LearningError: No such preset or file, or a key or value that is not allowed.
+        LearningError: The preset or file does not exist, or a key or value is not allowed.
     """
     path = preset_path(preset_dir, name_or_path)
     content = read_mapping(path)
@@ -77,10 +77,10 @@ def read_settings(
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """Return the mapping in a YAML file, merged over the file that its `extends` names.
+    """Read a YAML mapping, merged over the file that its `extends` names.
 
     Raises:
-        LearningError: No such file, not YAML, not a mapping, or files that extend each other.
+        LearningError: A file is missing, is not a YAML mapping, or files extend each other.
     """
     try:
         return strict_yaml.read_mapping(path)
@@ -89,7 +89,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def build(kind: type[Settings], content: Any, where: str) -> Settings:
-    """Return the dataclass `kind` of a mapping as YAML gives it.
+    """Build a dataclass from a mapping read from YAML.
 
     Args:
         kind: Frozen dataclass.
@@ -97,7 +97,7 @@ def build(kind: type[Settings], content: Any, where: str) -> Settings:
         where: File and dotted path, for errors.
 
     Raises:
-        LearningError: A key that is unknown or missing, or a value of the wrong kind or refused.
+        LearningError: A key is unknown or missing, or a value has the wrong type or is rejected.
     """
     if not isinstance(content, dict):
         raise LearningError(f"{where}: found {said(content)}; allowed: a mapping of keys to values")
@@ -123,10 +123,10 @@ def build(kind: type[Settings], content: Any, where: str) -> Settings:
 
 
 def build_one_of(kinds: Sequence[Any], content: Any, where: str) -> Any:
-    """Return the one of several dataclasses whose `KIND` a mapping names as its `kind`.
+    """Build the dataclass among several whose `KIND` equals the mapping's `kind`.
 
     Raises:
-        LearningError: None of them, or as `build`.
+        LearningError: No dataclass has that kind, or `build` fails.
     """
     by_kind = {kind.KIND: kind for kind in kinds}
     if not isinstance(content, dict):
@@ -138,7 +138,7 @@ def build_one_of(kinds: Sequence[Any], content: Any, where: str) -> Any:
 
 
 def settings_to_dict(settings: Any) -> dict[str, Any]:
-    """Return settings as plain values that `build` makes the same ones of; tuples become lists."""
+    """Return settings as plain values from which `build` restores them; tuples become lists."""
     plain = {"kind": settings.KIND} if hasattr(settings, "KIND") else {}
     fields = (each for each in dataclasses.fields(settings) if each.init)
     return plain | {each.name: _plain(getattr(settings, each.name)) for each in fields}
@@ -163,7 +163,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if origin in (Union, types.UnionType):
         return _union(inner, value, where)
     if origin is Literal:
-        # True is 1 and 1.0 is 1 for Python, not for whoever reads the file.
+        # Python equates True with 1 and 1.0 with 1; readers of the file do not.
         if not any(type(value) is type(each) and value == each for each in inner):
             allowed = ", ".join(map(str, inner))
             raise LearningError(f"{where}: found {said(value)}; allowed: {allowed}")
@@ -182,7 +182,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         if type(value) is not hint:
             raise LearningError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
         return value
-    raise TypeError(f"{where}: the reader knows no {hint!r}")
+    raise TypeError(f"{where}: unsupported type {hint!r}")
 
 
 def _union(options: tuple[Any, ...], value: Any, where: str) -> Any:
@@ -197,7 +197,7 @@ def _union(options: tuple[Any, ...], value: Any, where: str) -> Any:
 
 
 def _either(options: tuple[Any, ...], value: Any, where: str) -> Any:
-    """Return a value as the first of several plain types that takes it."""
+    """Convert a value to the first of several plain types that accepts it."""
     refused = []
     for option in options:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class LearningError(ValueError):
-    """What was given cannot be used: the message names file or field, what was found and allowed.
+    """Invalid input; the message names the file or field, its value and the allowed values.
 
-    Sessions and archives that are damaged raise `recorder.SessionError`, which says the same.
+    Corrupt sessions and archives raise `recorder.SessionError`, whose messages have the same form.
     """

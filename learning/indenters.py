@@ -1,4 +1,4 @@
-"""Indenters by name: one order for all archives, so that codes and locations mean the same."""
+"""Names of indenters, in one order for all archives so that codes and locations agree."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
 
 
 def coded(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the indenters of an archive by code: all of `NAMES`, then others by the alphabet."""
+    """Return the indenters of an archive by code: `NAMES`, then others in alphabetical order."""
     return (*NAMES, *sorted(set(names) - set(NAMES)))

@@ -1,8 +1,8 @@
-"""Errors of predicted forces: mean absolute error of the axes and of the whole, and R2.
+"""Errors of predicted forces: mean absolute error by axis and of the magnitude, and R2.
 
-As the paper has them (Methods, and the supplement, Text 2): the mean absolute error of each axis
-and of the magnitude of the force, and the coefficient of determination over all frames of a test,
-whatever press they belong to.
+The definitions are the paper's (Methods, and the supplement, Text 2): the mean absolute error of
+each axis and of the force magnitude, and the coefficient of determination over all frames of a
+test, across presses.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from learning.errors import LearningError
 Floats = NDArray[np.float64]
 
 AXES = ("fx", "fy", "fz")
-# What has an error: the axes, and the magnitude of the force.
+# Quantities with an error: the axes, and the magnitude of the force.
 MEASURED = (*AXES, "ft")
 
 
 @dataclass(frozen=True, slots=True)
 class ForceErrors:
-    """Errors over some frames."""
+    """Errors over a set of frames."""
 
     frames: int
-    """How many frames."""
+    """Number of frames."""
     mae: tuple[float, float, float, float]
     """Mean absolute error of Fx, Fy, Fz and Ft [N]."""
     relative: tuple[float, float, float, float]
-    """The same over the standard deviation of the target's labels."""
+    """The same divided by the standard deviation of the target's labels."""
     r2: tuple[float, float, float]
-    """Coefficient of determination of Fx, Fy and Fz; NaN where the labels are all the same."""
+    """Coefficient of determination of Fx, Fy and Fz; NaN if the labels are constant."""
 
     @property
     def r2_mean(self) -> float:
@@ -54,10 +54,10 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
         spread: Standard deviation of the target's labels, of Fx, Fy, Fz and Ft (4,) [N].
 
     Raises:
-        LearningError: No frames, other shapes, or a force that is not a number.
+        LearningError: There are no frames, shapes differ, or a force is not finite.
     """
     mae = mean_absolute_error(with_magnitude(true), with_magnitude(predicted))
-    # Labels that never change have no scale: the error over it is infinite, or NaN without error.
+    # The relative error to constant labels is infinite, or NaN if the error is zero.
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = mae / np.asarray(spread, np.float64)
     fx, fy, fz = r_squared(true, predicted).tolist()
@@ -65,10 +65,10 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
 
 
 def mean_absolute_error(true: Floats, predicted: Floats) -> Floats:
-    """Return the mean over frames of |predicted - true| (k,), in units of what is given (n, k).
+    """Return the mean over frames of |predicted - true| (k,), in the units of the inputs (n, k).
 
     Raises:
-        LearningError: No frames, other shapes, or a value that is not a number.
+        LearningError: There are no frames, shapes differ, or a value is not finite.
     """
     _require_alike(true, predicted)
     return np.asarray(np.abs(predicted - true).mean(axis=0), np.float64)
@@ -78,10 +78,10 @@ def r_squared(true: Floats, predicted: Floats) -> Floats:
     """Return the coefficient of determination of each column (k,) of (n, k).
 
     1 - sum (predicted - true)^2 / sum (true - mean of true)^2, over all frames. 1 is perfect, 0 is
-    as good as always saying the mean, and below that is worse. NaN where true never changes.
+    as good as always predicting the mean, negative is worse. NaN where true is constant.
 
     Raises:
-        LearningError: No frames, other shapes, or a value that is not a number.
+        LearningError: There are no frames, shapes differ, or a value is not finite.
     """
     _require_alike(true, predicted)
     missed = np.square(predicted - true).sum(axis=0)
@@ -105,10 +105,10 @@ def with_magnitude(forces: Floats) -> Floats:
 def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
     """Return standard deviation (4,) and range (4,) of Fx, Fy, Fz, Ft [N] of labels (n, 3).
 
-    Rows without a label (NaN) are left out.
+    Rows without a label (NaN) are ignored.
 
     Raises:
-        LearningError: Not (n, 3), or no label at all.
+        LearningError: The shape is not (n, 3), or there is no label.
     """
     found = with_magnitude(labels)
     found = found[np.isfinite(found).all(axis=1)]

@@ -1,4 +1,4 @@
-"""One line that says how far work is and how long it still takes."""
+"""Progress line: work done, rate and time remaining."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-# What takes less than this [s] says nothing.
+# Nothing is printed in the first seconds [s].
 QUIET = 2.0
 # Time between updates on a terminal, and between lines elsewhere [s].
 REWRITE_EVERY, LINE_EVERY = 0.5, 10.0
 
 
 class Progress:
-    """Called with what is done and what there is to do; the first call is the beginning."""
+    """Progress callback: takes the counts done and in total; the first call sets the start."""
 
     def __init__(
         self, what: str, stream: TextIO, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Count `what`, e.g. `frames`, and say so on `stream`."""
+        """Count items named `what`, e.g. `frames`, and print to `stream`."""
         self._what, self._stream, self._clock = what, stream, clock
         self._began: tuple[float, int] | None = None
         self._said = -float("inf")
         self._open = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Take note, and say it if it is time to."""
+        """Update the counts, and print if an update is due."""
         now = self._clock()
         if self._began is None:
             self._began = now, done
@@ -42,7 +42,7 @@ class Progress:
             self.close()
 
     def close(self) -> None:
-        """End the line. Safe twice."""
+        """End the line. Can be called twice."""
         if self._open:
             self._stream.write("\n")
             self._stream.flush()
@@ -58,7 +58,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """Return a time to wait, as 12 s, 3:05 min or 2:10 h."""
+    """Format a duration as 12 s, 3:05 min or 2:10 h."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -1,4 +1,4 @@
-"""What the verbs that train have in common: a run's folder, Ctrl-C, progress, what is told."""
+"""Common part of the commands that train: run folder, Ctrl-C, progress, final report."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """What a training is given by the verb that asked for it."""
+    """Context that a command passes to its training function."""
 
     run: RunFolder
-    """Where it is kept; it is not finished."""
+    """Folder of the run, which is not finished."""
     accelerator: Accelerator
-    """What it runs on."""
+    """Device and precision, as set up by Accelerate."""
     stop: Stop
-    """Ctrl-C; to be entered for as long as a step can be waited for."""
+    """Ctrl-C handler; enter it only where the current step can be completed first."""
     reading: Progress
-    """Told of the data that is read."""
+    """Called as data is read."""
     steps: Progress
-    """Told of the steps that are done."""
+    """Called as steps are done."""
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """Device of the computation."""
         device: torch.device = self.accelerator.device
         return device
 
     def stopping(self) -> bool:
-        """Return whether this process was asked to stop."""
+        """Return True if this process was asked to stop."""
         return self.stop.asked
 
 
 def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
-    """Return the archive and the split that were named, which fit each other.
+    """Open the archive and the split that the options name.
 
     Raises:
         LearningError: The split cannot be read, or was not made for this archive.
@@ -57,7 +57,7 @@ def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
 
 
 def trained_on(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
-    """Return the sensors that were named, or all that the split does not hold out."""
+    """Return the sensors that the options name, or all that the split does not hold out."""
     return options.sensors.split(",") if options.sensors else [*split.trained_sensors(archive)]
 
 
@@ -71,23 +71,23 @@ def run_training(
     reading: str = "images",
     facts: Mapping[str, Any] | None = None,
 ) -> int:
-    """Begin a run, or go on with it, and say what became of it.
+    """Begin or resume a run, train, and print the result.
 
     Args:
-        options: Of the verb; `out` and `resume` are read.
-        kind: What is trained, one of `KINDS`.
-        settings: Of the training; `launch` says where it runs.
-        data: Fingerprint of what it is trained on.
+        options: Options of the command; `out` and `resume` are read.
+        kind: Kind of the model, one of `KINDS`.
+        settings: Settings of the training; `launch` selects device and precision.
+        data: Fingerprint of the training data.
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
-            be told in the end, in place of that it was trained.
-        reading: What is counted while data is read.
-        facts: What is known before and needed to use the model.
+            print at the end, or None for the default line.
+        reading: Name of the items that are counted while data is read.
+        facts: Values known before training that are needed to use the model.
 
     Returns:
         The exit code: 0, or `EXIT_INTERRUPTED`.
 
     Raises:
-        LearningError: Another run is there, or the training was refused.
+        LearningError: Another run is in the folder, or the training was rejected.
     """
     launched = accelerator(settings.launch)
     with RunFolder.open(
@@ -113,7 +113,7 @@ def run_training(
             training.reading.close()
             training.steps.close()
         if stop.agreed(launched) and not run.finished:
-            print(f"{options.out}: stopped; --resume goes on", file=sys.stderr)
+            print(f"{options.out}: stopped; continue with --resume", file=sys.stderr)
             return EXIT_INTERRUPTED
     for line in [f"{options.out}: trained"] if told is None else told:
         print(line)

@@ -1,1 +1,1 @@
-"""The bench: clock, drivers and their emulators, the collect loop, safety."""
+"""Acquisition on the tactile bench: clocks, drivers, emulators, the collection loop, safety."""

@@ -1,4 +1,4 @@
-"""Command line of the rig: `python -m rig VERB`; every verb is a file of `rig.cli`."""
+"""Command line of the rig: `python -m rig VERB`; each verb is a module of `rig.cli`."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ _VERBS = (
 
 
 def _arguments(words: Sequence[str]) -> argparse.ArgumentParser:
-    """The options of the verb in `words`, of which alone the module is loaded; else of all."""
+    """Return the parser of the verb in `words` (importing only its module), else of all verbs."""
     parser = argparse.ArgumentParser(prog="python -m rig", description="The tactile bench.")
     verbs = parser.add_subparsers(dest="verb", required=True)
     chosen: Sequence[str] = _VERBS
     if words and words[0] in _VERBS:
         chosen = words[:1]
-        # The usage line names all of them none the less.
+        # The usage line still lists all verbs.
         verbs.metavar = f"{{{','.join(_VERBS)}}}"
     for verb in chosen:
         importlib.import_module(f"rig.cli.{verb.replace('-', '_')}").add_to(verbs)
     return parser
 
 
-# Verbs that measured, and the benchmark that each is now.
+# Verbs that became benchmarks, and the name of the benchmark.
 _MOVED = {"bench-recorder": "recording", "endurance": "endurance", "faults": "faults"}
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; the exit code."""
+    """Run one verb and return the exit code."""
     words = sys.argv[1:] if argv is None else argv
     if words and words[0] in _MOVED:
         now = f"python -m benchmarks {_MOVED[words[0]]}"

@@ -1,4 +1,4 @@
-"""The simulator: a rigid indenter pressed and sheared into a bonded soft layer."""
+"""Simulator of a rigid indenter that is pressed and sheared into a bonded soft layer."""
 
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged

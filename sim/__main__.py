@@ -1,4 +1,4 @@
-"""Command line of the simulator: `python -m sim VERB`; every verb is a file of `sim.cli`."""
+"""Command line of the simulator: `python -m sim VERB`; each verb is a module of `sim.cli`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _VERBS = (press, loop, hold, archive)
 
 
 def arguments() -> argparse.ArgumentParser:
-    """The parser of every verb and its options."""
+    """Return the parser of all verbs and their options."""
     parser = argparse.ArgumentParser(
         prog="python -m sim",
         description="Presses rigid indenters into a soft layer. Lengths in mm, forces in N.",
@@ -23,12 +23,12 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
-# Verbs that measured; each is a benchmark of the same name now.
+# Verbs of earlier versions; each is now a benchmark of the same name.
 _MOVED = ("refine", "hard-cases", "effects", "accuracy", "speed")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; the exit code."""
+    """Run one verb and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
     if words and words[0] in _MOVED:
         now = f"python -m benchmarks {words[0]}"

@@ -1,4 +1,4 @@
-"""How wide what touches is."""
+"""Width of a contact."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ FAINT = 0.02
 
 
 def touched_by(traction: NDArray[np.floating[Any]]) -> Mask:
-    """What a traction (X, Y, 3) touches (X, Y)."""
+    """Return the mask of touched points (X, Y) for a traction (X, Y, 3)."""
     size = np.linalg.norm(traction, axis=-1)
     return np.asarray(size > FAINT * size.max())
 
 
 def width_of(touched: Mask, x: Array, y: Array) -> float:
-    """Diameter of the largest disc within what touches (X, Y); 0 where nothing does.
+    """Return the diameter of the largest disc within the touched points (X, Y); 0 if none.
 
-    Nodes that touch stand for half of the way to the next ones.
+    A touched node counts as touched half-way to its neighbours.
     """
     if not touched.any():
         return 0.0
@@ -33,16 +33,16 @@ def width_of(touched: Mask, x: Array, y: Array) -> float:
 
 
 def pixel_edges(places: Array) -> Array:
-    """Edges of the pixels around places (N,): half-way between them (N + 1,)."""
+    """Return the edges of the pixels around places (N,): half-way between them (N + 1,)."""
     middle = (places[1:] + places[:-1]) / 2
     first, last = places[0] - (middle[0] - places[0]), places[-1] + (places[-1] - middle[-1])
     return np.concatenate([[first], middle, [last]])
 
 
 def half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
-    """Radius of the largest disc that fits into a piece.
+    """Return the radius of the largest disc that fits into a piece.
 
-    Pixels may differ in width: they are drawn anew, evenly.
+    Pixels may differ in width: they are resampled to an even grid.
     """
     even, steps = [], []
     for axis, edges in ((0, edges_x), (1, edges_y)):
@@ -55,5 +55,5 @@ def half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
     inner = np.zeros((len(even[0]) + 2, len(even[1]) + 2), bool)
     inner[1:-1, 1:-1] = mask[np.ix_(*even)]
     reach = float(ndimage.distance_transform_edt(inner, sampling=steps).max())
-    # A distance is to the middle of the nearest pixel outside; the outline is half a pixel nearer.
+    # Distances are to the centre of the nearest pixel outside; the outline is half a pixel nearer.
     return max(reach - min(steps) / 2, min(steps) / 2)

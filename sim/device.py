@@ -1,4 +1,4 @@
-"""Warp made ready without a word of its own, and the device that was asked for."""
+"""Start of Warp without its banner, and the check of the requested device."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from sim.errors import SceneError
 
 
 def ready_device(name: str) -> Path | None:
-    """Start Warp, silent below warnings; the folder that it keeps compiled kernels in.
+    """Start Warp, silent below warnings; return the folder in which it caches compiled kernels.
 
     Raises:
-        SceneError: A device that this machine does not have.
+        SceneError: This machine does not have the device.
     """
     import warp as wp
 
@@ -31,9 +31,9 @@ def ready_device(name: str) -> Path | None:
 
 @contextlib.contextmanager
 def _without_driver_warning(*, asked: bool) -> Iterator[None]:
-    """Drop what Warp's native part says about a missing GPU driver, unless a GPU was asked for.
+    """Drop the warning of Warp's native part about a missing GPU driver, unless a GPU is requested.
 
-    It writes to the process's standard error, past `sys.stderr`; everything else goes on to there.
+    It is written to the process's standard error, past `sys.stderr`; all else is passed on.
     """
     if asked:
         yield

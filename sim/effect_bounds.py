@@ -1,8 +1,8 @@
-"""How much an effect can change at most, from dimensions and a run of the `layer` tier.
+"""Upper bounds of the change that an effect can cause, from dimensions and a `layer` run.
 
-None of this solves the effect: inertia and gravity are accelerations under which a layer sags,
-viscosity is overstress that has not relaxed yet, friction is at most its coefficient. Factors are
-on the safe side, and scenes that a layer without sides knows nothing of have no bound.
+None of these bounds solves the effect: inertia and gravity are accelerations under which a layer
+sags, viscosity is overstress that has not yet relaxed, friction is at most its coefficient. Factors
+are conservative, and scenes outside the model of a layer without sides have no bound.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from sim.tiers import simulate_one
 
 Array = NDArray[np.float64]
 
-# Slope of a force over depth, over force / depth, at most: 1 for a flat punch, 1.5 for a sphere, 2
+# Largest slope of a force over depth, over force / depth: 1 for a flat punch, 1.5 for a sphere, 2
 # for a cone, more as the layer fills up.
 STIFFENING = 3.0
-# Share of the force that friction changes over its coefficient, at most: 1 on a flat contact.
+# Largest change of the force by friction, as a share, over its coefficient: 1 on a flat contact.
 ALONG = 3.0
-# Coefficient above which friction has no bound: it may change anything.
+# Coefficient above which friction has no bound: its effect may be of any size.
 SLIPPERY = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How far two solutions of one scene are apart; F frames."""
+    """Difference between two solutions of one scene; F frames."""
 
     share: tuple[float, ...]
     """Change of the force along x, y or z of each frame, over `sim.metrics.force_scale` (F,)."""
@@ -46,41 +46,41 @@ class Change:
     """Root mean square of the distances between 14 x 14 markers' images, largest frame [px]."""
 
     def value(self, kind: str) -> float:
-        """The number that a tolerance of `kind` ("share", "force", "marker") limits."""
+        """Return the number that a tolerance of `kind` ("share", "force", "marker") limits."""
         return max(self.share, default=0.0) if kind == "share" else float(getattr(self, kind))
 
     def times(self, factor: float) -> Change:
-        """The change scaled by `factor`."""
+        """Return the change scaled by `factor`."""
         share = tuple(factor * one for one in self.share)
         return Change(share, factor * self.force, factor * self.marker)
 
     def plus(self, other: Change) -> Change:
-        """Both, one on top of the other."""
+        """Return the sum of both changes."""
         share = tuple(a + b for a, b in zip(self.share, other.share, strict=True))
         return Change(share, self.force + other.force, self.marker + other.marker)
 
 
 def no_change(scene: Scene) -> Change:
-    """What leaving out an effect of no strength changes."""
+    """Return the change by leaving out an effect of zero strength."""
     return Change((0.0,) * len(scene.motion), 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """What the `layer` tier finds of a scene without what is to be bounded."""
+    """Solution by the `layer` tier of a scene without the effects to be bounded."""
 
     outcome: Outcome
     scale: Array
-    """What errors of the force are divided by (F,) [N]."""
+    """Force by which errors of the force are divided (F,) [N]."""
     size: Array
-    """Force (F,) [N]."""
+    """Magnitude of the force (F,) [N]."""
     moved: float
-    """Root mean square of the markers' way, largest frame [px]."""
+    """Root mean square of the markers' displacement, largest frame [px]."""
     pixels: float
-    """Pixels that a marker's image moves when the marker moves, at most [px/m]."""
+    """Largest shift of a marker's image per displacement of the marker [px/m]."""
 
     def change(self, newton: Array, pixels: float) -> Change:
-        """The change of forces by `newton` (F,) and of markers by `pixels`."""
+        """Return the change for forces that change by `newton` (F,) and markers by `pixels`."""
         share = tuple(float(one) for one in newton / self.scale)
         return Change(share, float(newton.max(initial=0.0)), pixels)
 
@@ -93,11 +93,11 @@ class _Layer:
 
 
 def bounds_of(scene: Scene, names: Sequence[str]) -> dict[str, Change]:
-    """What leaving out each of the effects `names` of `scene` changes at most.
+    """Return upper bounds of the changes by leaving out each of the effects `names` of `scene`.
 
-    Those of no strength change nothing. Others have a bound where `layer` knows the scene: a flat
-    body, an indenter that presses and keeps a thickness away from the sides, a motion that does not
-    begin inside the body. Names without a bound are absent.
+    Effects of zero strength change nothing. Others have a bound if the scene is within the model of
+    `layer`: a flat body, an indenter that presses and stays a thickness away from the sides, a
+    motion that does not begin inside the body. Names without a bound are absent.
     """
     found: dict[str, Change] = {}
     for name in names:
@@ -114,7 +114,7 @@ def bounds_of(scene: Scene, names: Sequence[str]) -> dict[str, Change]:
 
 
 def _layer(scene: Scene) -> _Layer | None:
-    """What `layer` says of the scene; None where that is not to be trusted."""
+    """Return the solution of the scene by `layer`; None if it is not reliable."""
     depth, thickness = scene.motion.depth_max, scene.body.thickness
     if scene.body.dome_radius is not None or not 0 < depth < thickness:
         return None
@@ -138,7 +138,7 @@ def _layer(scene: Scene) -> _Layer | None:
 
 
 def _pixels_per_metre(body: Body) -> float:
-    """Pixels that the image of a marker moves when it moves by a little, at most [px/m]."""
+    """Return the largest shift of a marker's image per small displacement of the marker [px/m]."""
     corner = np.array([body.size_x / 2, body.size_y / 2, 0.0])
     step = 1e-6
     ways = [seen(corner + step * axis) - seen(corner) for axis in np.eye(3)]
@@ -146,7 +146,7 @@ def _pixels_per_metre(body: Body) -> float:
 
 
 def _friction(scene: Scene, layer: _Layer) -> Change:
-    """Shear traction is at most coefficient times pressure; skin follows it over the thickness."""
+    """Bound friction: traction is at most coefficient * pressure, and shears the full thickness."""
     friction = scene.effects.friction
     assert friction is not None
     pull = ALONG * friction.coefficient * layer.size
@@ -157,11 +157,11 @@ def _friction(scene: Scene, layer: _Layer) -> Change:
 
 
 def _viscosity(scene: Scene, layer: _Layer) -> Change:
-    """Overstress: each branch adds its share of every change of force that it has not forgotten.
+    """Bound overstress: each branch adds its share of all changes of force not yet relaxed.
 
-    Within a segment the force changes by what `layer` says, and under a sliding contact the skin is
-    loaded and unloaded once a width. A branch keeps exp(-t / time) of it, and of an even change
-    over t the mean of that (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2 (1970) 45).
+    Within a segment the force changes as in `layer`, and under a sliding contact the skin is loaded
+    and unloaded once per width. A branch keeps exp(-t / time) of a change, and the mean of that for
+    an even change over t (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2 (1970) 45).
     """
     viscosity = scene.effects.viscosity
     assert viscosity is not None
@@ -196,12 +196,13 @@ def _inertia(scene: Scene, layer: _Layer) -> Change:
 
 
 def _accelerations(scene: Scene, inertia: Inertia) -> Array:
-    """Largest acceleration of the material at each frame (F,) [m/s^2].
+    """Return the largest acceleration of the material at each frame (F,) [m/s^2].
 
-    A change of the tip's velocity is taken up within a step, or at the speed of a wave through the
-    thickness where that is slower; what rings afterwards loses 1 / sqrt(1 + (omega step)^2) in
-    each step of backward Euler, omega being the lowest frequency of a layer or of a column that
-    bends. Beside it, the velocity field changes with the contact over the time of a segment.
+    A change of the tip's velocity acts within a step, or at the speed of a wave through the
+    thickness if that is slower. The vibration that follows is damped by 1 / sqrt(1 + (omega
+    step)^2) in each step of backward Euler, omega being the lowest frequency of a layer or of a
+    bending column. In addition, the velocity field changes with the contact over the time of a
+    segment.
     """
     body, motion = scene.body, scene.motion
     density = body.density * inertia.scale
@@ -221,7 +222,7 @@ def _accelerations(scene: Scene, inertia: Inertia) -> Array:
         steps = round(1 / path.limit)
         lost = 1 / math.sqrt(1 + (omega * step) ** 2)
         jump = float(np.linalg.norm(now - before)) * min(1 / step, wave)
-        # Above the skin nothing is felt; where it is met within the segment, nothing has faded.
+        # Above the skin there is no effect; a contact made within the segment is not yet damped.
         met = start[2] > 0 > end[2]
         fresh = (
             float(np.linalg.norm(now)) * min(1 / step, wave) if met else jump * lost ** (steps - 1)
@@ -233,12 +234,12 @@ def _accelerations(scene: Scene, inertia: Inertia) -> Array:
 
 
 def _of_acceleration(scene: Scene, layer: _Layer, most: Array, *, moving: bool) -> Change:
-    """What accelerations (F, 3) [m/s^2] of the whole body change.
+    """Return the change by accelerations (F, 3) [m/s^2] of the whole body.
 
     The body sags: along z as a block bonded below (Gent's apparent modulus, or that of confined
-    columns where it is less), sideways in shear and bending. The contact is as much deeper or
-    shallower, and as much stiffer as the stress of the weight is of the modulus. With `moving` the
-    indenter also carries the mass around it.
+    columns if it is less), sideways in shear and bending. The contact becomes deeper or shallower
+    by that, and stiffer by the ratio of the stress of the weight to the modulus. With `moving` the
+    indenter also accelerates the mass around it.
     """
     body, depth = scene.body, scene.motion.depth_max
     thick = body.thickness

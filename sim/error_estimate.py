@@ -1,10 +1,10 @@
-"""What a result says of its own error, and how it knows.
+"""Error of a result, and how it is known.
 
 `record["error"]` of every result has a `status`: `measured` (a second mesh was solved), `estimated`
-(from how finely the contact is resolved, by rules that were held against solutions by other means:
+(from the resolution of the contact, by rules that were checked against independent solutions:
 `python -m benchmarks independent`), or `none`. `force` is the error of the force, frame by frame,
 over the force of the frame or a tenth of the largest one; `percent` is the largest of them. No
-error is below what a force that symmetry forbids shows (`sim.symmetry`).
+error is below the size of a force that symmetry forbids (`sim.symmetry`).
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from sim.symmetry import vanishing_share, with_symmetry
 
 Array = NDArray[np.float64]
 
-# Error of the force with a fineness of 1 (12 elements across the contact): it falls with the square
-# of the elements' size. 0.012 covered 110 of the 133 forces of `benchmarks independent`.
+# Error of the force at fineness 1 (12 elements across the contact): it falls with the square of the
+# elements' size. 0.012 covered 110 of the 133 forces of `benchmarks independent`.
 PER_SQUARE = 0.016
-# Fineness below which the error grows with the elements' size itself.
+# Fineness below which the error grows linearly with the elements' size.
 RESOLVED = 0.5
-# Error of the force where the smallest elements are as long as an edge's radius, which falls with
-# the square too.
+# Error of the force if the smallest elements are as long as an edge's radius; it falls with the
+# square too.
 PER_EDGE = 0.03
-# Most that an edge which no element resolves is worth: of a sharp punch, a fifth of the force.
+# Largest error by an unresolved edge: for a sharp punch, a fifth of the force.
 EDGE_MOST = 0.2
-# Error of `layer` over depth over thickness: it knows small strains alone.
+# Error of `layer` over depth over thickness: it is limited to small strains.
 LAYER_PER_DEPTH = 0.7
 # Error of `layer` over the pixel's side over the contact's width. With both numbers the error
 # covers all 136 forces of `benchmarks independent --tier layer --set axisymmetric`.
 LAYER_PER_PIXEL = 1.2
-# Error of `layer` where neither matters.
+# Least error of `layer`.
 LAYER_LEAST = 0.003
 # Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
 # no sides.
 RIM = 1.0
-# Height of a dome's rim over the thickness below which it is nothing like a layer.
+# Height of a dome's rim over the thickness below which it does not behave like a layer.
 RIM_UNEVEN = 0.5
 
 
 def unknown_at_side(result: Result, *, measured: bool = False) -> dict[str, Any] | None:
-    """The error of a result whose contact is at the side of a round body; None where none is.
+    """Return the unknown error of a result in contact at the side of a round body; else None.
 
-    Where it was `measured` on two meshes the cut rim is in what they tell, the wall is not.
+    An error `measured` on two meshes includes the cut rim, but not the wall.
     """
     for name in ("wall",) if measured else ("wall", "rim"):
         if result.record.get(name):
@@ -57,9 +57,9 @@ def unknown_at_side(result: Result, *, measured: bool = False) -> dict[str, Any]
 
 
 def with_estimate(result: Result) -> Result:
-    """The result with `record["error"]`, estimated from what it shows; unchanged if it has one.
+    """Return the result with an estimated `record["error"]`; unchanged if it already has one.
 
-    A `fem` result has `record["symmetry"]` too, where its scene is mirrored in a plane.
+    A `fem` result also gets `record["symmetry"]`, if its scene is mirrored in a plane.
     """
     if "error" in result.record:
         return result
@@ -69,41 +69,41 @@ def with_estimate(result: Result) -> Result:
     elif result.tier == "layer":
         error = _of_layer(result)
     else:
-        error = {"status": "none", "why": f"nothing is known of the error of {result.tier!r}"}
+        error = {"status": "none", "why": f"the error of {result.tier!r} is unknown"}
     return replace(result, record={**result.record, "error": error})
 
 
 def measured(result: Result, share: Array, by: str, **more: Any) -> dict[str, Any]:
-    """What `record["error"]` is where a second mesh was solved.
+    """Return the entry `record["error"]` if a second mesh was solved.
 
     Args:
-        result: Whose error.
+        result: Result that the error belongs to.
         share: Error of the force of each frame (F,), over the force.
-        by: What it was measured with, in words.
+        by: Method of the measurement, in words.
         more: Further entries.
     """
     return {**_told(result, "measured", share, by), **more}
 
 
 def fineness_of(result: Result) -> Array:
-    """How finely each frame of a `fem` result resolves its own contact (F,).
+    """Return how finely each frame of a `fem` result resolves its own contact (F,).
 
-    1 are 12 elements from one side of the contact to the other; inf without contact.
+    1 corresponds to 12 elements from one side of the contact to the other; inf without contact.
     """
     told = result.record["mesh"]["resolved"]
     found = np.array([np.inf if one is None else one for one in told], float)
-    for stage in result.record.get("stages", []):  # meshes of their own, for contacts that small
+    for stage in result.record.get("stages", []):  # separate meshes for small contacts
         found[: stage["waypoints"]] = stage["mesh"]["fineness"]
     return found
 
 
 def pixel_of(result: Result) -> float:
-    """Longer side of a pixel of the surface [m]."""
+    """Return the longer side of a pixel of the surface [m]."""
     return float(max(np.diff(result.surface_x).max(), np.diff(result.surface_y).max()))
 
 
 def side_distance(result: Result) -> float | None:
-    """From what is ever touched to the nearest side [m], undeformed; None without contact."""
+    """Return the least undeformed distance of a contact from a side [m]; None without contact."""
     touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
     if not touched.any():
         return None
@@ -121,7 +121,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     layers = np.full(len(fineness), result.record["mesh"]["cells"][2])
     for stage in result.record.get("stages", []):
         layers[: stage["waypoints"]] = stage["mesh"]["cells"][2]
-    # Quadratic where the contact is resolved, linear where it hardly is.
+    # Quadratic where the contact is resolved, linear where it is barely resolved.
     share = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
     share = share + squeeze(result.scene, result.quality.contact_width) / layers**2
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
@@ -150,8 +150,8 @@ def _of_layer(result: Result) -> dict[str, Any]:
     if body.rim < RIM_UNEVEN * body.thickness:
         return {
             "status": "none",
-            "why": f"the dome is {body.rim * 1e3:.3g} mm high at its rim, and 'layer' takes it for "
-            "as thick there as at its apex (allowed: 'fem')",
+            "why": f"the dome is {body.rim * 1e3:.3g} mm high at its rim, and 'layer' assumes the "
+            "same thickness there as at its apex (allowed: 'fem')",
         }
     side = side_distance(result)
     if side is not None and side < RIM * body.thickness:
@@ -164,9 +164,9 @@ def _of_layer(result: Result) -> dict[str, Any]:
 
 
 def _missed(result: Result) -> Array:
-    """Share of the force's scale that frames may lack which should touch before any force is felt.
+    """Return the force missing in frames that should touch before the first force, over the scale.
 
-    The first force that follows is larger than theirs; without one, all of it is lacking.
+    The first force that follows is larger than theirs; without one, all of it is missing.
     """
     from sim.fem.sizing import covered
 
@@ -182,7 +182,7 @@ def _missed(result: Result) -> Array:
 
 
 def _weighed(result: Result, share: Array) -> Array:
-    """Shares of each frame's force as shares of it or of `WEAK` of the largest one."""
+    """Convert shares of each frame's force to shares of it or of `WEAK` of the largest one."""
     force = np.linalg.norm(result.force, axis=1)
     least = WEAK * float(force.max(initial=0.0))
     if least <= 0:
@@ -202,7 +202,7 @@ def _told(result: Result, status: str, share: Array, by: str) -> dict[str, Any]:
 
 
 def said(error: dict[str, Any]) -> str:
-    """An error in words, for a person."""
+    """Return an error in words for the user."""
     if error["status"] == "none":
         return f"error of the force: not known; {error['why']}"
     percent = error["percent"]

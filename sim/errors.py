@@ -1,4 +1,4 @@
-"""What can go wrong: a scene that means nothing, and a solution that was not found."""
+"""Errors of the simulator: an invalid scene, and a solution that was not found."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 
 class SceneError(ValueError):
-    """A scene is not physical or not solvable: the message names field, value, what is allowed."""
+    """Scene that is not physical or not solvable; the message has field, value, allowed values."""
 
 
 class SimulationDiverged(RuntimeError):
     """No converged state was found, even with the smallest step; nothing unconverged is returned.
 
     `tried` lists the attempts (step, iterations, residual); `dump` is the `.npz` with the last
-    converged state and the scene, or None where it could not be written.
+    converged state and the scene, or None if it could not be written.
     """
 
     def __init__(self, message: str, tried: tuple[str, ...] = (), dump: Path | None = None) -> None:
@@ -25,7 +25,7 @@ class SimulationDiverged(RuntimeError):
         self.dump = dump
 
 
-# Checks of a value's fields, said the same way everywhere.
+# Checks of fields, with messages of one form.
 
 
 def check_range(
@@ -38,10 +38,10 @@ def check_range(
     unit: str = "",
     open_low: bool = False,
 ) -> None:
-    """Refuse a number that is not finite or not within `low` to `high`.
+    """Reject a number that is not finite or not within `low` to `high`.
 
     Raises:
-        SceneError: Names the field, what was found and what is allowed.
+        SceneError: Names the field, the value found and the allowed range.
     """
     number = isinstance(value, int | float) and not isinstance(value, bool)
     inside = number and math.isfinite(value) and low <= value <= high
@@ -54,15 +54,15 @@ def check_range(
 
 
 def is_finite(value: Any) -> bool:
-    """Whether it is a number, and neither infinite nor NaN."""
+    """True for a number that is neither infinite nor NaN."""
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def check_kind(name: str, value: Any, kind: Any, allowed: str, *, optional: bool = False) -> None:
-    """Refuse a value that is not of `kind`; None is one where it is `optional`.
+    """Reject a value that is not of `kind`; with `optional`, None is accepted.
 
     Raises:
-        SceneError: Names what it is, what was found and what is allowed.
+        SceneError: Names the field, the value found and the allowed kind.
     """
     if not (isinstance(value, kind) or (optional and value is None)):
         none = ", or None" if optional else ""

@@ -1,8 +1,8 @@
-"""Forces of elements of no size, from two meshes: Richardson's extrapolation.
+"""Forces in the limit of zero element size, from two meshes: Richardson extrapolation.
 
-What a mesh makes a press too stiff by falls about as the square of the elements' size; two meshes
-tell how much that is, and the force without it. So two coarse meshes come closer than a finer one
-that takes longer: docs/results/speed.md, on the paper's presses.
+The discretisation error of a press falls about as the square of the elements' size. Two meshes give
+its size, and the force without it. So two coarse meshes are more accurate than a finer one that
+takes longer: docs/results/speed.md, on the paper's presses.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Power of the elements' size that the error falls with: linear elements, smooth pressure.
+# Power of the elements' size with which the error falls: linear elements, smooth pressure.
 ORDER = 2.0
-# How finely the coarser mesh has to resolve a contact for errors to fall as the square of the
-# elements' size. Half as finely, the error may be twice as large, and so on up to that of order 1.
+# Fineness of the coarser mesh from which errors fall as the square of the elements' size. At half
+# of it, the error may be twice as large, and so on up to that of order 1.
 SQUARE_FROM = 0.375
-# Size of the coarser elements over that of the finer ones at most: what is left to chance in both
-# forces is multiplied by 1 / (COARSER^2 - 1).
+# Largest ratio of the element sizes of both meshes: random errors of both forces are multiplied by
+# 1 / (COARSER^2 - 1).
 COARSER = 5 / 3
-# Elements over the depth of the coarser mesh at least.
+# Least number of elements over the depth of the coarser mesh.
 COARSEST_CELLS = 3
-# Sides of the finest elements over their height at most: under wider ones the contact jumps from
+# Largest side of the finest elements over their height: under wider ones the contact jumps from
 # node to node, and the error does not fall evenly.
 FINER = 0.5
 
@@ -54,13 +54,13 @@ def simulate_extrapolated(
 ) -> list[Outcome]:
     """Simulate by `fem` on the mesh of `numerics` and a coarser one; see `extrapolated`.
 
-    Arguments as for `simulate_many`; `numerics` has elements for edges unless given. A scene that
-    either mesh finds no solution of has none.
+    Arguments as in `simulate_many`; the default `numerics` has elements for edges. A scene fails if
+    it fails on either mesh.
 
     Raises:
-        SceneError: As `simulate_many`; a mesh that has no coarser one, or is not narrower than
-            high where the indenter comes; bodies of several thicknesses.
-        WorkerLost: As `simulate_many`.
+        SceneError: As in `simulate_many`; the mesh has no coarser one, or its elements under the
+            indenter are not narrower than high; the bodies have several thicknesses.
+        WorkerLost: As in `simulate_many`.
     """
     from sim.fem.numerics import FOR_EDGES, Grading, Numerics
 
@@ -89,15 +89,15 @@ def simulate_extrapolated(
 
 
 def extrapolated(coarse: Result, fine: Result) -> Result:
-    """`fine` with the wrench of elements of no size; `record["extrapolated"]` tells how.
+    """Return `fine` with the extrapolated wrench; `record["extrapolated"]` has the details.
 
     F = F_fine + (F_fine - F_coarse) / (r^2 - 1), r the ratio of the elements' sizes (Richardson
     1911). Displacement and traction stay those of the finer mesh. Keys: `order`; `cells`, elements
-    over the depth of both meshes; `force_share`, what was added to the force over the force,
+    over the depth of both meshes; `force_share`, the correction of the force over the force,
     largest over the frames.
 
     Raises:
-        SceneError: Meshes of which the first is not the coarser one.
+        SceneError: The first mesh is not the coarser one.
     """
     cells = [int(one.record["mesh"]["cells"][2]) for one in (coarse, fine)]
     if cells[0] >= cells[1]:
@@ -119,14 +119,14 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
 
 
 def left_of_difference(ratio: float) -> float:
-    """Error of the finer of two meshes over the difference of both, `ratio` of their elements."""
+    """Return the finer mesh's error over the difference of two meshes with this size `ratio`."""
     return 1.0 / (float(ratio**ORDER) - 1.0)
 
 
 def most_of_difference(coarse: Result, ratio: float) -> Array:
-    """Largest error of the finer of two meshes over the difference of both, of each frame (F,).
+    """Return the largest error of the finer mesh over the difference of both, per frame (F,).
 
-    That is `left_of_difference`, or more where the `coarse` mesh hardly resolves the contact.
+    It is `left_of_difference`, or more if the `coarse` mesh barely resolves the contact.
     """
     more = np.clip(SQUARE_FROM / fineness_of(coarse), 1.0, ratio + 1.0)
     return np.asarray(left_of_difference(ratio) * more)
@@ -139,7 +139,7 @@ def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:
 
 
 def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
-    """Size of an element of the coarser mesh [m]."""
+    """Return the size of an element of the coarser mesh [m]."""
     thicknesses = {scene.body.thickness for scene in scenes}
     if len(thicknesses) > 1:
         raise SceneError(

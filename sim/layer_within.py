@@ -1,11 +1,11 @@
-"""A tolerance that `layer` keeps: where its own estimate may stand for a measurement, and why.
+"""Tolerances met by `layer`: conditions under which its estimate replaces a measured error.
 
-No second mesh is solved: the estimate of `sim.error_estimate` is taken at its word, and only where
-it was held against forces found by other means. Those are the presses without friction of
-`python -m benchmarks independent --set axisymmetric --tier layer`, and 30 more scenes without
-friction by `fem` within 1.5 to 3 %: punches, boxes, bars, balls and shapes of the catalogue,
-upright, leaning by up to 6 degrees, beside the middle and sliding. The estimate covered all of
-them; of the 30 none took more than 0.77 of it. tests/sim/test_tolerance_by_layer.py holds some.
+No second mesh is solved. The estimate of `sim.error_estimate` is trusted only for scenes like those
+on which it was checked against independent forces. These are the frictionless presses of
+`python -m benchmarks independent --set axisymmetric --tier layer`, and 30 more frictionless scenes
+by `fem` within 1.5 to 3 %: punches, boxes, bars, balls and shapes of the catalogue, upright, tilted
+by up to 6 degrees, off-centre and sliding. The estimate covered all of them; none of the 30 errors
+was more than 0.77 of it. tests/sim/test_tolerance_by_layer.py has some of them.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from sim.result import Result
 from sim.scene import Scene
 from sim.tiers import simulate_one
 
-# Poisson's ratios that the estimate was held against.
+# Range of Poisson's ratio in which the estimate was checked.
 POISSON = 0.3, 0.49
-# Depth over thickness, the same. `layer` itself ends nowhere.
+# Largest depth over thickness at which it was checked. `layer` itself has no such limit.
 DEEPEST = 0.4
-# Width of the contact over thickness, the same: of a punch 40 times as wide at a Poisson's ratio of
-# 0.3 the estimate is almost used up, 9.4 of 9.7 %.
+# Largest width of the contact over thickness at which it was checked: for a punch 40 times as wide
+# at a Poisson's ratio of 0.3 the estimate is almost used up, 9.4 of 9.7 %.
 WIDEST = 10.0
 
 
 def worth_a_look(scene: Scene, wanted: Tolerance) -> bool:
-    """Whether `layer` may be taken unasked: it was held against such scenes, and may be so exact.
+    """True if `layer` was checked on such scenes, and may be accurate enough.
 
-    Markers have no estimate. Neither friction, of which the estimate covers presses but was hardly
-    held against shear, nor any other effect; no dome, no round body, no indenter from a file.
+    Markers have no estimate. Scenes with friction are excluded, as the estimate covers presses but
+    was hardly checked for shear. So are all other effects, domes, round bodies and indenters from a
+    file.
     """
     body = scene.body
     least = LAYER_LEAST + LAYER_PER_DEPTH * scene.motion.depth_max / body.thickness
@@ -53,19 +54,19 @@ def worth_a_look(scene: Scene, wanted: Tolerance) -> bool:
 def solved_by_layer(
     scene: Scene, wanted: Tolerance, *, progress: Callable[[float], None] | None = None
 ) -> tuple[Result, float, str]:
-    """The scene by `layer`, its error in the unit of the tolerance, and both in words.
+    """Solve the scene by `layer`; return its error in the tolerance's unit, and both in words.
 
-    The error is inf where the tier states none that could be compared with the tolerance;
-    `record["error"]` has the largest one in `newton` [N] too, where there is one.
+    The error is inf if the tier states none that is comparable with the tolerance;
+    `record["error"]` also has the largest one as `newton` [N], if there is one.
 
     Args:
-        scene: What is simulated.
-        wanted: The tolerance.
+        scene: Scene to simulate.
+        wanted: Tolerance.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: What `layer` does not know.
-        SimulationDiverged: No contact was found.
+        SceneError: The scene is not supported by `layer`.
+        SimulationDiverged: The contact did not converge.
     """
     result = simulate_one(scene, "layer", progress=progress)
     error = result.record["error"]
@@ -74,26 +75,26 @@ def solved_by_layer(
     newton = float((np.array(error["force"]) * force_scale(result.force)).max(initial=0.0))
     result = replace(result, record={**result.record, "error": {**error, "newton": newton}})
     if wanted.kind == "marker":
-        return result, np.inf, "layer: error of markers not known, only that of the force is"
+        return result, np.inf, "layer: error of markers not known, only that of the force"
     value = error["percent"] / 100 if wanted.kind == "share" else newton
     return result, value, f"layer: {with_unit(wanted.kind, value)}, estimated"
 
 
 def not_shown(result: Result) -> str | None:
-    """Why a `layer` result is not what its estimate was held against; None where it is."""
+    """Return why a `layer` result is outside the checked range of its estimate; None if inside."""
     if not result.force.any():
         return "layer: no force at all"
     width = float(result.quality.contact_width.max()) / result.scene.body.thickness
     if width > WIDEST:
         return (
-            f"layer: the contact is {width:.3g} thicknesses wide, its estimate was held against "
-            f"{WIDEST:g} at most"
+            f"layer: the contact is {width:.3g} thicknesses wide, its estimate was checked up to "
+            f"{WIDEST:g}"
         )
     return None
 
 
 def why_trusted(result: Result) -> str:
-    """What the estimate of a `layer` result rests on, in a sentence for a person."""
+    """Return the basis of the estimate of a `layer` result, in a sentence for the user."""
     thickness = result.scene.body.thickness
     width = float(result.quality.contact_width.max())
     side = side_distance(result)

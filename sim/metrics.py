@@ -1,4 +1,4 @@
-"""How far one outcome is from another that is taken for the truth: force, surface, markers."""
+"""Errors of an outcome relative to a reference: force, surface, markers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim.errors import SceneError
 from sim.result import Result
 from sim.scene import Body
 
-# What of a result is compared, and kept in a file to compare with later.
+# The parts of a result that are compared, and stored for later comparisons.
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,18 +24,18 @@ class Outcome:
     """Force, surface and touched points of F frames; SI units, contact frame."""
 
     force: Array
-    """Of the indenter on the body (F, 3) [N]."""
+    """Force of the indenter on the body (F, 3) [N]."""
     surface_x: Array
     """x of the material points of the top (X,) [m], rising, evenly spaced or not."""
     surface_y: Array
-    """The same for y (Y,) [m]."""
+    """y of the material points of the top (Y,) [m]."""
     surface: NDArray[np.float32]
     """Displacement of those points (F, X, Y, 3) [m]."""
     touched: NDArray[np.bool_]
-    """Which of them feel traction (F, X, Y)."""
+    """True for points with traction (F, X, Y)."""
 
     def frames(self, chosen: list[int]) -> Outcome:
-        """The same with these frames only."""
+        """Return the outcome with these frames only."""
         return Outcome(
             self.force[chosen],
             self.surface_x,
@@ -46,7 +46,7 @@ class Outcome:
 
 
 def outcome_of(result: Result) -> Outcome:
-    """What is compared of `result`; no traction (NaN) counts as not touched."""
+    """Return the compared parts of `result`; points without traction (NaN) count as not touched."""
     return Outcome(
         force=np.asarray(result.force, np.float64),
         surface_x=result.surface_x,
@@ -57,7 +57,7 @@ def outcome_of(result: Result) -> Outcome:
 
 
 def save(path: Path, outcomes: dict[str, Outcome]) -> None:
-    """Write outcomes under their names to one `.npz`, whole or not at all."""
+    """Write outcomes under their names to one `.npz`, atomically."""
     arrays = {}
     for name, one in outcomes.items():
         for field in Outcome.__slots__:
@@ -70,10 +70,10 @@ def save(path: Path, outcomes: dict[str, Outcome]) -> None:
 
 
 def load(path: Path) -> dict[str, Outcome]:
-    """The outcomes that `save` wrote.
+    """Return the outcomes that `save` wrote.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: The file does not exist.
     """
     with np.load(path) as kept:
         names = sorted({key.rpartition("/")[0] for key in kept.files})
@@ -84,10 +84,10 @@ def load(path: Path) -> dict[str, Outcome]:
 
 
 def check_same(one: Outcome, other: Outcome, body: Body) -> None:
-    """Refuse what cannot be compared.
+    """Reject outcomes that cannot be compared.
 
     Raises:
-        ValueError: Unlike numbers of frames, or points beyond the body.
+        ValueError: The numbers of frames differ, or points are beyond the body.
     """
     if len(one.force) != len(other.force):
         raise ValueError(f"{len(one.force)} frames against {len(other.force)} of the reference")
@@ -97,24 +97,24 @@ def check_same(one: Outcome, other: Outcome, body: Body) -> None:
                 raise ValueError(f"points up to {np.abs(places).max()} m on a body of {size} m")
 
 
-# Where a camera below the gel sees markers that stick to its top: the paper's pinhole.
+# Images of markers on the top of the gel, in a camera below it: the paper's pinhole.
 
 # Markers along each side of the body.
 MARKERS = 14
 
 
 def marker_places(body: Body) -> tuple[Array, Array]:
-    """Places x (14,) and y (14,) of the regular grid of markers on the untouched top [m]."""
+    """Return x (14,) and y (14,) of the regular grid of markers on the undeformed top [m]."""
     share = (np.arange(MARKERS) + 0.5) / MARKERS - 0.5
     return share * body.size_x, share * body.size_y
 
 
 def seen(place: Array) -> Array:
-    """Pixels (..., 2), from the middle of the image, of points (..., 3) in the contact frame [m].
+    """Return pixels (..., 2), from the image centre, of points (..., 3) in the contact frame [m].
 
-    The paper's camera; x to the right and y up.
+    Uses the paper's camera; x to the right and y up.
     """
-    # Drawing markers loads image libraries, which a machine that only measures may lack.
+    # Drawing markers imports image libraries, which a machine that only measures may not have.
     from sim.markers.camera import Camera
 
     return Camera.paper().on_film(place)
@@ -137,9 +137,9 @@ class Errors:
     force: Array
     """|F_i - Fref_i| along x, y, z (F, 3) [N]."""
     force_share: Array
-    """The same over max(|Fref| of the frame, `WEAK` of the largest |Fref|) (F, 3)."""
+    """`force` over max(|Fref| of the frame, `WEAK` of the largest |Fref|) (F, 3)."""
     surface: Array
-    """Largest distance between the two places of a material point of the top (F,) [m]."""
+    """Largest distance between the two positions of a material point of the top (F,) [m]."""
     surface_rms: Array
     """Root of the mean square of that distance (F,) [m]."""
     outside: Array
@@ -150,21 +150,21 @@ class Errors:
     """Root of the mean square of that distance (F,) [px]."""
 
     def worst(self) -> dict[str, float]:
-        """The largest of each over frames and axes; `force_last` is that of the last frame."""
+        """Return the largest of each over frames and axes; `force_last` is for the last frame."""
         found = {name: _largest(getattr(self, name)) for name in self.__slots__}
         found["force_last"] = _largest(self.force_share[-1])
         return found
 
 
 def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
-    """How far `outcome` is from `reference`, two outcomes of one motion into `body`.
+    """Return the errors of `outcome` relative to `reference`, for one motion into `body`.
 
-    Surfaces are cubic splines through the points of each, as a picture of it would use, compared
-    where both have points around: up to the outermost points of the coarser one. The spacing of
-    the points may change along the surface.
+    Surfaces are cubic splines through the points of each, as a rendered image would use. They are
+    compared up to the outermost points of the coarser one, where both have points around. The
+    spacing of the points may change along the surface.
 
     Raises:
-        ValueError: Unlike numbers of frames, or points beyond the body.
+        ValueError: The numbers of frames differ, or points are beyond the body.
     """
     check_same(outcome, reference, body)
     force, share = force_errors(outcome, reference)
@@ -183,27 +183,27 @@ def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
 
 
 def force_errors(outcome: Outcome, reference: Outcome) -> tuple[Array, Array]:
-    """`Errors.force` (F, 3) [N] and `Errors.force_share` (F, 3)."""
+    """Return `Errors.force` (F, 3) [N] and `Errors.force_share` (F, 3)."""
     force = np.abs(outcome.force - reference.force)
     return force, force / force_scale(reference.force)[:, None]
 
 
 def force_scale(force: Array) -> Array:
-    """The larger of each force's length (F, 3) and `WEAK` of the largest (F,): errors over it."""
+    """Return the scale of errors: each force's norm, but at least `WEAK` of the largest (F,)."""
     size = np.linalg.norm(force, axis=1)
     least = max(WEAK * float(size.max(initial=0.0)), float(np.finfo(float).tiny))
     return np.asarray(np.maximum(size, least))
 
 
 def marker_errors(outcome: Outcome, reference: Outcome, body: Body) -> Array:
-    """Distance between the two images of every marker on the body (F, up to 196) [px]."""
+    """Return distances between the two images of every marker on the body (F, up to 196) [px]."""
     moved = marker_pixels(outcome, body) - marker_pixels(reference, body)
     x, y = marker_places(body)
     return np.asarray(np.linalg.norm(moved, axis=-1)[:, body.covers(x[:, None], y)])
 
 
 def marker_pixels(outcome: Outcome, body: Body) -> Array:
-    """Pixels (F, 14, 14, 2) at which the camera sees the markers of each frame."""
+    """Return the pixels (F, 14, 14, 2) of the markers' images in each frame."""
     x, y = marker_places(body)
     rest = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     height = body.heights(x, y)
@@ -217,7 +217,7 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
 
 
 def _surface_errors(outcome: Outcome, reference: Outcome, frame: int) -> tuple[float, float, float]:
-    """Largest, root mean square and largest untouched distance of a frame [m]."""
+    """Return the largest and root mean square distance, and the largest outside contact [m]."""
     x = _shared(outcome.surface_x, reference.surface_x)
     y = _shared(outcome.surface_y, reference.surface_y)
     difference = _displacement(outcome, frame, x, y) - _displacement(reference, frame, x, y)
@@ -228,12 +228,12 @@ def _surface_errors(outcome: Outcome, reference: Outcome, frame: int) -> tuple[f
 
 
 def _shared(one: Array, other: Array) -> Array:
-    """Places (POINTS,) from end to end of what both cover."""
+    """Return points (POINTS,) across the range that both cover."""
     return np.linspace(max(one[0], other[0]), min(one[-1], other[-1]), POINTS)
 
 
 def _displacement(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:
-    """Displacement (X, Y, 3) of the material points at x (X,), y (Y,) [m]."""
+    """Return displacements (X, Y, 3) of the material points at x (X,), y (Y,) [m]."""
     known = outcome.surface_x, outcome.surface_y
     degree_x, degree_y = (min(3, len(places) - 1) for places in known)
     components = []
@@ -245,7 +245,7 @@ def _displacement(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:
 
 
 def _touched(reference: Outcome, frame: int, x: Array, y: Array) -> NDArray[np.bool_]:
-    """Where the reference is touched, or lies in a cell with a touched corner (X, Y)."""
+    """True where the reference is touched, or in a cell with a touched corner (X, Y)."""
     pressed = reference.touched[frame].astype(np.float64)
     look = RegularGridInterpolator((reference.surface_x, reference.surface_y), pressed)
     return np.asarray(look(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)) > 0)
@@ -255,7 +255,7 @@ def _largest(values: Array) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
 
 
-# What error a person accepts: "2 %", "0.05 N" or "0.5 px".
+# Error that a user accepts: "2 %", "0.05 N" or "0.5 px".
 
 Kind = Literal["share", "force", "marker"]
 ALLOWED = 'a number above 0 with its unit: "2 %", "0.05 N" or "0.5 px"'
@@ -269,26 +269,26 @@ _UNITS: dict[str, tuple[Kind, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """The largest error accepted at any frame.
+    """Largest accepted error at any frame.
 
     `share`: |F_i - Ftrue_i| along x, y or z over max(|Ftrue| of the frame, a tenth of the largest);
     `force`: |F_i - Ftrue_i| [N]; `marker`: root mean square of the distances between 14 x 14
-    markers' images and where they should be [px], seen by the paper's camera.
+    markers' images and their true positions [px], in the paper's camera.
     """
 
     kind: Kind
     value: float
 
     def __str__(self) -> str:
-        """As a person writes it."""
+        """Return the tolerance with its unit, in the form that `tolerance_of` reads."""
         return with_unit(self.kind, self.value)
 
 
 def tolerance_of(text: str) -> Tolerance:
-    """The tolerance that `text` writes.
+    """Parse a tolerance.
 
     Raises:
-        SceneError: It is none.
+        SceneError: `text` is not a tolerance.
     """
     match = re.fullmatch(r"\s*(\S+?)\s*(%|mN|N|px)\s*", text) if isinstance(text, str) else None
     try:
@@ -302,14 +302,14 @@ def tolerance_of(text: str) -> Tolerance:
 
 
 def with_unit(kind: Kind, value: float) -> str:
-    """A value of a kind with its unit."""
+    """Return a value of a kind with its unit."""
     if kind == "share":
         return f"{100 * value:.3g} %"
     return f"{value:.3g} {'N' if kind == 'force' else 'px'}"
 
 
 def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[Kind, float]:
-    """How far two outcomes are apart in each kind, in its unit: 1, N, px."""
+    """Return the largest differences of two outcomes by kind, in its unit: 1, N, px."""
     force, share = force_errors(one, other)
     pixels = marker_errors(one, other, body)
     return {

@@ -1,9 +1,9 @@
-"""Only the effects a scene calls for: what each one changes, found on coarse meshes.
+"""Selection of the effects that a scene needs, by their influence on coarse meshes.
 
-A probe is the scene on a coarse `fem` mesh with some of its effects left out. Its difference from
-the probe with all of them is what they are worth: both have the same mesh, whose own error mostly
-cancels. Where dimensions show that an effect is far below what matters (`sim.effect_bounds`), no
-probe is spent on it. Effects are left out in the order of their worth, as many as a probe without
+A probe is the scene on a coarse `fem` mesh without some of its effects. Its difference from the
+probe with all of them measures their influence: both have the same mesh, whose own error mostly
+cancels. Where dimensions show that an effect is far below the relevant size (`sim.effect_bounds`),
+it needs no probe. Effects are left out in the order of their influence, as many as a probe without
 all of them together allows.
 """
 
@@ -34,80 +34,80 @@ from sim.tolerance import FLOOR, simulate_within
 
 Progress = Callable[[float], None]
 
-# Share of a tolerance that effects left out may take; what they do not take is the mesh's.
+# Share of a tolerance that left-out effects may use; the rest is for the mesh.
 PART = 1 / 3
-# Error of leaving effects out on a finer mesh over that of the probes, at most: up to 1.34 in 22
-# random scenes, but for one whose error was below `NOISE` (`python -m benchmarks needed`).
+# Largest error by leaving out effects on a finer mesh over that of the probes: up to 1.34 in 22
+# random scenes, except for one whose error was below `NOISE` (`python -m benchmarks needed`).
 SAFETY = 1.5
-# Least error of a force, over the force, that probes tell of leaving effects out: states are found
-# along other steps, with what is left of the penetration.
+# Least error of a force, over the force, that probes resolve: their states are found along
+# different steps, and with a remaining penetration.
 NOISE = 5e-4
-# Share of that part which a bound must be below for an effect to be spared a probe.
+# Share of that part below which a bound makes a probe unnecessary.
 BOUND_PART = 0.1
-# The same without a tolerance: a tenth of what two meshes tell of a force, and pixels.
+# Such limits without a tolerance: a tenth of the resolution of a force by two meshes, and pixels.
 NEGLIGIBLE: dict[Kind, float] = {"share": 1e-4, "marker": 0.01}
-# Of the probes' meshes.
+# Fineness and most elements of the probes' meshes.
 FINENESS, ELEMENTS_MAX = 0.3, 1500
-# Tolerances of the probes' states, and of those between waypoints: they move a worth by less than
+# Tolerances of the probes' states, at and between waypoints: they change an influence by less than
 # 1e-4 of the force.
 STATES, PATHS = 1e-3, 1e-2
-# What a probe may try: one that takes more would cost more than it can save, and tells nothing.
+# Limits of a probe: one that needs more would cost more than it can save, and counts as failed.
 NEWTON_MAX, CG_MAX, HALVINGS = 30, 1500, 3
-# Iterations of the linear solver that take as long as one Newton iteration beside them.
+# Iterations of the linear solver that take as long as the rest of one Newton iteration.
 NEWTON = 50
 
 
 @dataclass(frozen=True, slots=True)
 class EffectWorth:
-    """One effect of a scene, and what leaving it out changes."""
+    """One effect of a scene, and the change by leaving it out."""
 
     name: str
     """`friction`, `viscosity`, `inertia` or `gravity`."""
     by: str
-    """How that is known: `probe`, `bound` (it is less), or `no solution` of the probe."""
+    """Source of the change: `probe`, `bound` (it is less), or `no solution` of the probe."""
     change: Change | None = None
-    """None where the probe found no solution."""
+    """None if the probe found no solution."""
     time: float | None = None
-    """Share of the run's time that the effect takes: 1 - work without it / work with it, work being
-    iterations of the linear solver and 50 for each Newton iteration of the probes. Below 0 where
-    the scene is harder without it; None where no probe ran without it."""
+    """Share of the run's time that the effect takes: 1 - work without it / work with it. Work is
+    iterations of the linear solver and 50 for each Newton iteration of the probes. Negative if the
+    scene is harder without it; None if no probe ran without it."""
     left_out: bool = False
-    """Whether the tolerance allows to do without it."""
+    """True if the tolerance allows leaving it out."""
 
 
 @dataclass(frozen=True, slots=True)
 class EffectsPlan:
-    """What the effects of a scene are worth, and which of them a tolerance allows to leave out."""
+    """Influence of a scene's effects, and the selection that a tolerance allows to leave out."""
 
     scene: Scene
-    """With all its effects."""
+    """Scene with all its effects."""
     tolerance: Tolerance | None
-    """None: nothing is left out."""
+    """None: no effect is left out."""
     effects: tuple[EffectWorth, ...]
-    """Of all that are on, in the order of their worth, least first."""
+    """All active effects, in the order of their influence, least first."""
     joint: Change
-    """Error of all that is left out together, `SAFETY` included; nothing is 0."""
+    """Error of leaving out all of the selection together, `SAFETY` included; 0 if it is empty."""
     joint_by: str
-    """How that is known: `nothing left out`, `bounds`, `probe`, or `probe and bounds`."""
+    """Source of the error: `nothing left out`, `bounds`, `probe`, or `probe and bounds`."""
     time: float | None = None
-    """Share of the run's time that is saved; as of `EffectWorth`."""
+    """Share of the run's time that is saved; as in `EffectWorth`."""
     probes: int = 0
-    """How many scenes were solved to find out."""
+    """Number of scenes that were solved for the plan."""
     seconds: float = 0.0
-    """Time that it took, bounds and probes [s]."""
+    """Time for bounds and probes [s]."""
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of what is left out."""
+        """Names of the effects that are left out."""
         return tuple(one.name for one in self.effects if one.left_out)
 
     @property
     def needed(self) -> Scene:
-        """The scene without what is left out."""
+        """Scene without the effects that are left out."""
         return without(self.scene, self.left_out)
 
     def record(self) -> dict[str, Any]:
-        """Everything as plain JSON values; shares of the force and of the time in percent."""
+        """Return the plan as plain JSON values; shares of force and time are in percent."""
         return {
             "asked": to_json(self.scene.effects),
             "kept": list(self.needed.effects.key),
@@ -134,7 +134,7 @@ class EffectsPlan:
         }
 
     def __str__(self) -> str:
-        """A table with a row for each effect, and a line on what is left out."""
+        """Return a table with a row for each effect, and a summary line."""
         if not self.effects:
             return "the scene has no effects"
         rows: list[tuple[str, ...]] = [
@@ -157,10 +157,10 @@ class EffectsPlan:
         return "\n".join(lines)
 
     def summary(self) -> str:
-        """What is left out and at what price, in a line."""
+        """Return one line with the effects that are left out and their error."""
         spent = f"{self.probes} probes, {self.seconds:.1f} s"
         if self.tolerance is None:
-            return f"what leaving one out changes; {spent}"
+            return f"changes if one effect is left out; {spent}"
         limit = f"{_in_words(self.tolerance)} of {self.tolerance} is for effects"
         if not self.left_out:
             return f"nothing can be left out: {limit}; {spent}"
@@ -172,7 +172,7 @@ class EffectsPlan:
 
 
 def without(scene: Scene, names: Sequence[str]) -> Scene:
-    """The scene without the effects `names`; the scene itself where there are none of them."""
+    """Return the scene without the effects `names`; the scene itself if there are none."""
     if not names:
         return scene
     return replace(scene, effects=replace(scene.effects, **dict.fromkeys(names)))
@@ -185,10 +185,10 @@ def plan_many(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[EffectsPlan]:
-    """As `sim.plan`, of several scenes, whose probes are solved side by side.
+    """Plan several scenes as `sim.plan` does, with the probes solved in one batch.
 
     Raises:
-        SceneError: As `sim.plan`.
+        SceneError: As in `sim.plan`.
     """
     wanted = None if tolerance is None else tolerance_of(tolerance)
     for scene in scenes:
@@ -213,20 +213,20 @@ def simulate_needed(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
-    """The scene within `tolerance`, without the effects that it may do without.
+    """Simulate within `tolerance`, without the effects that it allows to leave out.
 
-    Effects left out take up to a third of the tolerance, the mesh the rest of it; the sum of both
-    errors is in `record["error"]`. `record["effects"]` is the plan, with the effects asked for;
+    Left-out effects take up to a third of the tolerance, the mesh the rest of it; the sum of both
+    errors is in `record["error"]`. `record["effects"]` is the plan, with the requested effects;
     the result's scene has those that were solved.
 
     Args:
-        scene: With all effects in question.
+        scene: Scene with all requested effects.
         tolerance: Such as "2 %", "0.05 N", "0.5 px".
-        device: Where it runs.
+        device: Device to run on.
         progress: Called with the share done, 0 to 1, of the probes and of each mesh in turn.
 
     Raises:
-        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach.
+        SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it.
         SimulationDiverged: A mesh found no solution.
     """
     (found,) = plan_many([scene], tolerance=tolerance, device=device, progress=progress)
@@ -237,7 +237,7 @@ def simulate_needed(
     spent = found.joint.value(wanted.kind)
     rest = _text(wanted.kind, wanted.value - spent)
     try:
-        # Errors of effects and mesh are added, markers' too, which 'layer' does not state.
+        # Errors of effects and mesh are added, also those of markers, which 'layer' does not state.
         result = simulate_within(found.needed, rest, tier="fem", device=device, progress=progress)
     except SceneError as refusal:
         raise SceneError(
@@ -248,7 +248,7 @@ def simulate_needed(
 
 
 def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> Result:
-    """The result of the mesh, its error and that of the effects added up."""
+    """Return the mesh's result with the sum of its error and that of the effects."""
     mesh, joint = result.record["error"], found.joint
     share = [a + b for a, b in zip(mesh["force"], joint.share, strict=True)]
     error = {
@@ -272,7 +272,7 @@ def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> 
 
 
 def part_of_tolerance(tolerance: Tolerance) -> float:
-    """How much of a tolerance effects left out may take, in its unit."""
+    """Return the part of a tolerance that left-out effects may use, in its unit."""
     part = PART * tolerance.value
     if tolerance.kind == "share":
         part = min(part, tolerance.value - FLOOR)
@@ -284,7 +284,7 @@ def _in_words(tolerance: Tolerance) -> str:
 
 
 def _text(kind: Kind, value: float) -> str:
-    """A tolerance as a person writes it, no larger than `value`: four digits, the rest cut off."""
+    """Return a tolerance as text, rounded down to four digits."""
     number, unit = {
         "share": (100 * value, "%"),
         "force": (value, "N"),
@@ -302,14 +302,14 @@ def _numbers(change: Change) -> dict[str, float]:
     }
 
 
-# The probes of one scene, from bounds to the largest set that may be left out.
+# Probes of one scene, from bounds to the largest set that may be left out.
 
 Names = frozenset[str]
 
 
 @dataclass
 class _Draft:
-    """A plan in the making; `queue` are the sets of effects to be left out in the next probes."""
+    """Plan under construction; `queue` has the sets of effects that the next probes leave out."""
 
     scene: Scene
     wanted: Tolerance | None
@@ -317,13 +317,13 @@ class _Draft:
     queue: list[Names] = field(default_factory=list)
     solved: dict[Names, Outcome] = field(default_factory=dict)
     candidates: list[Names] = field(default_factory=list)
-    """Sets to be left out together, largest first."""
+    """Sets that may be left out together, largest first."""
     chosen: Names = frozenset()
-    """What is left out of the effects that were probed."""
+    """Probed effects that are left out."""
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        """Bound what can be bounded; the rest, and the scene as it is, are to be probed."""
+        """Bound effects where possible; queue probes of the others, and one with all effects."""
         began = time.perf_counter()
         names = self.scene.effects.key
         for name, change in bounds_of(self.scene, names).items():
@@ -340,21 +340,21 @@ class _Draft:
         return change.value(self.wanted.kind) <= BOUND_PART * part_of_tolerance(self.wanted)
 
     def change(self, names: Names) -> Change | None:
-        """What leaving out `names` changes, by the probes; None where one found no solution."""
+        """Return the probes' change by leaving out `names`; None if one found no solution."""
         whole, less = self.solved.get(frozenset()), self.solved.get(names)
         if not (isinstance(whole, Result) and isinstance(less, Result)):
             return None
         return _between(whole, less)
 
     def time(self, names: Names) -> float | None:
-        """Share of the work that `names` take; None where a probe found no solution."""
+        """Return the share of the work that `names` take; None if a probe found no solution."""
         whole, less = self.solved.get(frozenset()), self.solved.get(names)
         if not (isinstance(whole, Result) and isinstance(less, Result)):
             return None
         return 1.0 - _work(less) / _work(whole)
 
     def joint(self, names: Names) -> Change | None:
-        """The error of leaving out `names` and all that is bounded, on the safe side."""
+        """Return an upper bound of the error of leaving out `names` and all bounded effects."""
         total = no_change(self.scene)
         for change in self.bounded.values():
             total = total.plus(change)
@@ -374,13 +374,13 @@ class _Draft:
         return total.plus(found)
 
     def _whole(self) -> Result:
-        """The probe with all effects, where one without some of them has a change."""
+        """Return the probe with all effects; only called if it has a solution."""
         whole = self.solved[frozenset()]
         assert isinstance(whole, Result)
         return whole
 
     def _together(self, names: Names) -> Names:
-        """What the probe that stands for `names` leaves out: several also what is bounded."""
+        """Return the effects that the probe of `names` omits: for several, bounded ones too."""
         return names if len(names) < 2 else names | frozenset(self.bounded)
 
     def _fits(self, names: Names) -> bool:
@@ -390,7 +390,7 @@ class _Draft:
         return change.value(self.wanted.kind) <= part_of_tolerance(self.wanted)
 
     def order(self) -> None:
-        """After the first probes: which sets may be left out, the least worth first."""
+        """After the first probes, list the sets that may be left out, least influence first."""
         self.queue = []
         if self.wanted is None or not self.probed:
             return
@@ -399,7 +399,7 @@ class _Draft:
         self.judge()
 
     def judge(self) -> None:
-        """Take the first candidate if it fits; the next one that is not known is to be probed."""
+        """Choose the first candidate if it fits; queue a probe of the next one that needs it."""
         self.queue = []
         while self.candidates:
             first = self.candidates[0]
@@ -412,7 +412,7 @@ class _Draft:
             self.candidates.pop(0)
 
     def ordered(self) -> list[str]:
-        """The effects that were probed, the least worth first; those without a solution last."""
+        """Return the probed effects, least influence first; those without a solution last."""
         kind: Kind = "share" if self.wanted is None else self.wanted.kind
 
         def worth(name: str) -> float:
@@ -422,7 +422,7 @@ class _Draft:
         return sorted(self.probed, key=worth)
 
     def plan(self) -> EffectsPlan:
-        """What was found."""
+        """Return the finished plan."""
         leaves = self.wanted is not None
         each = [EffectWorth(name, "bound", self.bounded[name], None, leaves)
                 for name in self.scene.effects.key if name in self.bounded]  # fmt: skip
@@ -449,7 +449,7 @@ class _Draft:
 def _solve(
     drafts: Sequence[_Draft], device: str, progress: Progress | None, part: tuple[int, int]
 ) -> None:
-    """Solve what the drafts have in their queues, all side by side."""
+    """Solve the queued probes of all drafts in one batch."""
     from sim.fem.numerics import Numerics
 
     tasks = [(draft, names) for draft in drafts for names in draft.queue]
@@ -478,7 +478,7 @@ def _solve(
 
 
 def _between(whole: Result, less: Result) -> Change:
-    """How far the probe without an effect is from the one with it."""
+    """Return the difference of the probe without an effect from the one with it."""
     one, reference = outcome_of(less), outcome_of(whole)
     force, share = force_errors(one, reference)
     pixels = marker_errors(one, reference, whole.scene.body)

@@ -1,4 +1,4 @@
-"""A result as a picture: maps of the surface from above, a section, and the force, on one page."""
+"""Picture of a result on one page: maps of the surface from above, a section, and the force."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from recorder.plot import INK, PANEL, PAPER, SOFT, Curve, font, line_plot
 from sim.result import Result
 from sim.scene import Body
 
-# The deformed surface from above: what lies at each place now, not what lay there before.
+# Deformed surface from above, by the current position of its material.
 
 Array = NDArray[np.float64]
 
-# Points along each side that the surface is refined to, at least, before it is drawn.
+# Least number of points along each side to which the surface is refined before it is drawn.
 FINE = 200
-# Rounds of the search for what moved to a place, and the share of the miss that each makes up for:
-# converges unless the surface folds over or is stretched to more than 2.8 times its length.
+# Iterations that search for the material at a place, and the share of the miss corrected in each:
+# they converge unless the surface folds over or is stretched to more than 2.8 times its length.
 ROUNDS, RELAXATION = 40, 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Height and pressure over the place where the material is now."""
+    """Height and pressure over the current position of the material."""
 
     half_x: float
-    """Half the width of what there is to see [m]."""
+    """Half the width of the visible area [m]."""
     half_y: float
-    """The same along y [m]."""
+    """Half the width along y [m]."""
     pressure_max: float
-    """Largest pressure of the result itself, before any refinement [Pa]."""
+    """Largest pressure of the result, before any refinement [Pa]."""
     _corner: Array
-    """Least x and y of the untouched points (2,) [m]."""
+    """Least x and y of the undeformed points (2,) [m]."""
     _spacing: Array
     """Distance between them along x and y (2,) [m]."""
     _fields: Array
     """Sideways shift (2), height and pressure of each point (4, X, Y)."""
     _body: Body
-    """What it is the surface of."""
+    """Body of the surface."""
 
     def at(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Height above the untouched apex [m] and pressure [Pa] at x, y (broadcast together).
+        """Return the height above the undeformed apex [m] and pressure [Pa] at x, y (broadcast).
 
-        NaN beside the body.
+        NaN outside the body.
         """
         shape = np.broadcast_shapes(np.shape(x), np.shape(y))
         place = np.stack([np.broadcast_to(axis, shape).ravel() for axis in (x, y)])
@@ -64,17 +64,16 @@ class Surface:
         return height.reshape(shape), pressure.reshape(shape)
 
     def _look(self, field: int, origin: Array) -> Array:
-        """A field at untouched places (2, N): (N,), that of the rim beyond it."""
+        """Return a field (N,) at undeformed places (2, N), extended beyond its edges."""
         index = (origin - self._corner[:, None]) / self._spacing[:, None]
         found: Array = map_coordinates(self._fields[field], index, order=1, mode="nearest")
         return found
 
 
 def surface_of(result: Result, frame: int) -> Surface:
-    """The surface of one frame, refined so that a coarse mesh looks smooth.
+    """Return the surface of one frame, refined so that a coarse mesh looks smooth.
 
-    The `layer` tier, linear as it is, looks for contact where the material was untouched: its
-    points are drawn there.
+    The linear `layer` tier computes contact at undeformed positions, so its points are drawn there.
     """
     x, y = result.surface_x, result.surface_y
     body = result.scene.body
@@ -100,15 +99,15 @@ def surface_of(result: Result, frame: int) -> Surface:
 
 
 def _refined(along: Array) -> Array:
-    """Evenly spaced `along` with as many points between as make at least `FINE` of them."""
+    """Return evenly spaced `along` with enough points in between for at least `FINE` of them."""
     between = -(-FINE // (len(along) - 1))
     return np.linspace(along[0], along[-1], between * (len(along) - 1) + 1)
 
 
 def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y: Array) -> Array:
-    """Values (X, Y, ...) at finer places, by cubics that never overshoot their neighbours.
+    """Interpolate values (X, Y, ...) at finer places, by cubics without overshoot.
 
-    A spline would swing around the rim of a contact and draw ripples that nobody computed.
+    A spline would oscillate around the rim of a contact and draw ripples that are not in the data.
     """
     given = np.asarray(values, np.float64)
     along_x = PchipInterpolator(x, given, axis=0)(fine_x)
@@ -116,20 +115,20 @@ def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y
     return refined
 
 
-# A section through body and indenter along x, true to scale.
+# Section through body and indenter along x, true to scale.
 
 SOFT_BODY, SKIN = (206, 220, 222), (52, 104, 140)
 METAL, PLATE = (152, 158, 168), (92, 98, 108)
-# Drawn this much larger and reduced: Pillow's edges are not smooth.
+# Supersampling factor: Pillow draws edges without anti-aliasing.
 SMOOTH = 3
-# Free height above the untouched surface, in thicknesses.
+# Free height above the undeformed surface, in thicknesses.
 HEADROOM = 0.35
 # Height of the plate below the body, in thicknesses.
 PLATE_SHARE = 0.08
 
 
 def section_size(result: Result, surface: Surface, width: int) -> tuple[int, int]:
-    """Width and height [px] of a section that is `width` wide."""
+    """Return width and height [px] of a section that is `width` wide."""
     body = result.scene.body
     tall = body.thickness * (1 + HEADROOM + PLATE_SHARE)
     return width, max(40, round(width * tall / (2 * surface.half_x)))
@@ -173,18 +172,18 @@ def draw_section(
     pen.text((at[0] + width, at[1] - 10), note, SOFT, font(13), anchor="rs")
 
 
-# Colour scales of the maps, and the numbers that stand beside them.
+# Colour scales of the maps, and the numbers next to them.
 
 Scale = tuple[tuple[int, int, int], ...]
 
-# Deep is dark blue, high is light sand; evenly spaced, brighter all the way.
+# Low is dark blue, high is light sand; evenly spaced, with rising brightness.
 HEIGHT: Scale = ((24, 44, 84), (40, 92, 134), (84, 148, 160), (166, 200, 180), (244, 236, 208))
-# None is paper, the most is dark red; evenly spaced, darker all the way.
+# None is paper, the most is dark red; evenly spaced, with falling brightness.
 PRESSURE: Scale = ((250, 250, 248), (253, 220, 150), (244, 150, 80), (208, 62, 60), (104, 16, 56))
 
 
 def coloured(share: Array, scale: Scale) -> Array:
-    """Colour (..., 3) of each share 0 to 1 of a scale."""
+    """Return the colour (..., 3) for each share, 0 to 1, of a scale."""
     stops = np.array(scale, float)
     at = np.clip(np.nan_to_num(share), 0, 1) * (len(stops) - 1)
     places = np.arange(len(stops))
@@ -192,7 +191,7 @@ def coloured(share: Array, scale: Scale) -> Array:
 
 
 def round_numbers(low: float, high: float, about: int) -> list[float]:
-    """About so many round numbers within the limits."""
+    """Return about `about` round numbers within the limits."""
     if not high > low:
         return [low]
     step = round_below(1.5 * (high - low) / about)
@@ -201,16 +200,17 @@ def round_numbers(low: float, high: float, about: int) -> list[float]:
 
 
 def round_below(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above `value`."""
+    """Return the largest of 1, 2, 5 times a power of ten that is not above `value`."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(step * power for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
 
 
 Box = tuple[int, int, int, int]
 
-# Direction to the lamp: upper left.
+# Direction of the light: upper left.
 LIGHT = np.array([-0.55, 0.55, 0.63])
-# Steepest slope that the shading shows; flatter reliefs are raised up to `RAISED_MOST` times.
+# Steepest slope that the shading shows; flatter reliefs are raised by a factor of at most
+# `RAISED_MOST`.
 RELIEF = 0.7
 RAISED_MOST = 12.0
 # Colour of the body's outline.
@@ -220,12 +220,12 @@ BAR_GAP, BAR_WIDTH = 14, 14
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """A surface sampled at the pixels of one map, y up."""
+    """Surface sampled at the pixels of one map, y up."""
 
     height: Array
-    """(rows, columns) [m]; NaN beside the body."""
+    """Height (rows, columns) [m]; NaN outside the body."""
     pressure: Array
-    """(rows, columns) [Pa]; NaN beside the body."""
+    """Pressure (rows, columns) [Pa]; NaN outside the body."""
     pixel: float
     """Width of a pixel [m]."""
     pressure_max: float
@@ -233,7 +233,7 @@ class Sampled:
 
 
 def sampled(surface: Surface, size: int) -> Sampled:
-    """The surface at pixels whose longer side counts `size`."""
+    """Sample the surface at pixels, `size` of them along its longer side."""
     pixel = 2 * max(surface.half_x, surface.half_y) / size
     columns, rows = round(2 * surface.half_x / pixel), round(2 * surface.half_y / pixel)
     x = (np.arange(columns) + 0.5 - columns / 2) * pixel
@@ -245,7 +245,7 @@ def sampled(surface: Surface, size: int) -> Sampled:
 def draw_heights(page: Image.Image, at: tuple[int, int], surface: Sampled) -> None:
     """Draw the relief with its upper left corner at `at` [px]."""
     low, high = float(np.nanmin(surface.height)), float(np.nanmax(surface.height))
-    # An untouched surface is one height: give its scale some width.
+    # An undeformed surface has one height: give its scale some width.
     low, high = (low, high) if high - low > 1e-6 else (low - 5e-7, high + 5e-7)
     colours = coloured((surface.height - low) / (high - low), HEIGHT)
     _paste(page, at, colours * _shade(surface)[..., None], surface)
@@ -262,7 +262,7 @@ def draw_pressure(page: Image.Image, at: tuple[int, int], surface: Sampled) -> N
 
 
 def _shade(surface: Sampled) -> Array:
-    """Brightness of each pixel: 1 where the surface is level."""
+    """Return the brightness of each pixel: 1 where the surface is level."""
     down, right = (np.nan_to_num(slope) for slope in np.gradient(surface.height, surface.pixel))
     steepest = float(np.percentile(np.hypot(down, right), 98)) or 1e-9
     raised = float(np.clip(RELIEF / steepest, 1.0, RAISED_MOST))
@@ -312,7 +312,7 @@ def _bar(
         pen.text((left + BAR_WIDTH + 8, y), f"{tick:g}", SOFT, font(13), anchor="lm")
 
 
-# One page a result: relief and pressure of its strongest frame, a section, and the force.
+# One page per result: relief and pressure of the frame with the largest force, section, and force.
 
 WIDTH, MARGIN = 1160, 40
 # Longer side of a map [px].
@@ -328,12 +328,12 @@ def save_picture(result: Result, path: Path) -> None:
 
 
 def shown_frame(result: Result) -> int:
-    """The frame that the maps show: the one with the largest force."""
+    """Return the frame that the maps show: the one with the largest force."""
     return int(np.argmax(np.linalg.norm(result.force, axis=1)))
 
 
 def draw_page(result: Result) -> Image.Image:
-    """The page: two maps above, section and force below."""
+    """Draw the page: two maps above, section and force below."""
     frame = shown_frame(result)
     surface = surface_of(result, frame)
     seen = sampled(surface, MAP)
@@ -387,7 +387,7 @@ def _plot(result: Result) -> Image.Image:
 
 
 def abscissa(result: Result) -> tuple[Array, str]:
-    """What the force is drawn over: time where it matters, else depth, else the tip's path."""
+    """Return the values and label of the force's x axis: time if relevant, else depth or path."""
     motion, effects = result.scene.motion, result.scene.effects
     tip = np.array(motion.tip, float)
     if effects.viscosity is not None or effects.inertia is not None:
@@ -399,7 +399,7 @@ def abscissa(result: Result) -> tuple[Array, str]:
 
 
 def _direction(result: Result) -> Array:
-    """The sideways direction that the tip is pushed in; that of the force where it is not."""
+    """Return the sideways direction of the tip's motion, or of the force without such a motion."""
     tip = np.array(result.scene.motion.tip, float)[:, :2]
     aside = tip - tip[0]
     far = aside[np.argmax(np.linalg.norm(aside, axis=1))]

@@ -1,4 +1,4 @@
-"""How far a simulation is and how long it still takes, told on standard error."""
+"""Progress of a simulation and its remaining time, on standard error."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
 
-# What takes less than this [s] says nothing.
+# Runs shorter than this print nothing [s].
 QUIET = 2.0
-# Time between lines where one cannot be rewritten [s].
+# Time between lines if a line cannot be rewritten [s].
 LINE_EVERY = 10.0
-# Share that must be done before a rest is estimated from it.
+# Share that must be done before the remaining time is estimated from it.
 ESTIMATE_FROM = 0.01
-# Time between two looks [s].
+# Time between two updates [s].
 BLINK = 0.25
 
 
 class Progress:
-    """Called with the share done; says it while it is open: a context manager.
+    """Context manager that is called with the share done and prints it while it is open.
 
-    On a terminal one line is rewritten and wiped at the end; elsewhere a line comes every 10 s.
+    On a terminal one line is rewritten and wiped at the end; elsewhere a line is printed every
+    10 s.
     """
 
     def __init__(
@@ -33,10 +34,10 @@ class Progress:
         kernels: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Speak of `name` on `stream`.
+        """Report the progress of `name` on `stream`.
 
-        `kernels` is the folder that compiled kernels are kept in: as long as nothing is done and
-        something new lies there, kernels are being compiled.
+        `kernels` is the cache folder of compiled kernels: while nothing is done and new entries
+        appear there, kernels are being compiled.
         """
         self._name, self._stream, self._clock = name, stream, clock
         self._kernels = kernels
@@ -51,7 +52,7 @@ class Progress:
         self._thread = threading.Thread(target=self._watch, name="progress", daemon=True)
 
     def __call__(self, share: float) -> None:
-        """Take note of the share done, 0 to 1; less than before is a new beginning."""
+        """Store the share done, 0 to 1; a smaller share than before starts again."""
         if self._origin is None or share < self._share:
             self._origin = self._clock(), share
         self._share = share
@@ -73,7 +74,7 @@ class Progress:
             self._stream.flush()
 
     def line(self) -> str:
-        """What there is to say now."""
+        """Return the current text."""
         now = self._clock()
         spent = now - self._begun
         if self._origin is None:
@@ -89,7 +90,7 @@ class Progress:
         return text
 
     def look(self) -> None:
-        """Say it, if it is time to."""
+        """Print the text if it is due."""
         now = self._clock()
         if now - self._begun < QUIET:
             return
@@ -114,7 +115,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A time to wait, as 12 s, 3:05 min or 2:10 h."""
+    """Return a waiting time as 12 s, 3:05 min or 2:10 h."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

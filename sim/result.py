@@ -1,4 +1,4 @@
-"""What a simulation gives: force, deformation, and how far both can be trusted."""
+"""Result of a simulation: force, deformation, and measures of their accuracy."""
 
 from __future__ import annotations
 
@@ -20,69 +20,69 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """The error every frame carries; (F,) each. NaN where a tier has no such thing."""
+    """Error measures of every frame, (F,) each. NaN where a tier does not have one."""
 
     residual: Array
-    """Out-of-balance nodal force over contact force (l2 norms). Here and in `balance`, `fem` puts
-    1e-3 E T^2 (float64: 1e-5) in place of a smaller force: 2 mN in the paper's gel."""
+    """Out-of-balance nodal force over contact force (l2 norms). Here and in `balance`, `fem` uses
+    at least 1e-3 E T^2 (float64: 1e-5) as the force: 2 mN in the paper's gel."""
     contact: Array
     """Deepest penetration of a contact point over the depth of the press."""
     balance: Array
     """|force of the indenter + reaction of the base (+ weight, inertia)| over |force|."""
     energy_gap: Array
-    """(Work put in - energy stored) over the most work put in so far: 0 when elastic and exact,
-    what was dissipated with friction or viscosity. `fem` adds the work of a step up over the
-    contact points, each along its own way, to 1 % in an elastic press; `layer` and `mpm` by the
-    trapezoid rule."""
+    """(Work done - energy stored) over the most work done so far: 0 if elastic and exact, the
+    dissipated share with friction or viscosity. `fem` sums the work of a step over the contact
+    points, each along its own way, to 1 % in an elastic press; `layer` and `mpm` use the trapezoid
+    rule."""
     det_f_min: Array
-    """Smallest determinant of the deformation gradient; 1 untouched, 0 inverted."""
+    """Smallest determinant of the deformation gradient; 1 undeformed, 0 inverted."""
     slip_excess: Array
     """Largest |shear traction| - coefficient * pressure of a contact point, over the largest
-    pressure; Coulomb's law holds where it is 0 or less. NaN without friction."""
+    pressure; Coulomb's law holds if it is 0 or less. NaN without friction."""
     overlap: Array
-    """How deep the skin stands inside the indenter at most [m]: the deepest of 8 x 8 samples on
-    every face that can reach it (`layer`: of the pixels)."""
+    """Largest depth of the skin inside the indenter [m]: the deepest of 8 x 8 samples on every face
+    that can reach it (`layer`: of the pixels)."""
     overlap_bound: Array
-    """What no point of the skin is deeper than [m]: the distance to the next sample added."""
+    """Upper bound of that depth [m]: includes the distance to the next sample."""
     overlap_path: Array
-    """As `overlap`, of all states on the way from the frame before: the solver's steps and states
-    in between, skin and tip moving straight [m]. Looser solved than frames."""
+    """`overlap` of all states since the previous frame: the solver's steps and states in between,
+    skin and tip moving straight [m]. These are solved less accurately than frames."""
     contact_width: Array
-    """Diameter of the largest disc that fits into what is touched [m]; 0 without contact."""
+    """Diameter of the largest disc within the contact [m]; 0 without contact."""
     newton: NDArray[np.int64]
     """Newton iterations spent on the frame (contact iterations for `layer`)."""
     cg: NDArray[np.int64]
     """Conjugate-gradient iterations spent on the frame."""
     steps: NDArray[np.int64]
-    """Steps the frame was cut into, failed ones counted."""
+    """Number of steps taken for the frame, including failed ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One simulated scene: F frames, one for each waypoint of the motion.
+    """Simulated scene: F frames, one for each waypoint of the motion.
 
-    Everything is in the contact frame and SI units.
+    All values are in the contact frame and SI units.
     """
 
     scene: Scene
-    """What was simulated."""
+    """Simulated scene."""
     tier: str
     """`layer`, `fem` or `mpm`."""
     wrench: Array
     """Force and torque of the indenter on the body (F, 6) [N, N m], torque about the tip; pressing
     is negative Fz."""
     surface_x: Array
-    """x of the material points of the top before anything touched it (X,) [m]."""
+    """x of the material points of the undeformed top (X,) [m]."""
     surface_y: Array
-    """The same for y (Y,) [m]."""
+    """y of the material points of the undeformed top (Y,) [m]."""
     surface: NDArray[np.float32]
     """Displacement of those points (F, X, Y, 3) [m]."""
     traction: NDArray[np.float32]
-    """Traction of the indenter on those points (F, X, Y, 3), per untouched area [Pa]."""
+    """Traction of the indenter on those points (F, X, Y, 3), per undeformed area [Pa]."""
     quality: Quality
-    """How far each frame can be trusted."""
+    """Accuracy of each frame."""
     record: dict[str, Any] = field(default_factory=dict)
-    """What ran: tier, mesh, precision, device, effects compiled in, seconds of each stage."""
+    """Details of the run: tier, mesh, precision, device, compiled effects, seconds per stage."""
 
     @property
     def force(self) -> Array:
@@ -90,15 +90,15 @@ class Result:
         return self.wrench[:, :3]
 
 
-# What becomes of a scene.
+# Outcome of a simulated scene.
 Outcome = Result | SimulationDiverged
 
 
 def with_beginning(whole: Result, beginning: Result) -> Result:
-    """`whole` with the first frames of another result, which has only those, on its own mesh.
+    """Return `whole` with its first frames replaced by those of a result on a separate mesh.
 
-    Surfaces and tractions are read off the other mesh at the points of the whole one, between its
-    nodes by straight lines. What the frames of the beginning cost is theirs and the whole's.
+    Surfaces and tractions are interpolated linearly from the other mesh at the points of `whole`.
+    The cost of the first frames is the sum of both.
     """
     count = len(beginning.wrench)
     places = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
@@ -134,56 +134,55 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     )
 
 
-# What is wrong with a contact at the side of a round body, by the entry of the record which says at
-# what waypoints: `wall` and `rim`.
+# Problem of a contact at the side of a round body, by the entry of the record with its waypoints:
+# `wall` and `rim`.
 SIDES = {
-    "wall": "the indenter stands in the side wall of the round body, which is no contact face: "
+    "wall": "the indenter overlaps the side wall of the round body, which is no contact face: "
     "contact with it is not computed (allowed: presses on the top)",
     "rim": "the contact reaches the rim of the round body, which cuts through elements there: its "
-    "force is less exact than rules for whole elements say (allowed: a contact within the rim, or "
-    "an error bar)",
+    "force is less accurate than the estimate for whole elements (allowed: a contact within the "
+    "rim, or an error bar)",
 }
 
 
-# Scenes and other values to and from JSON: everything they are, so that the same can be built.
+# Conversion of scenes and other values to and from JSON, without loss.
 
 Value = TypeVar("Value")
 
-# Constant of a class that names it among others, and the key that keeps it.
+# Class constant that names a class among alternatives, and the JSON key that stores it.
 _KIND, _WORD = "KIND", "kind"
 _IN_WORDS = {int: "a whole number", bool: "true or false"}
 
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
-    """The scene as plain JSON values, SI units; every digit is kept, infinity is "inf"."""
+    """Return the scene as plain JSON values, SI units; all digits are kept, infinity is "inf"."""
     return to_json(scene)
 
 
 def scene_from_json(stored: dict[str, Any]) -> Scene:
-    """The scene that `scene_to_json` wrote, equal to the one that was given.
+    """Return the scene that `scene_to_json` wrote, equal to the original.
 
     Raises:
-        SceneError: A field that is missing, unknown or of the wrong kind, or a value that the
-            scene refuses.
+        SceneError: A field is missing, unknown or of the wrong kind, or a value is rejected by the
+            scene.
     """
     return from_json(Scene, stored, "scene")
 
 
 def to_json(value: Any) -> dict[str, Any]:
-    """A frozen dataclass as plain JSON values, SI units; every digit is kept, infinity is "inf".
+    """Return a frozen dataclass as plain JSON values, SI units; all digits are kept.
 
-    A class that has a word for its kind keeps it, so that it can be told from others.
+    Infinity is "inf". A class that has a word for its kind stores it with the fields.
     """
     plain: dict[str, Any] = _plain(value)
     return plain
 
 
 def from_json(kind: type[Value], stored: Any, where: str) -> Value:
-    """The value of dataclass `kind` that `to_json` wrote; `where` names it in errors.
+    """Return the value of dataclass `kind` that `to_json` wrote; `where` names it in errors.
 
     Raises:
-        SceneError: A field that is missing, unknown or of the wrong kind, or a value that is
-            refused.
+        SceneError: A field is missing, unknown or of the wrong kind, or a value is rejected.
     """
     return _dataclass(kind, stored, where)
 
@@ -213,7 +212,7 @@ def _dataclass(kind: type[Value], stored: Any, where: str) -> Value:
             raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {word!r}")
     known = get_type_hints(kind)
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
-    # What was stored before a field was thought of lacks it, and means its default.
+    # Values stored by versions without a field do not have it, and get its default.
     needed = {field.name for field in fields if not _has_default(field)}
     names = {field.name for field in fields}
     if not isinstance(stored, dict) or not needed <= set(stored) <= names:
@@ -225,7 +224,7 @@ def _dataclass(kind: type[Value], stored: Any, where: str) -> Value:
 
 
 def _unsaid(field: dataclasses.Field[Any], value: Any) -> bool:
-    """Whether the field has its default, and is left out then as in files from before it was."""
+    """True if the field has its default, and is omitted as in files of versions without it."""
     later = field.metadata.get("stored") == "unless default"
     return later and getattr(value, field.name) == field.default
 
@@ -236,7 +235,7 @@ def _has_default(field: dataclasses.Field[Any]) -> bool:
 
 
 def _value(hint: Any, stored: Any, where: str) -> Any:
-    """`stored` as the type that the field's annotation names."""
+    """Return `stored` as the type of the field's annotation."""
     kind, inner = get_origin(hint), get_args(hint)
     if kind in (Union, types.UnionType):
         if stored is None:
@@ -269,7 +268,7 @@ def _value(hint: Any, stored: Any, where: str) -> Any:
 
 
 def _chosen(kinds: list[Any], stored: Any, where: str) -> Any:
-    """The one of `kinds` that `stored` says it is."""
+    """Return the one of `kinds` that `stored` names."""
     if len(kinds) == 1:
         return kinds[0]
     words = {getattr(kind, _KIND, None): kind for kind in kinds}

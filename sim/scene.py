@@ -1,4 +1,4 @@
-"""A scene: everything that decides what a simulation gives, as one frozen value."""
+"""Scene of a simulation: all of its inputs, as one frozen value."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from sim.errors import SceneError, check_kind, check_range, is_finite
 from sim.indenters import Indenter
 from trajectories import Plan, Point, Target
 
-# The soft body: an elastomer layer bonded to a rigid base, square or round, flat or domed on top.
+# Soft body: an elastomer layer bonded to a rigid base, square or round, flat or domed on top.
 
 Array = NDArray[np.float64]
 Places = NDArray[np.floating[Any]]
 
 Footprint = Literal["rectangle", "ellipse"]
-# Least height of a dome at its lowest place, over the thickness.
+# Least height of a dome at its lowest point, over the thickness.
 RIM_LEAST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A block or disc of soft material whose lower face is bonded to a rigid plate; sides are free.
+    """Block or disc of soft material whose lower face is bonded to a rigid plate; sides are free.
 
-    Contact frame: the origin is the centre of the untouched top (a dome's apex), z points out of
+    Contact frame: the origin is the centre of the undeformed top (a dome's apex), z points out of
     the material, so the material fills z from -thickness to 0. Compressible neo-Hookean:
     W = G/2 (J^(-2/3) tr(F^T F) - 3) + K/2 ((J^2 - 1)/2 - ln J). Defaults are the paper's gel.
 
     Raises:
-        SceneError: A value outside of what its field allows.
+        SceneError: A value is outside of the allowed range of its field.
     """
 
     size_x: float = 20e-3
@@ -47,15 +47,15 @@ class Body:
     modulus: float = 0.145e6
     """Young's modulus at rest, after all relaxation [Pa], 1e2 to 1e9."""
     poisson: float = 0.45
-    """Poisson's ratio at rest, 0 to 0.49995; 0.5 (incompressible) is not solved."""
+    """Poisson's ratio at rest, 0 to 0.49995; 0.5 (incompressible) is not supported."""
     dome_radius: float | None = None
-    """Radius of a spherical top [m]; None is flat. At its lowest place, a corner or an end of the
+    """Radius of a spherical top [m]; None: flat. At its lowest point, a corner or an end of the
     ellipse, the body must still be 5 % of the thickness high."""
     density: float = 1070.0
-    """Mass per volume [kg/m^3], 1 to 1e5; only inertia and gravity use it."""
+    """Mass per volume [kg/m^3], 1 to 1e5; used only by inertia and gravity."""
     footprint: Footprint = field(default="rectangle", metadata={"stored": "unless default"})
     """Outline in plan: the rectangle `size_x` by `size_y`, or the `ellipse` inscribed in it, a
-    circle where both are equal. Its side wall is upright."""
+    circle if both are equal. Its side wall is vertical."""
 
     def __post_init__(self) -> None:
         for name in ("size_x", "size_y", "thickness"):
@@ -87,30 +87,30 @@ class Body:
 
     @property
     def _farthest(self) -> float:
-        """Distance of the footprint's farthest place from its centre [m]."""
+        """Distance of the footprint's farthest point from its centre [m]."""
         if self.footprint == "ellipse":
             return max(self.size_x, self.size_y) / 2
         return math.hypot(self.size_x, self.size_y) / 2
 
     @property
     def rim(self) -> float:
-        """Height of the body at the lowest place of its rim [m]: the thickness when flat."""
+        """Height of the body at the lowest point of its rim [m]: the thickness if flat."""
         if self.dome_radius is None:
             return self.thickness
         drop = self.dome_radius - math.sqrt(self.dome_radius**2 - self._farthest**2)
         return self.thickness - drop
 
     def covers(self, x: Places, y: Places) -> NDArray[np.bool_]:
-        """Whether places lie on the footprint or its outline; `x` and `y` [m] broadcast."""
+        """Return True for places on the footprint or its outline; `x` and `y` [m] broadcast."""
         half_x, half_y = self.size_x / 2, self.size_y / 2
         if self.footprint == "rectangle":
             return np.asarray((np.abs(x) <= half_x) & (np.abs(y) <= half_y))
         return np.asarray(np.hypot(x / half_x, y / half_y) <= 1.0)
 
     def from_side(self, x: Places, y: Places) -> Array:
-        """Distance of places from the nearest side [m], below 0 outside; `x`, `y` [m] broadcast.
+        """Return distances from the nearest side [m], negative outside; `x`, `y` [m] broadcast.
 
-        Exact in a rectangle and in a circle; in an ellipse the true distance is not less.
+        Exact in a rectangle and in a circle; in an ellipse it is a lower bound.
         """
         half_x, half_y = self.size_x / 2, self.size_y / 2
         if self.footprint == "rectangle":
@@ -118,11 +118,11 @@ class Body:
         return np.asarray((1.0 - np.hypot(x / half_x, y / half_y)) * min(half_x, half_y))
 
     def shares(self, x: Places, y: Places) -> Array:
-        """Share of the area of each cell that the footprint covers, exact (X - 1, Y - 1).
+        """Return the exact share of the area of each cell that the footprint covers (X - 1, Y - 1).
 
         Args:
             x: Edges of the cells along x (X,) [m], rising.
-            y: The same along y (Y,) [m].
+            y: Edges of the cells along y (Y,) [m], rising.
         """
         u, v = (
             np.clip(edges / (size / 2), -1.0, 1.0)
@@ -134,13 +134,13 @@ class Body:
         return np.asarray(np.round(cell / whole, 9))  # so that whole cells have exactly 1
 
     def height(self, x: float, y: float) -> float:
-        """Height of the untouched top at (x, y) [m]: 0 when flat, below 0 off a dome's apex."""
+        """Return the height of the undeformed top at (x, y) [m]: 0 if flat, below 0 off an apex."""
         return float(self.heights(np.array([x]), np.array([y]))[0, 0])
 
     def heights(self, x: Places, y: Places) -> Array:
-        """Heights of the untouched top at all places of a raster, x (X,) and y (Y,): (X, Y) [m].
+        """Return heights of the undeformed top on a grid of x (X,) and y (Y,): (X, Y) [m].
 
-        Beyond an ellipse that of the rim, on the way to the centre.
+        Beyond an ellipse it is the height of the rim in the direction of the centre.
         """
         if self.dome_radius is None:
             return np.zeros((len(x), len(y)))
@@ -154,7 +154,7 @@ class Body:
 
 
 def _disc_area(u: Array, v: Array) -> Array:
-    """Area of the unit disc between 0 and u, and 0 and v, broadcast; odd in both, |u|, |v| <= 1."""
+    """Return the unit disc's area between 0 and u, 0 and v (|u|, |v| <= 1); odd in both."""
     side, across = np.abs(u), np.abs(v)
     corner = np.sqrt(1.0 - np.square(across))  # where the circle meets the line at v
 
@@ -165,25 +165,26 @@ def _disc_area(u: Array, v: Array) -> Array:
     return np.asarray(np.sign(u) * np.sign(v) * np.where(side <= corner, side * across, cut))
 
 
-# Where the indenter's tip goes, and when: straight lines between waypoints, a result at each.
+# Motion of the indenter's tip: straight lines between waypoints, with a result at each.
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Waypoints of the tip in the contact frame; the solver reports a frame at each of them.
+    """Waypoints of the tip in the contact frame; the result has a frame for each of them.
 
     The tip is the indenter's lowest point; z = 0 touches a flat body, negative z presses. Between
-    waypoints the tip moves straight and evenly. The solver may take smaller steps, never larger.
+    waypoints the tip moves straight at constant speed. The solver may take smaller steps, never
+    larger.
 
     Raises:
-        SceneError: No waypoint, times that do not begin at 0 or do not rise, or a number that is
-            not finite.
+        SceneError: There is no waypoint, times do not begin at 0 or do not rise, or a number is not
+            finite.
     """
 
     tip: tuple[Point, ...]
     """Position of the tip at each waypoint [m]."""
     time: tuple[float, ...]
-    """When it is there [s]; starts at 0 and rises. Only viscosity and inertia feel it."""
+    """Time of each waypoint [s]; starts at 0 and rises. Used only by viscosity and inertia."""
 
     def __post_init__(self) -> None:
         _check_sequence("motion.tip", self.tip, "positions (x, y, z) [m]")
@@ -201,22 +202,24 @@ class Motion:
             )
 
     def __len__(self) -> int:
-        """Number of waypoints, and so of frames in the result."""
+        """Return the number of waypoints, which is the number of frames in the result."""
         return len(self.tip)
 
     @property
     def depth_max(self) -> float:
-        """Deepest indentation below z = 0 [m]; 0 when it never presses."""
+        """Deepest indentation below z = 0 [m]; 0 if it never presses."""
         return max(0.0, max(-point[2] for point in self.tip))
 
 
 def press(
     depths: Sequence[float], *, at: tuple[float, float] = (0.0, 0.0), speed: float = 10e-3
 ) -> Motion:
-    """Touch the surface, then go to each of `depths` [m] in turn at `speed` [m/s].
+    """Return the motion that touches the surface, then goes to each of `depths` [m] in turn.
+
+    The tip moves at `speed` [m/s].
 
     Raises:
-        SceneError: Depths that are no sequence of finite numbers, or one where the tip already is.
+        SceneError: `depths` is no sequence of finite numbers, or repeats the tip's position.
     """
     _check_sequence("motion.depths", depths, "numbers [m], such as (0.5e-3, 1e-3)")
     before = 0.0
@@ -242,9 +245,9 @@ def press_shear_return(
     at: tuple[float, float] = (0.0, 0.0),
     speed: float = 10e-3,
 ) -> Motion:
-    """Algorithm 1's four phases: down by `depth`, sideways by `shear` at `angle` [rad], back, up.
+    """Return Algorithm 1's four phases: down by `depth`, sideways by `shear`, back, up.
 
-    Each phase is cut into `steps` equal parts: 4 `steps` + 1 frames.
+    The shear is at `angle` [rad]. Each phase has `steps` equal parts: 4 `steps` + 1 frames.
     """
     for name, value in (("depth", depth), ("shear", shear)):
         if not (is_finite(value) and value != 0):
@@ -265,7 +268,7 @@ def ramp_hold(
     steps: int = 10,
     at: tuple[float, float] = (0.0, 0.0),
 ) -> Motion:
-    """Down to `depth` [m] in `ramp` seconds, then still for `hold` seconds, `steps` frames each."""
+    """Return a ramp to `depth` [m] in `ramp` s, then a hold of `hold` s, `steps` frames each."""
     share = [index / steps for index in range(1, steps + 1)]
     tip = [(at[0], at[1], 0.0)]
     tip += [(at[0], at[1], -depth * part) for part in share]
@@ -275,9 +278,9 @@ def ramp_hold(
 
 
 def from_target(plan: Plan, target: Target, *, steps: int = 5, speed: float = 10e-3) -> Motion:
-    """One target of a plan, each of its moves cut into `steps` equal parts.
+    """Return the motion of one target of a plan, with each of its moves in `steps` equal parts.
 
-    The stretch above z = 0 belongs to the motion too: contact is found, not assumed.
+    The part above z = 0 belongs to the motion too, so contact is found, not assumed.
     """
     moves = plan.moves(target)
     corners = [moves[0].start] + [move.end for move in moves]
@@ -285,10 +288,11 @@ def from_target(plan: Plan, target: Target, *, steps: int = 5, speed: float = 10
 
 
 def through(points: Sequence[Point], *, speed: float) -> Motion:
-    """The motion along `points` [m] at constant `speed` [m/s].
+    """Return the motion along `points` [m] at constant `speed` [m/s].
 
     Raises:
-        SceneError: A speed that is not above 0, or two equal points in a row (they take no time).
+        SceneError: The speed is not above 0, or two consecutive points are equal (they take no
+            time).
     """
     if not (is_finite(speed) and speed > 0):
         raise SceneError(f"motion.speed: {speed!r} m/s; allowed: above 0")
@@ -329,11 +333,11 @@ def _subdivided(corners: Sequence[Point], steps: int) -> list[Point]:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One rigid indenter, one soft body, one motion, and the effects that are asked for.
+    """Rigid indenter, soft body, motion, and the requested effects.
 
     Raises:
-        SceneError: The tip goes deeper than 90 % of the thickness, or than an indenter from a file
-            is known.
+        SceneError: The tip goes deeper than 90 % of the thickness, or deeper than the known part of
+            an indenter from a file.
     """
 
     indenter: Indenter
@@ -356,7 +360,7 @@ class Scene:
             )
 
     def _check_depth(self) -> None:
-        """Refuse a tip that leaves less than a tenth of the body below it, where it is."""
+        """Reject a tip that leaves less than a tenth of the body's local height below it."""
         body, tip = self.body, self.motion.tip
         for x, y, z in tip if -min(point[2] for point in tip) > 0.9 * body.thickness else ():
             half_x, half_y = body.size_x / 2, body.size_y / 2

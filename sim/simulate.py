@@ -1,4 +1,4 @@
-"""One call for every way to an answer: a scene in, a result with its error out."""
+"""Single entry point of the simulator: from a scene to a result with its error."""
 
 from __future__ import annotations
 
@@ -31,26 +31,28 @@ def simulate(
     """Simulate one scene.
 
     Args:
-        scene: What is simulated.
-        tier: `fem` unless given, or a tolerance is. `layer`: spectral bonded layer, small strain,
-            no free sides; `fem`: finite elements, large strain; `mpm`: explicit material points.
-        numerics: `Numerics` of `fem`, `MpmNumerics` of `mpm`; `layer` has none to choose.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px", in place of numerics: `layer` where its
-            estimate is below and was shown to hold, else meshes of `fem` finer and finer until the
-            error that two of them tell is below (`sim.tolerance`), told in `record["error"]` and
-            `record["plan"]`. With a tier that one is taken or refused: `layer` by its estimate.
-        effects: "needed", with a tolerance: leave out what of the scene's effects the tolerance
-            allows, a third of it at most (`sim.needed`), told in `record["effects"]`. None: all.
-        error_bar: Solve a coarser mesh as well: `record["error"]` is measured then, and
-            `record["error_bar"]` has it too. With a tolerance: by meshes, not `layer`.
-        extrapolate: Solve a coarser mesh as well, and give the forces that both lead to
-            (`sim.extrapolation`); of `fem`.
-        device: Where `fem` and `mpm` run, `cpu` or `cuda:0` and the like; `layer` runs on the CPU.
+        scene: Scene to simulate.
+        tier: By default `fem`, unless a tolerance is given. `layer`: spectral bonded layer, small
+            strain, no free sides; `fem`: finite elements, large strain; `mpm`: explicit material
+            points.
+        numerics: `Numerics` for `fem`, `MpmNumerics` for `mpm`; `layer` has none.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px", instead of numerics. `layer` is used if its
+            estimate is below it and was checked for such scenes. Otherwise meshes of `fem` are
+            refined until the error measured by two of them is below (`sim.tolerance`). See
+            `record["error"]` and `record["plan"]`. With a tier only that one is tried: `layer` by
+            its estimate.
+        effects: "needed", with a tolerance: leave out effects of the scene as far as the tolerance
+            allows, a third of it at most (`sim.needed`); see `record["effects"]`. None: keep all.
+        error_bar: Solve a coarser mesh as well, to measure `record["error"]`; `record["error_bar"]`
+            has it too. With a tolerance: use meshes, not `layer`.
+        extrapolate: Solve a coarser mesh as well, and return the forces extrapolated from both
+            (`sim.extrapolation`); only `fem`.
+        device: Device of `fem` and `mpm`, `cpu` or `cuda:0` and the like; `layer` uses the CPU.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: A tier that is not there, or that does not know what the scene asks for; a
-            tolerance that nothing reaches; what excludes each other.
+        SceneError: The tier does not exist or does not support the scene, the tolerance cannot be
+            reached, or arguments exclude each other.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
     check_kind("scene", scene, Scene, "a Scene")
@@ -99,19 +101,19 @@ def plan(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> EffectsPlan:
-    """What each effect of a scene is worth; with a tolerance also which ones it may do without.
+    """Return the influence of each effect; with a tolerance also those that may be left out.
 
-    Printed, it is a table; `record()` has it as JSON values. Nothing is solved but probes on coarse
-    meshes, one for each effect and one with all of them (`sim.needed`).
+    Printed, it is a table; `record()` returns it as JSON values. Only probes on coarse meshes are
+    solved, one for each effect and one with all of them (`sim.needed`).
 
     Args:
-        scene: With the effects in question.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px", of which a third is for effects left out.
-        device: Where the probes run.
+        scene: Scene with the effects in question.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px", of which left-out effects may use a third.
+        device: Device of the probes.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: What is no scene, or no tolerance; a device that is not there.
+        SceneError: The scene or the tolerance is invalid, or the device does not exist.
     """
     from sim.needed import plan_many
 

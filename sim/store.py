@@ -1,8 +1,8 @@
-"""Results on disk: one Zarr v3 directory of arrays with units, readable by any Zarr reader.
+"""Storage of results: one Zarr v3 directory of arrays with units, for any Zarr reader.
 
-Layout: the root group holds one group a result, `0`, `1`, ...; each holds the arrays of `ARRAYS`
-and a group `quality`, and in its attributes the tier, the scene (`sim.result`) and the record of
-the run.
+Layout: the root group has one group per result, `0`, `1`, ...; each has the arrays of `ARRAYS` and
+a group `quality`, and in its attributes the tier, the scene (`sim.result`) and the record of the
+run.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
 
 
 def save_results(path: Path, results: Sequence[Result]) -> None:
-    """Write results to a new directory, whole or not at all.
+    """Write results to a new directory, atomically.
 
-    Everything goes to a temporary name beside `path` first, which is renamed at the end.
+    All data goes to a temporary name next to `path` first, which is renamed at the end.
 
     Raises:
-        FileExistsError: There is something at `path` already; it is left as it is.
+        FileExistsError: `path` already exists; it is not changed.
     """
     path = Path(path)
     if path.exists():
@@ -67,18 +67,18 @@ def save_results(path: Path, results: Sequence[Result]) -> None:
             _write(root, str(index), result)
         os.rename(partial, path)
     finally:
-        # There is nothing under this name once it was renamed.
+        # After the rename this name does not exist.
         shutil.rmtree(partial, ignore_errors=True)
 
 
 def load_result(path: Path, index: int = 0) -> Result:
-    """One result of a directory that `save_results` wrote.
+    """Return one result of a directory that `save_results` wrote.
 
     Raises:
         FileNotFoundError: There is no Zarr group at `path`.
         ValueError: The group is of another format or version.
-        IndexError: Fewer results than that.
-        SceneError: The stored scene is not one.
+        IndexError: There are fewer results.
+        SceneError: The stored scene is invalid.
     """
     root = zarr.open_group(Path(path), mode="r", zarr_format=3)
     found = (root.attrs.get("format"), root.attrs.get("version"))
@@ -93,7 +93,7 @@ def load_result(path: Path, index: int = 0) -> Result:
         return np.asarray(root[f"{index}/{name}"])
 
     def quality(name: str) -> Any:
-        known = f"{index}/quality/{name}" in root  # a file from before it was measured has none
+        known = f"{index}/quality/{name}" in root  # files of versions without it have none
         return read(f"quality/{name}") if known else np.full(len(arrays["wrench"]), np.nan)
 
     arrays = {name: read(name) for name in ARRAYS if name not in ("time", "tip")}
@@ -107,7 +107,7 @@ def load_result(path: Path, index: int = 0) -> Result:
 
 
 def result_count(path: Path) -> int:
-    """How many results a directory holds.
+    """Return the number of results in a directory.
 
     Raises:
         FileNotFoundError: There is no Zarr group at `path`.
@@ -148,7 +148,7 @@ def _array(
     dimensions: tuple[str, ...],
     meaning: str,
 ) -> None:
-    # A frame a chunk: whoever wants one press does not read the others.
+    # One frame per chunk: a reader of one press does not read the others.
     chunks = (1, *values.shape[1:]) if values.ndim == 4 else values.shape
     array = group.create_array(
         name,

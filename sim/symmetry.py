@@ -1,8 +1,8 @@
-"""What the symmetry of a scene forbids: a force across an upright plane that it is mirrored in.
+"""Symmetry check of results: a scene mirrored in a vertical plane allows no force across it.
 
-Where body, indenter, motion and gravity are their own image in a plane, so is the answer. A force
-along the plane's normal, or a torque about a line in the plane, is the solver's error and nothing
-else, known without a second solution.
+If body, indenter, motion and gravity are their own image in a plane, so is the solution. A force
+along the plane's normal, or a torque about a line in the plane, is then an error of the solver and
+nothing else, known without a second solution.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from sim.scene import Scene
 Array = NDArray[np.float64]
 Normal = tuple[float, float]
 
-# Planes that a body can be mirrored in, and their unit normals (x, y).
+# Possible mirror planes of a body, and their unit normals (x, y).
 PLANES: dict[str, Normal] = {
     "x = 0": (1.0, 0.0),
     "y = 0": (0.0, 1.0),
     "x = y": (math.sqrt(0.5), -math.sqrt(0.5)),
     "x = -y": (math.sqrt(0.5), math.sqrt(0.5)),
 }
-# Distance of a waypoint from a plane, over the thickness, that is rounding.
+# Distance of a waypoint from a plane, over the thickness, that counts as rounding.
 OFF_PLANE = 1e-9
-# Difference of an indenter from its image, over the depth of the press, that does not count: it
-# moves the force by as little.
+# Difference of an indenter from its image, over the depth of the press, that is ignored: it changes
+# the force by as little.
 ALIKE = 5e-3
-# Places along x and y, and heights, at which an indenter is compared with its image: a few that
-# tell most that have none, then many.
+# Points along x and y, and heights, at which an indenter is compared with its image: first a few,
+# which find most asymmetric ones, then many.
 COLUMNS, LEVELS = (10, 40), 6
-# Share of the force that is worth a warning.
+# Share of the force above which there is a warning.
 WORTH_SAYING = 0.01
 NOTE = "the scene is its own image in the plane"
 
 
 def planes_of(scene: Scene) -> tuple[str, ...]:
-    """The planes of `PLANES` that a scene is its own image in."""
+    """Return the mirror planes of a scene, as names of `PLANES`."""
     return tuple(name for name, normal in PLANES.items() if _mirrors(scene, normal))
 
 
 def vanishing_share(result: Result) -> Array:
-    """Largest force across a plane that the scene is mirrored in (F,), over the force.
+    """Return the largest force across a mirror plane of the scene (F,), over the force.
 
-    Over a tenth of the largest force where a frame's own is smaller; 0 without such a plane.
+    Over a tenth of the largest force if a frame's own is smaller; 0 without such a plane.
     """
     across = np.zeros(len(result.wrench))
     for name in planes_of(result.scene):
@@ -59,12 +59,12 @@ def vanishing_share(result: Result) -> Array:
 
 
 def with_symmetry(result: Result) -> Result:
-    """The `fem` result with `record["symmetry"]`, where its scene is mirrored in a plane.
+    """Return the `fem` result with `record["symmetry"]`, if its scene is mirrored in a plane.
 
-    Keys: `plane`, the one that the answer keeps least; `vanishing_force_newton`, the largest force
+    Keys: `plane`, the plane with the largest error; `vanishing_force_newton`, the largest force
     along its normal; `vanishing_torque_newton_metre`, the largest torque about the tip that it
     forbids; `percent`, the force over that of the frame, or over a tenth of the largest one. Above
-    1 % a warning says so.
+    1 % there is a warning.
     """
     planes = planes_of(result.scene)
     if not planes:
@@ -74,7 +74,7 @@ def with_symmetry(result: Result) -> Result:
     plane = max(planes, key=lambda name: float((across[name] / scale).max(initial=0.0)))
     share = float((across[plane] / scale).max(initial=0.0))
     x, y = PLANES[plane]
-    # A torque is turned the other way round in a mirror: what is left is along the normal.
+    # A mirror reverses torques in its plane, so only a torque along its normal is allowed.
     forbidden = result.wrench[:, 3:] @ np.array([[-y, 0.0], [x, 0.0], [0.0, 1.0]])
     symmetry = {
         "plane": plane,
@@ -110,16 +110,17 @@ def _mirrors(scene: Scene, normal: Normal) -> bool:
 
 @functools.lru_cache(maxsize=4096)
 def asymmetry(indenter: Indenter, normal: Normal, reach: float, across: float) -> float:
-    """How far an indenter's surface is from its image in an upright plane through its tip [m].
+    """Return the difference of an indenter's surface from its image in a plane through its tip [m].
 
-    The largest difference of the signed distances at points and their images, of those that are
-    nearer to the surface than `reach`; or at a few of them, where those alone differ too much.
+    The plane is vertical. The result is the largest difference of the signed distances at points
+    and their images, among those closer to the surface than `reach`; or at only a few of them, if
+    those already differ too much.
 
     Args:
-        indenter: Whose surface.
+        indenter: Indenter with the surface.
         normal: Unit normal (x, y) of the plane.
-        reach: Up to which height it is looked at [m].
-        across: Up to which distance from the tip it is looked at [m].
+        reach: Largest height of the points [m].
+        across: Largest distance of the points from the tip [m].
     """
     sides = np.abs(indenter.bounds_below(reach)[:2]).max(axis=1)
     half, found = np.minimum(sides, across), math.inf
@@ -133,7 +134,7 @@ def asymmetry(indenter: Indenter, normal: Normal, reach: float, across: float) -
 def _difference(
     indenter: Indenter, normal: Normal, reach: float, half: Array, columns: int
 ) -> float:
-    # More places near the tip; none on a plane of symmetry, where there is nothing to compare.
+    # Points are denser near the tip; none is on a plane of symmetry, where both sides agree.
     share = (np.arange(columns) + 0.5) / columns * 2 - 1
     share = share * np.abs(share)
     height = reach * np.linspace(0.0, 1.0, LEVELS)

@@ -1,4 +1,4 @@
-"""Scenes solved by one tier: `layer`, `fem` or `mpm`, in one launch or by many processes."""
+"""Solution of scenes by one tier, `layer`, `fem` or `mpm`, in one launch or in many processes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Tier = Literal["layer", "fem", "mpm"]
 # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
-# the paper's method, dearer and less exact than `fem`, to compare with and to see waves.
+# the paper's method, costlier and less exact than `fem`, for comparison and for waves.
 TIERS: tuple[Tier, ...] = ("layer", "fem", "mpm")
 
 
@@ -29,10 +29,10 @@ def simulate_one(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Result:
-    """Solve one scene by one tier; arguments as for `simulate`.
+    """Solve one scene by one tier; arguments as in `simulate`.
 
     Raises:
-        SceneError: A tier that is not there, or that does not know what the scene asks for.
+        SceneError: The tier does not exist, or does not support the scene.
         SimulationDiverged: No converged state was found.
     """
     outcome = simulate_many([scene], tier, numerics=numerics, device=device, progress=progress)[0]
@@ -50,14 +50,14 @@ def simulate_many(
     processes: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
-    """Simulate scenes side by side; each gives its result, or the reason why there is none.
+    """Simulate scenes in a batch; return a result for each, or the reason for none.
 
-    `fem` and `mpm` solve them together in one launch where they are alike enough. Arguments as for
-    `simulate`, and `processes`: how many worker processes share the scenes on a CPU; a script that
-    asks for several does so under `if __name__ == "__main__":`.
+    `fem` and `mpm` solve sufficiently similar scenes in one launch. Arguments as in `simulate`, and
+    `processes`: number of worker processes that share the scenes on a CPU. A script that requests
+    several must do so under `if __name__ == "__main__":`.
 
     Raises:
-        SceneError: As `simulate`; processes below 1, or several on a GPU.
+        SceneError: As in `simulate`; processes below 1, or several on a GPU.
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
     outcomes = _by_tier(
@@ -115,15 +115,15 @@ def _by_tier(
     return simulate_fem(scenes, numerics, device=device, progress=progress)
 
 
-# What is allowed where a worker was killed for lack of memory.
+# Advice if a worker was killed for lack of memory.
 FEWER = "fewer processes or a coarser mesh"
 
 
 def check_processes(processes: int, device: str) -> None:
-    """Refuse a number of processes that cannot be.
+    """Reject an invalid number of processes.
 
     Raises:
-        SceneError: Not a whole number from 1 up; or several where the device is not the CPU.
+        SceneError: Not a whole number from 1 up; or several if the device is not the CPU.
     """
     if not isinstance(processes, int) or isinstance(processes, bool) or processes < 1:
         raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
@@ -142,21 +142,21 @@ def simulate_in_processes(
     processes: int,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
-    """Outcomes of scenes in their order, each solved alone on the CPU by one of the processes.
+    """Return the outcomes of scenes in order, each solved alone on the CPU by one of the processes.
 
-    Workers are started afresh and import the calling script, whose own work must therefore stand
-    under `if __name__ == "__main__":`. Two that compile the same kernels at once both do the work:
-    Warp builds in a folder of each process and moves it into its cache whole.
+    Workers start as new interpreters and import the calling script, whose own work must therefore
+    be under `if __name__ == "__main__":`. Two that compile the same kernels at once both do the
+    work: Warp builds in a folder of each process and moves it into its cache atomically.
 
     Args:
-        scenes: What is simulated.
-        tier: As for `simulate_many`.
-        numerics: As for `simulate_many`.
-        processes: How many at most.
+        scenes: Scenes to simulate.
+        tier: As in `simulate_many`.
+        numerics: As in `simulate_many`.
+        processes: Largest number of processes.
         progress: Called with the share of the scenes that are done.
 
     Raises:
-        SceneError: As `simulate_many`, the other scenes are given up; or meshes that are to agree
+        SceneError: As in `simulate_many`, the other scenes are abandoned; or meshes have to agree
             with those of other processes.
         WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
     """
@@ -165,7 +165,7 @@ def simulate_in_processes(
             f"numerics.one_topology: True with {processes} processes, which solve scenes one by "
             "one; allowed: False"
         )
-    from recorder.processes import Workers  # hundreds of modules, which one process needs not
+    from recorder.processes import Workers  # hundreds of modules, not needed by one process
 
     workers = Workers(min(processes, len(scenes)), _make_ready, tier, fewer=FEWER)
     workers.done = f"0 of {len(scenes)} scenes"
@@ -180,7 +180,7 @@ def simulate_in_processes(
 
 
 def _make_ready(tier: Tier) -> None:
-    """Start Warp in a worker without a banner of its own."""
+    """Start Warp in a worker without a banner."""
     if tier != "layer":
         from sim.device import ready_device
 
@@ -198,10 +198,10 @@ def _raise_error_of(task: Future[Outcome]) -> None:
 
 
 def unfit(numerics: Numerics | MpmNumerics, tier: Tier, allowed: str) -> SceneError:
-    """The error of numerics that belong to another tier."""
+    """Return the error for numerics that belong to another tier."""
     return SceneError(f"numerics: {numerics!r}; allowed with tier {tier!r}: {allowed}")
 
 
 def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
-    """What tells of the share of part `index` of `count` as a share of the whole."""
+    """Return a callback that converts the share of part `index` of `count` to that of the whole."""
     return lambda share: progress((index + share) / count)

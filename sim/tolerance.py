@@ -1,13 +1,13 @@
-"""A tolerance that is met by measuring: two meshes, their difference, finer ones until it is small.
+"""Simulation within a tolerance: two meshes measure the error, and are refined until it is small.
 
 Both meshes follow the contact, the coarser one with elements 1.6 times as long, which takes an
-eighth of the time. The force of the answer is what both lead to (Richardson 1911, order 2); its
-error is taken as a share of that step, which held in presses solved by other means
+eighth of the time. The force of the result is extrapolated from both (Richardson 1911, order 2).
+Its error is taken as a share of that correction, which held in presses solved independently
 (`python -m benchmarks independent --tolerance "1 %"`). Surface and markers are those of the finer
-mesh; their error is the difference of both times what is left of it at order 2.
+mesh; their error is the difference of both times the share that remains at order 2.
 
-Before any mesh comes `layer`, which takes a tenth of a second: where its estimate is below a
-tolerance of the force, in scenes that it was held against (`sim.layer_within`), it is the answer.
+Before any mesh `layer` is tried, which takes a tenth of a second. Its result is returned if its
+estimate is below a tolerance of the force, in scenes on which it was checked (`sim.layer_within`).
 """
 
 from __future__ import annotations
@@ -45,37 +45,38 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-# Sides of the coarser mesh's elements over those of the finer one.
+# Length of the coarser mesh's elements over those of the finer one.
 COMPANION = 1.6
-# Error of an extrapolated force with a fineness of 1, where the search begins.
+# Error of an extrapolated force at fineness 1, with which the search begins.
 EXPECTED = 0.009
-# Fineness that the search begins with.
+# Range of the fineness with which the search begins.
 FIRST_LEAST, FIRST_MOST = 0.6, 1.5
-# Error of an extrapolated force over the step that was extrapolated. An order of 1.3 in place of 2
-# leaves 0.86 of it, of 3 half of it; the rest is for chance.
+# Error of an extrapolated force over the correction. At an order of 1.3 instead of 2 the remaining
+# error is 0.86 of it, at 3 half of it; the rest is for random errors.
 LEFT = 1.0
-# Elements of one mesh over those of the other, along each axis, below which both say nothing of an
-# error: a wide contact's is in the layers, a narrow one's across it.
+# Least ratio of the two meshes' element counts along each axis. Below it their difference is no
+# measure of the error, which for wide contacts lies in the layers and for narrow ones across the
+# contact.
 RATIO_LEAST = 1.2
-# Least error that two meshes can tell of a force, over the force.
+# Least error of a force, over the force, that two meshes can measure.
 FLOOR = 1e-3
-# Out-of-balance force of the states over the error that the force may have, and its most. On 16
-# scenes drawn by chance 0.003 moved forces by 0.06 % at most and took 1.1 to 1.7 times less time
-# than 0.0001; 0.01 moved light touches by 2.5 %.
+# Out-of-balance force of the states over the allowed error of the force, and its maximum. On 16
+# random scenes 0.003 changed forces by at most 0.06 % and took 1.1 to 1.7 times less time than
+# 0.0001; 0.01 changed light touches by 2.5 %.
 STATES, STATES_MOST = 0.1, 3e-3
-# Error of a force that is not extrapolated, over the step that extrapolation would go.
+# Error of a force that is not extrapolated, over the correction by extrapolation.
 WHOLE = 1.5
-# Error of markers over what is left of the difference of both meshes.
+# Error of markers over the remaining difference of both meshes.
 MARKERS = 1.5
-# Elements that a tolerance would take, over those that it may, from which it is not tried.
+# Required elements over allowed ones above which a tolerance is not tried further.
 HOPELESS = 8.0
-# Meshes that are tried.
+# Most pairs of meshes that are tried.
 ROUNDS = 4
-# Fineness of a mesh over that asked for, below which the limit on elements was in the way.
+# Fineness of a mesh over the requested one, below which the limit on elements was reached.
 WHOLLY = 0.97
-# How much finer the next mesh is.
+# Range of the ratio of fineness from one mesh to the next.
 FINER_LEAST, FINER_MOST = 1.25, 2.0
-# Elements beyond which a tolerance is refused: a quarter of an hour on a CPU.
+# Elements beyond which a tolerance is rejected: a quarter of an hour on a CPU.
 ELEMENTS_MAX = {"cpu": 250_000, "cuda": 2_000_000}
 
 
@@ -87,24 +88,24 @@ def simulate_within(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
-    """The scene by `layer` if its estimate may stand, else on meshes until the error is small.
+    """Simulate by `layer` if its estimate is reliable, else on meshes until the error is small.
 
-    `record["error"]` says what the error is and how it is known: `estimated` of `layer`, `measured`
-    of meshes. `record["plan"]` says what was taken (`chosen`, `why`, `notes`), what was `tried`
-    before, and the `seconds` that all of it took.
+    `record["error"]` has the error and its kind: `estimated` for `layer`, `measured` for meshes.
+    `record["plan"]` has the choice (`chosen`, `why`, `notes`), the earlier attempts (`tried`), and
+    the total time (`seconds`).
 
     Args:
-        scene: What is simulated.
+        scene: Scene to simulate.
         tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `sim.metrics.Tolerance`.
-        tier: `layer` or `fem`: nothing else is tried. None: `layer` first, where it was shown to
-            be as exact as it estimates (`sim.layer_within`), then `fem`.
-        device: Where meshes are solved; `layer` runs on the CPU.
+        tier: `layer` or `fem`: only that one is tried. None: `layer` first, if its estimate was
+            checked on such scenes (`sim.layer_within`), then `fem`.
+        device: Device on which meshes are solved; `layer` runs on the CPU.
         progress: Called with the share done, 0 to 1, of `layer` and each mesh in turn.
 
     Raises:
-        SceneError: What is no tolerance, or one that the finest mesh allowed does not reach; with
-            tier `layer`, one below what it estimates; a tier without an error; a device that is
-            not there; an indenter in the side wall of a round body.
+        SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it; with
+            tier `layer`, it is below the estimate; the tier has no error; the device does not
+            exist; the indenter overlaps the side wall of a round body.
         SimulationDiverged: A mesh found no solution.
     """
     began = time.perf_counter()
@@ -156,7 +157,7 @@ def simulate_within(
 
 
 def _states(scene: Scene, share: float) -> Numerics:
-    """How exactly states are solved, where the force may be off by a share of itself."""
+    """Return numerics with the tolerance of states for an allowed error of the force (a share)."""
     from sim.fem.numerics import Numerics
 
     plain = Numerics()
@@ -168,7 +169,7 @@ def _states(scene: Scene, share: float) -> Numerics:
 
 
 class _Meshes:
-    """One scene on meshes of one fineness after another, each built for what the others found."""
+    """Solutions of one scene on meshes of different fineness, each built from those before it."""
 
     def __init__(
         self, scene: Scene, states: Numerics, device: str, progress: Progress | None
@@ -180,9 +181,10 @@ class _Meshes:
         self._asked: Asked = {}
 
     def solved(self, fineness: float, part: int) -> Result:
-        """The scene on a mesh of about that fineness, solved unless it was; `part` 0 or 1 of 2.
+        """Return the solution on a mesh of about that fineness, from the cache or solved now.
 
-        The mesh is coarser where the limit on elements is in the way.
+        `part` is 0 or 1 of 2, for the progress. The mesh is coarser if it would have too many
+        elements.
         """
         from sim.fem.solver import precision_for_finer, simulate_fem
 
@@ -221,11 +223,11 @@ def _of_layer(
     device: str,
     progress: Progress | None,
 ) -> Result | None:
-    """The answer of `layer`; None where meshes are to give it. What came of it goes to `tried`."""
+    """Return the result of `layer`, or None if meshes are needed; append the attempt to `tried`."""
     from sim.device import ready_device
 
     if device != "cpu":
-        ready_device(device)  # which meshes would refuse
+        ready_device(device)  # rejects an unknown device, as meshes would
     try:
         found, error, said = solved_by_layer(scene, wanted, progress=progress)
     except SimulationDiverged as diverged:
@@ -246,9 +248,9 @@ def _of_layer(
 
 
 def _of_both(coarse: Result, fine: Result, wanted: Tolerance, floor: float) -> tuple[Result, float]:
-    """The answer of two meshes, and its error in the unit of the tolerance.
+    """Return the result from two meshes, and its error in the unit of the tolerance.
 
-    `floor` is the least error of the force that is stated, over the force.
+    `floor` is the least stated error of the force, over the force.
     """
     ratio = elements_ratio(coarse, fine)
     left = left_of_difference(ratio)
@@ -276,17 +278,17 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance, floor: float) -> t
 
 
 def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cpu") -> Result:
-    """The same result, its error measured by a coarser mesh; `record["error_bar"]` has it too.
+    """Return the result with its error measured by a coarser mesh, also as `record["error_bar"]`.
 
     For a `layer` result it is the difference from a `fem` result plus the error that one states.
 
     Args:
-        result: Of `fem` or `layer`.
-        numerics: What the elements were solved with.
-        device: Where the second mesh is solved.
+        result: Result of `fem` or `layer`.
+        numerics: Settings with which the elements were solved.
+        device: Device on which the second mesh is solved.
 
     Raises:
-        SceneError: A mesh so coarse that there is no coarser one.
+        SceneError: The mesh is so coarse that there is no coarser one.
         SimulationDiverged: The second mesh found no solution.
     """
     unknown = unknown_at_side(result, measured=True)
@@ -321,12 +323,12 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
 
 
 def elements_ratio(coarse: Result, fine: Result) -> float:
-    """Length of elements of one mesh over that of the other, by their numbers."""
+    """Return the ratio of element lengths of both meshes, from their numbers."""
     return float(np.exp(np.mean(np.log(_ratios(coarse, fine)))))
 
 
 def least_ratio(coarse: Result, fine: Result) -> float:
-    """The same along the axis where it is least: what both meshes tell of errors along any axis."""
+    """Return the ratio along the axis where it is least, which limits the measured errors."""
     return float(_ratios(coarse, fine).min())
 
 
@@ -350,7 +352,7 @@ def _beside_elements(result: Result, numerics: Numerics, device: str) -> Result:
 
 
 def _with_bar(result: Result, error: dict[str, Any], force: float, marker: float) -> Result:
-    """The result with its measured `error`, and as a bar: of the force [N], of the markers [px]."""
+    """Return the result with its measured `error`, and a bar of force [N] and markers [px]."""
     bar = {
         "force_share": error["percent"] / 100,
         "force": force,

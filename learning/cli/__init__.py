@@ -1,1 +1,1 @@
-"""The verbs of `python -m learning`, a file each."""
+"""Commands of `python -m learning`, one file each."""

@@ -1,4 +1,4 @@
-"""`python -m learning evaluate`: predictions and translations become a report."""
+"""`python -m learning evaluate`: report on predictions and translations."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ ROLES = "new_indenter"
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "evaluate",
-        description="Gathers what `predict` wrote, and scores of translated frames, in one HTML "
+        description="Collects results of `predict`, and scores of translated frames, in one HTML "
         "page with CSV tables. With --archive and --translated, translated frames are scored first "
         "(Dice, markers [px, mm], distances) and the scores are kept in FOLDER.",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of .npz results")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="of the report")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of .npz results")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="report folder")
     parser.add_argument("--title", default="What was gained", help="title of the page")
     scoring = parser.add_argument_group("scoring translated frames")
     scoring.add_argument("--archive", type=Path, metavar="ARCHIVE", help="with the real frames")
@@ -35,7 +35,7 @@ def add_to(verbs: Verbs) -> None:
         action="append",
         default=[],
         metavar="ARCHIVE",
-        help="made of it by `translate`; may be given several times",
+        help="translated from it by `translate`; repeatable",
     )
     scoring.add_argument("--split", type=Path, metavar="JSON", help="made by `split`")
     scoring.add_argument(
@@ -45,12 +45,12 @@ def add_to(verbs: Verbs) -> None:
         "--features",
         default="marker-grid",
         metavar="NAME|PATH",
-        help="what distances are measured in: marker-grid, the folder of a marker autoencoder, or "
+        help="features for distances: marker-grid, the folder of a marker autoencoder, or "
         "pt_inception-2015-12-05-6726825d.pth, for FID and KID (marker-grid)",
     )
-    scoring.add_argument("--frames", type=int, default=1000, help="pairs of a role at most (1000)")
-    scoring.add_argument("--device", default="cpu", help="where features are computed (cpu)")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is drawn (0)")
+    scoring.add_argument("--frames", type=int, default=1000, help="maximum pairs per role (1000)")
+    scoring.add_argument("--device", default="cpu", help="device for features (cpu)")
+    parser.add_argument("--seed", type=int, default=0, help="of random draws (0)")
     parser.set_defaults(run=_run)
 
 

@@ -14,32 +14,32 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "experiment",
-        description="Carries forces from each sensor of an archive to each other: trains the "
-        "translators, a force model for each source, one for each pair on translated frames, and "
-        "reports what they predict of presses that none of them saw, before and after. Stopped "
-        "at any moment, the same command goes on.",
+        description="Transfers force sensing between the sensors of an archive: trains the "
+        "translators, a force model for each source and one for each pair on translated frames, "
+        "then reports their errors on held-out presses, before and after the transfer. An "
+        "interrupted experiment continues when the command is repeated.",
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for all")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="result folder")
     add_settings(parser, "demo")
-    parser.add_argument("--pairs", metavar="A:B,...", help="from A to B (all directed pairs)")
+    parser.add_argument("--pairs", metavar="A:B,...", help="pairs from A to B (all directed pairs)")
     parser.add_argument("--device", default="cpu", metavar="NAME", help="cpu, cuda:0, ... (cpu)")
     parser.add_argument(
         "--processes",
         type=int,
         default=os.cpu_count() or 1,
         metavar="N",
-        help="that follow markers (all cores)",
+        help="processes that track markers (all cores)",
     )
     parser.add_argument(
         "--jobs",
         type=int,
         default=1,
         metavar="N",
-        help="models trained side by side, as long as the memory holds them (1)",
+        help="models trained in parallel, as far as memory allows (1)",
     )
     parser.set_defaults(run=_run)
 

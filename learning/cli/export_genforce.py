@@ -1,4 +1,4 @@
-"""`python -m learning export-genforce`: an archive becomes a folder that their training reads."""
+"""`python -m learning export-genforce`: write an archive in the GenForce training format."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "export-genforce",
-        description="Writes img, force and depth as the published training folders have them; the "
-        "folder appears whole or not at all.",
+        description="Writes img, force and depth as in the published training folders. The folder "
+        "appears only when it is complete.",
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="must not exist")

@@ -1,4 +1,4 @@
-"""`python -m learning export-onnx`: one step of a force model becomes a file that runs anywhere."""
+"""`python -m learning export-onnx`: write one step of a force model as an ONNX file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "export-onnx",
-        description="Writes frame, state and untouched image in, force [N] and next state out, and "
-        "compares it with torch. python -m rig live and python -m benchmarks latency run it.",
+        description="Writes a model from frame, state and contact-free image to force [N] and next "
+        "state, and compares it with torch. `rig live` and `benchmarks latency` run it.",
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="the folder of a force model")
     parser.add_argument("--out", type=Path, metavar="FILE", help="(MODEL/model.onnx)")

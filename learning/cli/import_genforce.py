@@ -1,4 +1,4 @@
-"""`python -m learning import-genforce`: published GenForce folders become a marker archive."""
+"""`python -m learning import-genforce`: convert published GenForce folders to a marker archive."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "import-genforce",
         description="Reads a folder of the published recordings: one with img, force and depth, "
-        "one of simulated pictures, or a run as it was collected. Started again it goes on.",
+        "one of simulated pictures, or a raw collection run. Repeat the command to continue.",
     )
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--out", type=Path, metavar="PATH", required=True, help="X.markers.zarr")
-    parser.add_argument("--preset", metavar="NAME", help="how markers are found in raw pictures")
+    parser.add_argument("--preset", metavar="NAME", help="marker detection in raw pictures")
     parser.add_argument(
         "--mm-per-px", action="append", metavar="SENSOR=MM", help="size of a pixel (0.0249)"
     )
@@ -36,7 +36,7 @@ def add_to(verbs: Verbs) -> None:
         "--surface-mm",
         action="append",
         metavar="SENSOR=MM",
-        help="its depth files hold heights, and its surface is at this one",
+        help="depth files hold heights; this is the surface's",
     )
     parser.add_argument(
         "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"

@@ -1,4 +1,4 @@
-"""`python -m learning markers`: sessions become a marker archive."""
+"""`python -m learning markers`: convert sessions to a marker archive."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "markers",
-        description="Finds the markers in pictures or taxels of sessions, one for each indenter "
-        "on each sensor. Started again with the same sessions it goes on where it was.",
+        description="Finds the markers in pictures or taxels of sessions, one session for each "
+        "indenter on each sensor. Repeat the command with the same sessions to continue.",
     )
     parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
-    parser.add_argument("--out", type=Path, metavar="PATH", help="the archive, X.markers.zarr")
+    parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
     parser.add_argument(
-        "--preset", metavar="NAME", help="how markers are found: a name, or a YAML file of your own"
+        "--preset", metavar="NAME", help="preset of marker detection: a name or a YAML file"
     )
-    parser.add_argument("--sensor", metavar="NAME", help="what the sensor is called in the archive")
+    parser.add_argument("--sensor", metavar="NAME", help="name of the sensor in the archive")
     parser.add_argument("--mm-per-px", type=float, help="size of a pixel [mm] (the preset's)")
     parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
     parser.add_argument(
-        "--rate", action="store_true", help="only tell how many frames a second a core does"
+        "--rate", action="store_true", help="only print the frames per second of one core"
     )
-    parser.add_argument("--sam-encoder", type=Path, metavar="ONNX", help="refine by EfficientSAM")
-    parser.add_argument("--sam-decoder", type=Path, metavar="ONNX", help="its other half")
+    parser.add_argument("--sam-encoder", type=Path, metavar="ONNX", help="EfficientSAM encoder")
+    parser.add_argument("--sam-decoder", type=Path, metavar="ONNX", help="and its decoder")
     add_unseen(parser)
     parser.set_defaults(run=_run)
 

@@ -1,4 +1,4 @@
-"""`python -m learning predict`: the forces that a model sees in frames of an archive."""
+"""`python -m learning predict`: predict the forces of frames in an archive."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ ROLES = "new_indenter,new_press"
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "predict",
-        description="Runs a force model over whole presses of a sensor and writes what it says [N] "
-        "beside the labels [N], for `evaluate`.",
+        description="Runs a force model over whole presses of a sensor and writes its forces [N] "
+        "with the labels [N], for `evaluate`.",
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr with labels")
-    parser.add_argument("--sensor", required=True, metavar="NAME", help="whose frames: the target")
+    parser.add_argument("--sensor", required=True, metavar="NAME", help="target sensor")
     parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="made by `split`")
     parser.add_argument(
         "--role", default=ROLES, metavar="ROLE,...", help=f"which presses of the split ({ROLES})"
     )
     parser.add_argument(
-        "--source", metavar="NAME", help="whose labels it was trained with (what the model says)"
+        "--source", metavar="NAME", help="sensor of its training labels (from the model)"
     )
     parser.add_argument(
         "--method",
         choices=METHODS,
-        help="how it was trained (target where source and sensor are one, transferred where the "
-        "model says that it saw translated frames, else source-only)",
+        help="how it was trained (target if source and sensor are the same, transferred if the "
+        "model was trained on translated frames, else source-only)",
     )
     parser.add_argument(
-        "--translator", default="", metavar="NAME", help="what made its training images (nothing)"
+        "--translator", default="", metavar="NAME", help="translator of its training images (none)"
     )
-    parser.add_argument("--device", default="cpu", help="where it computes (cpu), e.g. cuda:0")
-    parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="where it goes")
+    parser.add_argument("--device", default="cpu", help="device (cpu), e.g. cuda:0")
+    parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
     parser.set_defaults(run=_run)
 
 
@@ -106,7 +106,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[str, str]:
-    """Return whose labels a model was trained with, and how, from options and what it says."""
+    """Return the source of a model's labels and its method, from options and training sensors."""
     said, between, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
     source = options.source or said
     if not source:
@@ -136,5 +136,5 @@ def _require_fitting(method: str, source: str, sensor: str, translator: str) -> 
     if (method == "target") != (source == sensor):
         raise LearningError(
             f"--method: found {method} from {source} to {sensor}; allowed: target where they are "
-            "one sensor, and another method where they are not"
+            "the same sensor, another method where they differ"
         )

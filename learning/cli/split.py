@@ -1,4 +1,4 @@
-"""`python -m learning split`: which presses models are trained on, written to a file."""
+"""`python -m learning split`: divide the presses of an archive and write the split to a file."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "split",
-        description="Gives every press of an archive a role, the same under all sensors. A press "
-        "is a location; all presses of unseen indenters are for the test.",
+        description="Gives every press of an archive a role, the same for all sensors. A press "
+        "is a location; all presses of unseen indenters are in the test.",
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="the split's file")
+    parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
     parser.add_argument(
         "--validation",
         type=float,
@@ -44,7 +44,7 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--unseen",
         metavar="NAME,...",
-        help="indenters that models may not be trained on (those that the archive says; none: '')",
+        help="indenters excluded from training (the archive's list; none: '')",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice (0)")
     parser.set_defaults(run=_run)
@@ -71,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def told(split: Split, archive: MarkerArchive) -> list[str]:
-    """Return lines that say how many presses and frames have each role, sensor by sensor."""
+    """Return lines with the number of presses and frames of each role, by sensor."""
     import numpy as np
 
     from learning.data.splits import ROLES

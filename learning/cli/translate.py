@@ -1,4 +1,4 @@
-"""`python -m learning translate`: frames of sensors as other sensors would have shown them."""
+"""`python -m learning translate`: translate frames of sensors into frames of other sensors."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "translate",
         description="Writes a marker archive with a sensor A-to-B for each pair: translated frames "
-        "and labels of A, references and scale of B. Started again with the same options it goes "
-        "on where it was.",
+        "and labels of A, references and scale of B. Repeat the command with the same options to "
+        "continue.",
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--source", metavar="A,...", help="sensors whose frames are translated")
@@ -40,7 +40,7 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--role", metavar="NAME,...", help="only these parts of the split, e.g. new_press"
     )
-    parser.add_argument("--device", default="cpu", help="where models run (%(default)s)")
+    parser.add_argument("--device", default="cpu", help="device of the model (%(default)s)")
     parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
     parser.set_defaults(run=_run)
 
@@ -84,7 +84,7 @@ def _pairs(archive: MarkerArchive, options: argparse.Namespace) -> list[Pair]:
     given = options.source, options.target
     if options.all:
         if given != (None, None):
-            raise LearningError("--all: found --source or --target beside it; allowed: one of them")
+            raise LearningError("--all: found with --source or --target; allowed: one of them")
         return [Pair(*names) for names in permutations(archive, 2)]
     if None in given:
         raise LearningError("--source, --target: missing; allowed: both, or --all")

@@ -1,7 +1,7 @@
-"""Material compensation: labels of one skin brought to the stiffness of another (eq. 7 to 9).
+"""Material compensation: scaling labels of one skin to the stiffness of another (eq. 7 to 9).
 
-Priors say how hard a flat indenter has to press each sensor to a depth; their ratio scales the
-labels that a force model of the target is trained on.
+A prior is the force with which a flat indenter presses a sensor to a given depth. The ratio of two
+priors scales the labels on which a force model of the target is trained.
 """
 
 from learning.compensation.fit import PairCompensation, StoredCompensation, read_stored

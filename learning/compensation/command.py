@@ -1,4 +1,4 @@
-"""`python -m learning compensate`: material priors, and how to bring labels to another skin."""
+"""`python -m learning compensate`: fit material priors, and choose the scaling of labels."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """Add the verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "compensate",
         description="Fits force over depth of each sensor (degree 2, loading and unloading) and "
-        "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a label-free "
-        "default, a label-free choice by the priors' fits, and an oracle that knows the target's "
-        "labels. Training a force model takes the file.",
+        "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a fixed "
+        "default, a label-free choice by the priors' fits, and an oracle that uses the target's "
+        "labels. train-force --compensation reads the file.",
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
@@ -43,7 +43,7 @@ def add_to(verbs: Verbs) -> None:
         action="append",
         default=[],
         metavar="SESSION",
-        help="a session of `python -m rig force-depth`, in place of the archive's rows",
+        help="session of `python -m rig force-depth`, used instead of the archive's rows",
     )
     parser.add_argument(
         "--coefficients", type=Path, metavar="DIR", help="published <sensor>_down.csv and _up.csv"
@@ -52,7 +52,7 @@ def add_to(verbs: Verbs) -> None:
         "--coefficients-of",
         choices=("mm", "share"),
         default="mm",
-        help="what published coefficients multiply: depth in mm, or its share of the depth range "
+        help="unit of depth in published coefficients: mm, or share of the depth range "
         "(heterogeneous test) (%(default)s)",
     )
     parser.add_argument(
@@ -64,7 +64,7 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--d0",
         metavar="SHARE,...",
-        help="starting depths to try, shares of the source's depth range, 0 to 1 (default: the "
+        help="starting depths to try, as shares of the source's depth range, 0 to 1 (default: the "
         "supplement's, 0, 0.4, 0.8 mm for skins of one depth range, else 0, 0.25, 0.5, 0.75)",
     )
     parser.add_argument(
@@ -77,7 +77,7 @@ def add_to(verbs: Verbs) -> None:
         "--default", metavar="D0,LAMBDA", help="the fixed, label-free choice (0,0.75)"
     )
     parser.add_argument(
-        "--picture", type=Path, metavar="PNG", help="curves (default: beside the file)"
+        "--picture", type=Path, metavar="PNG", help="curves (default: next to the file)"
     )
     parser.set_defaults(run=_run)
 

@@ -1,4 +1,4 @@
-"""Compensation of all pairs: its file, JSON, and how priors and choices come into it."""
+"""Compensation of all pairs of an archive: priors, choices, and the JSON file that stores them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from recorder.archive import ArchivedSensor
 from recorder.store import replace_file
 
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
-# Names of choices: fixed; by how well the priors fit; by the target's labels.
+# Names of choices: fixed; by the fit of the priors; by the target's labels.
 CHOICES = ("default", "priors", "oracle")
 CRITERIA = {
     "default": "d0 0, lambda 0.75, whatever the sensors (or as told on the command line)",
@@ -58,12 +58,12 @@ UNITS = "d0: share of the source's depth range; depths m; forces, errors and res
 
 @dataclass(frozen=True, slots=True)
 class PairCompensation:
-    """What is done to the labels of one sensor for another: `learning.force.data` calls it."""
+    """Compensation of the labels of one sensor for another; applied by `learning.force.data`."""
 
     source: Prior
     target: Prior
     d0: float
-    """Share of the source's depth range up to which nothing is changed."""
+    """Share of the source's depth range below which labels are unchanged."""
     weight: float
     """Lambda."""
 
@@ -73,7 +73,7 @@ class PairCompensation:
         depth: NDArray[np.float64],
         phase: NDArray[np.integer],
     ) -> tuple[NDArray[np.float64], int]:
-        """Return labels (n, 3) or (n, 6) as the target would give them, and how many were clamped.
+        """Return compensated labels (n, 3) or (n, 6), and the number that were clamped.
 
         Raises:
             LearningError: See `compensate`.
@@ -88,16 +88,16 @@ class StoredPair:
     source: str
     target: str
     before: Choice
-    """Without compensation."""
+    """Errors without compensation."""
     choices: Mapping[str, Choice]
-    """By the names of `CHOICES`; those that could not be made are left out."""
+    """By the names of `CHOICES`; choices that could not be made are missing."""
     pairs: int = 0
-    """Location pairs that errors are of."""
+    """Number of location pairs that errors are computed from."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredCompensation:
-    """What `python -m learning compensate` found."""
+    """Result of `python -m learning compensate`."""
 
     priors: Mapping[str, Prior]
     """By sensor."""
@@ -107,15 +107,15 @@ class StoredCompensation:
     """Its file, for errors."""
 
     def pair(self, source: str, target: str, choice: str = "default") -> PairCompensation:
-        """Return what is done to labels of a source for a target.
+        """Return the compensation from a source to a target.
 
         Args:
-            source: Name of the sensor that labels are of.
-            target: Name of the sensor that they are for.
+            source: Name of the sensor whose labels are compensated.
+            target: Name of the sensor that they are compensated for.
             choice: One of `CHOICES`.
 
         Raises:
-            LearningError: No such pair, or no such choice for it.
+            LearningError: The pair does not exist, or has no such choice.
         """
         for found in self.pairs:
             if (found.source, found.target) == (source, target):
@@ -132,10 +132,10 @@ class StoredCompensation:
         raise LearningError(f"{self.where}: no pair {source} to {target}; known: {known}")
 
     def write(self, path: Path) -> None:
-        """Write the file, whole or not at all.
+        """Write the file atomically.
 
         Raises:
-            LearningError: Another one is there.
+            LearningError: A different file exists.
             OSError: It cannot be written.
         """
         text = self._text()
@@ -160,10 +160,10 @@ class StoredCompensation:
 
 
 def read_stored(path: Path) -> StoredCompensation:
-    """Return what a compensation file says.
+    """Read a compensation file.
 
     Raises:
-        LearningError: Not there, no such file, of a newer format, or a key missing or wrong.
+        LearningError: The file is missing, of an unsupported format version, or corrupt.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -231,49 +231,49 @@ def _choice(content: Mapping[str, Any]) -> Choice:
         None if error is None else float(error),
         tuple(float(value) for value in content["axes"]),
         int(content["clamped"]),
-        # Files of old do not say.
+        # Missing in old files.
         None if (r2 := content.get("r2")) is None else float(r2),
     )
 
 
-# Priors of an archive's sensors, from wherever there are force-depth curves.
+# Priors of an archive's sensors, from all sources of force-depth curves.
 
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Where force-depth curves come from, beside the archive's own rows."""
+    """Sources of force-depth curves in addition to the archive's rows."""
 
     sessions: Sequence[Path] = ()
-    """Sessions of `python -m rig force-depth`; they say which sensor they are of."""
+    """Sessions of `python -m rig force-depth`; each names its sensor."""
     coefficients: Path | None = None
     """Folder of <sensor>_down.csv and <sensor>_up.csv, as published."""
     per_mm: bool = True
-    """Whether published coefficients are of depth in mm; else of its share of the range."""
+    """True if published coefficients are of depth in mm; else of its share of the range."""
     ranges_mm: Mapping[str, float] = field(default_factory=dict)
-    """Depth that counts as 1, by sensor [mm], in place of the deepest located press."""
+    """Depth that counts as 1, by sensor [mm], instead of the deepest located press."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
-    """Priors, and what they were fitted to."""
+    """Priors, and the data of their fits."""
 
     priors: Mapping[str, Prior]
     """By sensor."""
     measured: Mapping[str, ForceDepth]
-    """By sensor; not of those whose coefficients were given."""
+    """By sensor; not for sensors with given coefficients."""
     without: tuple[str, ...]
-    """Sensors of which nothing is known."""
+    """Sensors without a force-depth curve."""
 
 
 def gather_priors(archive: MarkerArchive, curves: Curves) -> Gathered:
     """Return the priors of an archive's sensors.
 
-    Of each sensor the first is taken of: a session, published coefficients, force-depth rows of
-    the archive, coefficients that were imported with it.
+    For each sensor the first available source is used: a session, published coefficients,
+    force-depth rows of the archive, coefficients that were imported with it.
 
     Raises:
-        LearningError: A sensor that the archive does not have, or a curve that cannot be fitted.
-        SessionError: A damaged session or archive.
+        LearningError: The archive has no such sensor, or a curve cannot be fitted.
+        SessionError: A session or the archive is corrupt.
     """
     sessions = {curve.sensor: curve for curve in map(curve_of_session, curves.sessions)}
     published = {} if curves.coefficients is None else read_compensation(curves.coefficients)
@@ -311,7 +311,7 @@ def gather_priors(archive: MarkerArchive, curves: Curves) -> Gathered:
 
 
 def _imported(sensor: ArchivedSensor) -> Compensation | None:
-    """Return the coefficients that were imported with a sensor; None without."""
+    """Return the coefficients that were imported with a sensor; None if there are none."""
     known = sensor.attrs.get("force_depth")
     if known is None:
         return None
@@ -326,18 +326,18 @@ def _imported(sensor: ArchivedSensor) -> Compensation | None:
         ) from error
 
 
-# The one call behind `python -m learning compensate`: priors, and choices for pairs of sensors.
+# Implementation of `python -m learning compensate`: priors, and choices for pairs of sensors.
 
-# Depth ranges that differ by less than this share are one.
+# Depth ranges whose relative difference is below this count as equal.
 _ALIKE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What is tried for each pair."""
+    """Choices to try for each pair."""
 
     default: tuple[float, float] = (DEFAULT_D0, DEFAULT_WEIGHT)
-    """d0 and lambda of the choice that is made without looking at anything."""
+    """d0 and lambda of the fixed choice."""
     d0: tuple[float, ...] | None = None
     """Shares of the source's depth range; None: the paper's for these sensors."""
     weights: tuple[float, ...] = WEIGHTS
@@ -353,18 +353,18 @@ def find_compensation(
     search: Search | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[StoredCompensation, Gathered]:
-    """Return what compensates labels between an archive's sensors, and the curves behind it.
+    """Find compensations between an archive's sensors; return them with their curves.
 
     Args:
         archive: The archive.
-        pairs: Sources and targets; all pairs of sensors with a prior when None.
-        curves: Where force-depth curves come from, beside the archive's own rows.
-        search: What is tried for each pair.
-        progress: Called with the pairs that are done and all of them.
+        pairs: Sources and targets; None: all pairs of sensors with a prior.
+        curves: Sources of force-depth curves in addition to the archive's rows.
+        search: Choices to try for each pair.
+        progress: Called with the number of pairs done and in total.
 
     Raises:
-        LearningError: A sensor of a pair without a prior, or fewer than two sensors with one.
-        SessionError: A damaged archive or session.
+        LearningError: A sensor of a pair has no prior, or fewer than two sensors have one.
+        SessionError: The archive or a session is corrupt.
     """
     search = search or Search()
     gathered = gather_priors(archive, curves or Curves())
@@ -398,9 +398,9 @@ def _chosen(
 
 
 def _d0_of_paper(source: Prior, target: Prior) -> tuple[float, ...]:
-    """Return starting depths as shares: in mm for skins of one kind, as shares for others.
+    """Return starting depths as shares of the range (the supplement's Tables S1 and S2).
 
-    The supplement's Tables S1 and S2.
+    They are constant in mm for sensors of similar range, and constant as shares for others.
     """
     spans = source.depth_range, target.depth_range
     if abs(spans[0] - spans[1]) > _ALIKE * max(spans):
@@ -430,14 +430,14 @@ def _wanted(
     return list(pairs)
 
 
-# What was found, as tables for people and as a picture of the curves.
+# Results as tables and as a plot of the curves.
 
-# Measured points that are drawn of a curve, at most.
+# Maximum number of measured points to plot for each curve.
 _POINTS = 300
 
 
 def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
-    """Yield lines: a table of priors, then one of pairs, then what they come to."""
+    """Yield the lines of a table of priors, a table of pairs and a summary."""
     yield f"{'sensor':<14}{'range':>9}  {'loading at 1/2, 1':>20}{'rms':>8}  " + (
         f"{'unloading':>20}{'rms':>8}  [N]"
     )
@@ -459,7 +459,7 @@ def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
 
 
 def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> None:
-    """Draw measured forces and the polynomials through them, loading and unloading, as a PNG.
+    """Plot measured forces and fitted polynomials, loading and unloading, as a PNG.
 
     Raises:
         OSError: It cannot be written.

@@ -1,4 +1,4 @@
-"""Material priors: compression of one sensor over depth as polynomials, loading and unloading."""
+"""Material priors: polynomials of a sensor's compression over depth, loading and unloading."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from learning.errors import LearningError
 from recorder import PHASES, Session
 from recorder.session import press_curves
 
-# Force over depth as it was measured: rows of an archive, or a session of `rig force-depth`.
+# Measured force over depth: rows of an archive, or a session of `rig force-depth`.
 
 Floats = NDArray[np.float64]
 Table = Mapping[str, np.ndarray[Any, Any]]
@@ -27,16 +27,16 @@ INDENTER = "prism"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceDepth:
-    """What it took to press one sensor to some depths, all repeats together."""
+    """Force over depth of one sensor; all repeats combined."""
 
     sensor: str
     indenter: str
     source: str
-    """Where it was measured, in words."""
+    """Description of the measurement."""
     loading: Floats
-    """Depth [m] and compression [N] on the way down (n, 2)."""
+    """Depth [m] and compression [N] during loading (n, 2)."""
     unloading: Floats
-    """The same on the way up (m, 2)."""
+    """The same during unloading (m, 2)."""
 
     @property
     def depth_max(self) -> float:
@@ -45,10 +45,10 @@ class ForceDepth:
 
 
 def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> ForceDepth | None:
-    """Return what force-depth rows of an archive's table say; None where there are none.
+    """Return the curve from force-depth rows of an archive's table; None if there are none.
 
-    Such rows have location -1 and the phase `normal_inc` or `normal_dec`. Rows that are not valid,
-    or where nothing is touched (depth 0), are left out.
+    Such rows have location -1 and the phase `normal_inc` or `normal_dec`. Rows that are invalid or
+    without contact (depth 0) are ignored.
 
     Args:
         sensor: Name of the sensor.
@@ -56,8 +56,8 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
         indenters: Names of the archive's indenters, by code.
 
     Raises:
-        LearningError: Rows without a label, several indenters of which none is the paper's prism,
-            or one of the two phases alone.
+        LearningError: Rows have no label, there are several indenters but not the paper's prism, or
+            only one of the two phases.
     """
     phase = table["phase"]
     rows = (table["location"] < 0) & table["valid"] & np.isin(phase, (DOWN, UP))
@@ -84,15 +84,15 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
 
 
 def curve_of_session(path: Path, sensor: str | None = None) -> ForceDepth:
-    """Return what a session of `python -m rig force-depth` says.
+    """Return the curve from a session of `python -m rig force-depth`.
 
     Args:
         path: The session.
-        sensor: What its sensor is called; as the session says when None.
+        sensor: Name of its sensor; None: the name in the session.
 
     Raises:
-        LearningError: A session that does not say what it is of.
-        SessionError: No session, or none in which a target was pressed and released.
+        LearningError: The session does not name its sensor and indenter.
+        SessionError: There is no session, or no target in it was pressed and released.
     """
     session = Session(path)
     curves = press_curves(session)
@@ -128,9 +128,9 @@ def _known(depth: Floats, force: Floats) -> Floats:
     return pairs[np.isfinite(pairs[:, 1]) & (pairs[:, 0] > 0)]
 
 
-# Of the polynomials that are fitted (the paper, Results, material softness).
+# Degree of the fitted polynomials (the paper, Results, material softness).
 DEGREE = 2
-# Phases that take the loading curve; the two others take the unloading one (authors' code).
+# Phases that use the loading curve; the two others use the unloading one (authors' code).
 LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
 
 
@@ -139,11 +139,11 @@ class Branch:
     """Compression over depth in one direction."""
 
     coefficients: tuple[float, ...]
-    """Of the share of the depth range, highest power first [N]."""
+    """Polynomial in the share of the depth range, highest power first [N]."""
     residual: float | None = None
-    """Root mean square of what the fit leaves over [N]; None where nothing was fitted."""
+    """Root mean square of the fit's residuals [N]; None if nothing was fitted."""
     samples: int = 0
-    """Number of forces that were fitted."""
+    """Number of fitted forces."""
 
     def compression(self, share: Floats) -> Floats:
         """Return the compression (n,) [N] at shares of the depth range (n,)."""
@@ -152,22 +152,25 @@ class Branch:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """How hard one sensor is, as far as a flat indenter can tell."""
+    """Stiffness of one sensor, measured with a flat indenter."""
 
     sensor: str
     loading: Branch
     unloading: Branch
     depth_range: float
-    """Depth that counts as 1 [m]. Two sensors are compared at the same share of their ranges,
-    which is the same depth where the ranges are equal (the paper, Methods: heterogeneous)."""
+    """Depth that counts as 1 [m].
+
+    Two sensors are compared at the same share of their ranges, which is the same depth if the
+    ranges are equal (the paper, Methods: heterogeneous).
+    """
     depth_max: float
-    """Deepest that was measured [m]; beyond it nothing is foretold."""
+    """Greatest measured depth [m]; there is no extrapolation beyond it."""
     indenter: str = ""
     source: str = ""
-    """Where it was measured, in words."""
+    """Description of the measurement."""
 
     def __post_init__(self) -> None:
-        """Refuse a prior that says nothing."""
+        """Reject non-positive depths and non-finite coefficients."""
         for name in ("depth_range", "depth_max"):
             value = getattr(self, name)
             if not 0 < value < np.inf:
@@ -183,7 +186,7 @@ class Prior:
 
     @property
     def share_max(self) -> float:
-        """Deepest share of the range that was measured."""
+        """Greatest measured share of the range."""
         return self.depth_max / self.depth_range
 
     def branch(self, loading: bool) -> Branch:
@@ -192,14 +195,15 @@ class Prior:
 
 
 def fit_prior(measured: ForceDepth, depth_range: float | None = None) -> Prior:
-    """Return the polynomials of degree 2 through what was measured, least squares.
+    """Fit polynomials of degree 2 by least squares.
 
     Args:
         measured: Forces over depth.
-        depth_range: Depth that counts as 1 [m]; the deepest measured one when None.
+        depth_range: Depth that counts as 1 [m]; None: the greatest measured depth.
 
     Raises:
-        LearningError: NaN, too few different depths to fit, or a sensor that does not push back.
+        LearningError: Values are NaN, there are too few different depths, or the compression at the
+            greatest depths is not positive.
     """
     reach = measured.depth_max if len(measured.loading) and len(measured.unloading) else np.nan
     span = reach if depth_range is None else depth_range
@@ -217,20 +221,21 @@ def fit_prior(measured: ForceDepth, depth_range: float | None = None) -> Prior:
 def prior_of_coefficients(
     sensor: str, known: Compensation, *, depth_range: float, per_mm: bool, source: str
 ) -> Prior:
-    """Return the prior that published coefficients stand for.
+    """Return a prior with published coefficients.
 
-    Forces below 0 at the end of the range are taken for a gauge whose compression is negative.
+    A negative force at the end of the range is taken as a gauge with negative compression: signs
+    are flipped.
 
     Args:
         sensor: Name of the sensor.
         known: Polynomials for loading and unloading, highest power first.
         depth_range: Depth that counts as 1 [m].
-        per_mm: Whether they are of depth in mm (material test); else of its share of the range
+        per_mm: True if they are of depth in mm (material test); else of its share of the range
             (heterogeneous test).
-        source: Where they are from, in words.
+        source: Description of their origin.
 
     Raises:
-        LearningError: Coefficients that are no numbers, or a range that is none.
+        LearningError: Coefficients are not finite, or the range is not positive.
     """
     unit = depth_range * 1e3 if per_mm else 1.0
     loading, unloading = _converted(known.down, unit), _converted(known.up, unit)
@@ -238,7 +243,7 @@ def prior_of_coefficients(
 
 
 def _converted(values: tuple[float, ...], unit: float) -> Branch:
-    """Return a polynomial of depth in units of which the range has `unit`, as one of the share."""
+    """Convert a polynomial of depth, where `unit` is the whole range, to one of the share."""
     powers = np.arange(len(values) - 1, -1, -1)
     coefficients = np.asarray(values, np.float64) * unit**powers
     sign = -1.0 if coefficients.sum() < 0 else 1.0
@@ -267,17 +272,16 @@ def _fitted(sensor: str, name: str, pairs: Floats, span: float) -> Branch:
     return Branch(tuple(float(value) for value in coefficients), residual, len(pairs))
 
 
-# Equations 7 to 9: forces scaled by what two skins need for the same depth (supplement, Text 9).
+# Equations 7 to 9: forces scaled by the ratio of two skins at the same depth (supplement, Text 9).
 #
 #     r = f_T / f_S - 1        F_SC = F_S (1 + lambda r) where d > d0, else F_S
 #
-# The ratio f_T / f_S is of the loading curves while the sensor is loaded, else of the unloading
-# ones.
+# The ratio f_T / f_S is of the loading curves in loading phases, else of the unloading curves.
 
-# f_T / f_S is kept within these: where the source hardly pushes back it says nothing.
+# Limits of f_T / f_S: the ratio is meaningless where the source's force is close to zero.
 LEAST, LARGEST = 0.1, 10.0
-# Taken where no label of the target is known: of the supplement's 48 choices (Tables S1 and S2) the
-# most frequent d0 and the median lambda.
+# Default without any label of the target: the most frequent d0 and the median lambda of the
+# supplement's 48 choices (Tables S1 and S2).
 DEFAULT_D0, DEFAULT_WEIGHT = 0.0, 0.75
 
 
@@ -290,21 +294,22 @@ def compensate(
     d0: float,
     lam: float,
 ) -> tuple[Floats, int]:
-    """Return the labels of the source as the target would give them, and how many were clamped.
+    """Return the source's labels compensated for the target, and the number that were clamped.
 
-    All axes are scaled alike, torques too (authors' code).
+    All axes, torques included, are scaled by the same factor (authors' code).
 
     Args:
         wrench: Labels of the source (n, 3) or (n, 6) [N, N m].
         depth: Indentation of the source (n,) [m].
         phase: Codes of phases (n,); -1 only where nothing is compensated.
-        source: Prior of the sensor that the labels are of.
-        target: Prior of the sensor that they are for.
-        d0: Share of the source's depth range up to which nothing is changed, 0 to 1.
+        source: Prior of the sensor whose labels are compensated.
+        target: Prior of the sensor that they are compensated for.
+        d0: Share of the source's depth range below which labels are unchanged, 0 to 1.
         lam: Weight of the correction, 0 to 1.
 
     Raises:
-        LearningError: NaN, lengths that differ, a depth without a phase, or d0 or lam outside.
+        LearningError: Values are NaN, lengths differ, a pressed row has no phase, or d0 or lam is
+            out of range.
     """
     forces: Floats = np.asarray(wrench, np.float64)
     depth = np.asarray(depth, np.float64)
@@ -325,11 +330,11 @@ def compensate(
 def ratios(
     depth: Floats, phase: NDArray[np.integer], source: Prior, target: Prior
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return f_T / f_S (n,), within `LEAST` and `LARGEST`, and which of them were clamped.
+    """Return f_T / f_S (n,), clamped to `LEAST` and `LARGEST`, and a mask of the clamped ones.
 
-    Both curves are read at the same share of their ranges, and no deeper than both were measured:
-    beyond, the ratio stays what it was. Where the source's curve is at or below 0 the ratio is the
-    largest, and 1 where neither pushes back.
+    Both curves are evaluated at the same share of their ranges. Beyond the greatest depth measured
+    for both, the ratio is constant. Where the source's curve is at or below 0 the ratio is the
+    largest, or 1 if the target's curve is too.
     """
     share = np.clip(depth / source.depth_range, 0.0, min(source.share_max, target.share_max))
     loading = np.isin(phase, LOADING)
@@ -344,10 +349,10 @@ def ratios(
 
 
 def require_choice(d0: float, lam: float) -> None:
-    """Refuse a starting depth or a weight outside of the paper's ranges.
+    """Reject a starting depth or a weight outside of the paper's ranges.
 
     Raises:
-        LearningError: Names it.
+        LearningError: A value is out of range.
     """
     for name, value in (("d0", d0), ("lambda", lam)):
         if not 0.0 <= value <= 1.0:

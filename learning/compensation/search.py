@@ -1,13 +1,15 @@
-"""Which d0 and lambda: by the target's labels (an oracle), or by the priors alone.
+"""Search for d0 and lambda, by the target's labels (an oracle) or by the priors alone.
 
-The paper searches a grid and does not say what for. Here, of the choices on a grid, one is best
+The paper searches a grid and does not state the criterion. Here there are two; a choice is best
 
-- **for labels**: the mean distance between compensated labels and the target's own at paired
-  locations is the smallest. Whoever can compute it needs no transfer: it is an upper bound.
-- **for priors**: the expected squared error of the compensated force-depth curve is the smallest.
-  The difference of the two curves is known up to the variance v of what the fits left over, so
-  lambda times it is wrong by ((1 - lambda)^2 (difference^2 - v) + lambda^2 v) on average (Stein's
-  unbiased estimate). It needs no label of the target, and weakens corrections that are noise.
+- **for labels** if the mean distance between compensated labels and the target's labels at paired
+locations is smallest. It needs the target's labels, with which no transfer is needed: it is an
+upper bound.
+- **for priors** if the expected squared error of the compensated force-depth curve is smallest. The
+difference of the two curves is known up to the variance v of the fits' residuals, so a correction
+of lambda times the difference has a mean error of ((1 - lambda)^2 (difference^2 - v) + lambda^2 v)
+(Stein's unbiased estimate). It needs no label of the target, and weakens corrections that are
+noise.
 """
 
 from __future__ import annotations
@@ -37,14 +39,14 @@ _SHARES = np.linspace(0.0, 1.0, 101)[1:]
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Choices that are tried."""
+    """Values of d0 and lambda to try."""
 
     d0: tuple[float, ...] = D0_SHARES
-    """Starting depths, shares of the source's range."""
+    """Starting depths, as shares of the source's range."""
     weights: tuple[float, ...] = WEIGHTS
 
     def __post_init__(self) -> None:
-        """Refuse an empty grid, or one beyond the paper's ranges."""
+        """Reject an empty grid, or one beyond the paper's ranges."""
         for name, values in (("d0", self.d0), ("lambda", self.weights)):
             if not values or not all(0.0 <= value <= 1.0 for value in values):
                 raise LearningError(f"{name}: found {values}; allowed: one or more, 0 to 1")
@@ -52,26 +54,29 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A starting depth and a weight, and how good they are."""
+    """A starting depth, a weight and their errors."""
 
     d0: float
     """Share of the source's depth range."""
     weight: float
     """Lambda."""
     error: float | None
-    """Mean distance of compensated labels from the target's [N]; None where it has none."""
+    """Mean distance of compensated labels from the target's [N]; None if the target has none."""
     axes: tuple[float, ...] = ()
     """Mean absolute error of Fx, Fy, Fz [N]."""
     clamped: int = 0
-    """Labels whose ratio was clamped."""
+    """Number of labels whose ratio was clamped."""
     r2: float | None = None
-    """R2 of compensated labels, were they predictions of the target's: mean over the axes. No model
-    that learns from them does better but by chance. None where the target's never change."""
+    """R2 of compensated labels as predictions of the target's: mean over the axes.
+
+    A model trained on these labels exceeds it only by chance. None if the target's labels are
+    constant.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paired:
-    """Labels of two sensors where both were pressed alike."""
+    """Labels of two sensors at their common locations."""
 
     source: Floats
     """Forces (n, 3) [N]."""
@@ -88,10 +93,10 @@ class Paired:
 
 
 def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight: float) -> Choice:
-    """Return a choice, with its error where the target's labels are known.
+    """Return a choice, with its error if the target's labels are known.
 
     Raises:
-        LearningError: Labels that are no numbers, or a choice outside of the paper's ranges.
+        LearningError: A label is not finite, or the choice is outside of the paper's ranges.
     """
     if paired is None or not len(paired):
         return Choice(d0, weight, None)
@@ -110,10 +115,10 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
 
 
 def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) -> Choice:
-    """Return the choice whose labels are nearest to the target's; the weakest of equals.
+    """Return the choice with labels nearest to the target's; ties go to the smallest lambda.
 
     Raises:
-        LearningError: No pairs, or labels that are no numbers.
+        LearningError: There are no pairs, or a label is not finite.
     """
     if not len(paired):
         raise LearningError(
@@ -128,7 +133,7 @@ def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) ->
 def best_for_priors(source: Prior, target: Prior, grid: Grid) -> tuple[float, float] | None:
     """Return d0 and lambda with the smallest expected error of the curves.
 
-    None where a prior does not say how well it fits.
+    None if a prior has no residual.
     """
     risks = {}
     for weight in grid.weights:
@@ -143,7 +148,7 @@ def best_for_priors(source: Prior, target: Prior, grid: Grid) -> tuple[float, fl
 def expected_error(source: Prior, target: Prior, d0: float, weight: float) -> float | None:
     """Return the expected mean square error of the source's compensated curve [N^2].
 
-    None where a prior does not say how well it fits.
+    None if a prior has no residual.
     """
     parts = []
     for loading in (True, False):
@@ -161,26 +166,26 @@ def expected_error(source: Prior, target: Prior, d0: float, weight: float) -> fl
     return float(np.mean(parts))
 
 
-# Labels of two sensors of an archive at the same locations, from presses models may learn from.
+# Labels of two sensors of an archive at the same locations, from presses that may be trained on.
 
 
 def paired_labels(
     archive: MarkerArchive, source: str, target: str, split: Path | None = None
 ) -> Paired | None:
-    """Return labels of location pairs; None where one of the sensors has none.
+    """Return labels at paired locations; None if there are none.
 
-    Taken are the last frames of the phases, of presses that the split trains on, or of all seen
-    indenters without a split.
+    Uses the last frames of the phases, of the training presses of a split or, without one, of all
+    seen indenters.
 
     Args:
         archive: The archive.
-        source: Name of the sensor that labels are of.
-        target: Name of the sensor that they are for.
+        source: Name of the sensor whose labels are compensated.
+        target: Name of the sensor that they are compensated for.
         split: File of a split.
 
     Raises:
-        LearningError: A split of another archive.
-        SessionError: A damaged archive.
+        LearningError: The split belongs to another archive.
+        SessionError: The archive is corrupt.
     """
     one, other = archive[source], archive[target]
     pairs = location_pairs(one.table, other.table)
@@ -199,7 +204,7 @@ def paired_labels(
 
 
 def depth_range(sensor: ArchivedSensor) -> float | None:
-    """Return the deepest of a sensor's located presses [m]; None without any."""
+    """Return the greatest depth of a sensor's located presses [m]; None without any."""
     rows = (sensor.table["location"] >= 0) & sensor.table["valid"]
     deepest = float(sensor.table["depth"][rows].max(initial=0.0))
     return deepest if deepest > 0 else None

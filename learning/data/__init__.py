@@ -1,1 +1,1 @@
-"""What networks see of marker archives: images, fields, presses in memory, splits, force ranges."""
+"""Network inputs from marker archives: images, fields, presses in memory, splits, force ranges."""

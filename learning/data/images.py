@@ -1,8 +1,8 @@
-"""Marker images as networks see them: 256 x 256, one channel, anti-aliased, and back again.
+"""Network images: 256 x 256, one channel, anti-aliased; conversion from masks and back.
 
-Shrinking is the exact mean over 2.5 columns and 1.875 rows, so that a marker's edge keeps its
-place between pixels. Enlarging is what the authors' inference does: Lanczos to 640 x 480, then
-everything above 128. Tensors may lie on a GPU; what is packed is shrunk as arrays.
+Shrinking takes the exact mean over 2.5 columns and 1.875 rows, which preserves the subpixel
+position of marker edges. Enlarging follows the authors' inference: Lanczos to 640 x 480, then a
+threshold of 128. Tensors may be on a GPU; packed masks are shrunk as arrays.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, unpack
 
 # Rows and columns of an image [px].
 SIDE = 256
-# Grey level above which an enlarged pixel is a marker's (authors' code).
+# Grey level above which an enlarged pixel belongs to a marker (authors' code).
 ABOVE = 128
 
-# Images that are worked on together: unpacked they take 20 MB.
+# Images processed at once: unpacked they take 20 MB.
 _AT_ONCE = 64
-# Of so many rows 8 are made, and of so many columns 2.
+# 15 rows become 8, and 5 columns become 2.
 _ROWS, _COLUMNS = 15, 5
 # Sum of the weights of one pixel: 15 eighths of rows by 5 halves of columns.
 _WHOLE = 75
-# Of Pillow's Lanczos kernel: zeros on each side, and bits of its weights.
+# Pillow's Lanczos kernel: zeros on each side, and bits of its weights.
 _LOBES, _BITS = 3, 22
 
 
 def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return packed masks (n, 38400) as images (n, 256, 256), 255 where all is marker.
+    """Shrink packed masks (n, 38400) to images (n, 256, 256); 255 is a pixel full of marker.
 
     Raises:
-        LearningError: Not packed masks.
+        LearningError: The input is not packed masks.
     """
     _require(packed, np.dtype(np.uint8), (PACKED,), "packed masks")
     images = np.empty((len(packed), SIDE, SIDE), np.uint8)
@@ -53,10 +53,10 @@ def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrink_masks(masks: Tensor) -> Tensor:
-    """Return masks (n, 480, 640) bool as images (n, 256, 256) uint8, those of `shrink`.
+    """Shrink masks (n, 480, 640) bool to images (n, 256, 256) uint8, with the result of `shrink`.
 
     Raises:
-        LearningError: Not masks.
+        LearningError: The input is not masks.
     """
     _require(masks, torch.bool, (HEIGHT, WIDTH), "masks")
     images = torch.empty((len(masks), SIDE, SIDE), dtype=torch.uint8, device=masks.device)
@@ -68,13 +68,13 @@ def shrink_masks(masks: Tensor) -> Tensor:
 
 
 def enlarge_images(images: Tensor) -> Tensor:
-    """Return images (n, 256, 256) uint8 as masks (n, 480, 640) bool.
+    """Enlarge images (n, 256, 256) uint8 to masks (n, 480, 640) bool.
 
-    They are those of Pillow's Lanczos, cut above 128, as the authors do, but for pixels that come
+    The result is that of Pillow's Lanczos with the authors' threshold of 128, except for pixels
     within rounding of the threshold.
 
     Raises:
-        LearningError: Not images.
+        LearningError: The input is not images.
     """
     _require(images, torch.uint8, (SIDE, SIDE), "images")
     masks = torch.empty((len(images), HEIGHT, WIDTH), dtype=torch.bool, device=images.device)
@@ -93,10 +93,10 @@ def enlarge_images(images: Tensor) -> Tensor:
 
 
 def unpack_masks(packed: Tensor) -> Tensor:
-    """Return packed masks (n, 38400) uint8 as masks (n, 480, 640) bool, on their device.
+    """Unpack masks (n, 38400) uint8 to (n, 480, 640) bool, on their device.
 
     Raises:
-        LearningError: Not packed masks.
+        LearningError: The input is not packed masks.
     """
     _require(packed, torch.uint8, (PACKED,), "packed masks")
     bits = packed.unsqueeze(-1) & _bits(packed.device)
@@ -114,7 +114,7 @@ def _summed(masks: Any, stack: Callable[..., Any]) -> Any:
     for each in range(8):
         total = None
         for row in range(_ROWS * each // 8, -(-_ROWS * (each + 1) // 8)):
-            # Eighths of this row that lie between 15/8 each and 15/8 (each + 1).
+            # Eighths of this row between 15/8 each and 15/8 (each + 1).
             weight = min(8 * row + 8, _ROWS * (each + 1)) - max(8 * row, _ROWS * each)
             part = blocks[:, :, row] * weight
             total = part if total is None else total + part
@@ -128,13 +128,13 @@ def _summed(masks: Any, stack: Callable[..., Any]) -> Any:
 
 @functools.cache
 def _grey_levels() -> NDArray[np.uint8]:
-    """Grey level of each weighted sum."""
+    """Return the grey level of each weighted sum."""
     return np.round(np.arange(_WHOLE + 1) * (255 / _WHOLE)).astype(np.uint8)
 
 
 @functools.cache
 def _lanczos(side: int) -> NDArray[np.float64]:
-    """Weights (side, 256) with which Pillow resizes 256 pixels to more of them."""
+    """Return Pillow's weights (side, 256) for resizing 256 pixels to a larger side."""
     scale = SIDE / side
     centres = (np.arange(side) + 0.5) * scale
     first = np.maximum((centres - _LOBES + 0.5).astype(int), 0)
@@ -157,21 +157,20 @@ def _require(values: Any, dtype: Any, shape: tuple[int, ...], what: str) -> None
         )
 
 
-# Displacement fields as networks see them, and images moved by them.
+# Displacement fields as network inputs, and images warped by them.
 #
-# Whatever is seen at pixel p of the untouched image is seen at p + d(p) in the frame; components
-# are (column, row), in pixels of the 640 x 480 image. A field (n, 2, h, w) lies either on a
-# `Lattice`, as archives keep it, or, without one, at the centres of h x w cells that cover the
-# image.
+# A point at pixel p of the image without contact is at p + d(p) in the frame; components
+# are (column, row), in pixels of the 640 x 480 image. A field (n, 2, h, w) is given on a
+# `Lattice`, as in archives, or, without one, at the centres of h x w cells that cover the image.
 
-# Where archives keep fields, unless they say otherwise.
+# Default lattice of fields in archives.
 LATTICE = Lattice()
-# Rows and columns of a marker field that a force model sees.
+# Rows and columns of a force model's marker field.
 FIELD_SIDE = 32
-# Areas are not taken to shrink below this share: markers on a steep flank are seen end-on.
+# Lower bound of the relative area: markers on a steep flank are seen end-on.
 LEAST_AREA = 0.05
 
-# Of the inversion: iterations, and pixels from one place where it is done to the next.
+# Inversion: number of iterations, and step of the coarse grid [px].
 _STEPS, _COARSE = 8, 4
 
 
@@ -180,20 +179,21 @@ class Fields:
     """Displacement fields of frames."""
 
     displacement: Tensor
-    """(n, 2, h, w) float32 [px]; where nothing is known, from what is around it."""
+    """(n, 2, h, w) float32 [px]; unknown values are filled from their surroundings."""
     known: Tensor
-    """(n, h, w) bool: where there is material."""
+    """(n, h, w) bool: True where there is material."""
     lattice: Lattice
-    """Where the fields are kept."""
+    """Lattice of the fields."""
 
 
 def read_fields(
     sensor: ArchivedSensor, rows: Rows, *, device: torch.device | str = "cpu"
 ) -> Fields:
-    """Return fields of some rows of an archive's sensor.
+    """Read fields of some rows of an archive's sensor.
 
     Raises:
-        SessionError: It keeps none, no such row, or a chunk that is missing or damaged.
+        SessionError: The sensor has no fields, a row does not exist, or a chunk is missing or
+            corrupt.
     """
     lattice = sensor.lattice
     stored = sensor.displacement(rows).astype(np.float32)
@@ -203,11 +203,11 @@ def read_fields(
 
 
 def filled(field: Tensor, known: Tensor) -> Tensor:
-    """Return fields (n, 2, h, w) with values from what is around them where nothing is known.
+    """Fill the unknown values of fields (n, 2, h, w) from their surroundings.
 
     Args:
-        field: Anything where it is not known.
-        known: (n, h, w) bool. A field that is known nowhere becomes 0.
+        field: Fields, with any value where unknown.
+        known: (n, h, w) bool. A field without known values becomes 0.
     """
     there = known.unsqueeze(1).to(field.dtype)
     values = torch.where(known.unsqueeze(1), field, torch.zeros_like(field))
@@ -225,13 +225,13 @@ def filled(field: Tensor, known: Tensor) -> Tensor:
 def sampled(
     field: Tensor, columns: Tensor, rows: Tensor, lattice: Lattice | None = LATTICE
 ) -> Tensor:
-    """Return fields (n, 2, h, w) at places, bilinear, constant beyond their ends: (n, 2, H, W).
+    """Sample fields (n, 2, h, w) bilinearly, constant beyond their borders: (n, 2, H, W).
 
     Args:
-        field: What is sampled.
-        columns: Places (n or 1, H, W) [px of the 640 x 480 image].
-        rows: The same.
-        lattice: Where the fields are kept; None: cells that cover the image.
+        field: The fields.
+        columns: Columns of the sample points (n or 1, H, W) [px of the 640 x 480 image].
+        rows: Rows of the sample points, same shape.
+        lattice: Lattice of the fields; None: cells that cover the image.
     """
     height, width = field.shape[-2:]
     if lattice is None:
@@ -259,18 +259,18 @@ def inverse(
     steps: int = _STEPS,
     coarse: int = _COARSE,
 ) -> Tensor:
-    """Return e (n, 2, H, W) [px]: what is seen at q in the frame was at q + e(q), untouched.
+    """Return e (n, 2, H, W) [px]: a point at q in the frame was at q + e(q) before contact.
 
-    It is found by iterating e <- -d(q + e), which converges where the field stretches or shrinks
-    lengths by less than their size. Gradients go through the last two iterations: two terms of the
-    series of (1 + grad d)^-1.
+    It is the fixed point of e <- -d(q + e). The iteration converges if the field stretches or
+    shrinks lengths by less than 100 %. Gradients flow through the last two iterations: two terms of
+    the series of (1 + grad d)^-1.
 
     Args:
         field: d (n, 2, h, w) [px of the 640 x 480 image].
         shape: Rows and columns of an image of the whole view; q are the centres of its pixels.
-        lattice: Where the field is kept; None: cells that cover the image.
+        lattice: Lattice of the field; None: cells that cover the image.
         steps: Iterations, 2 or more.
-        coarse: It is found at every so many pixels, and between them by interpolation.
+        coarse: Step of the grid [px] on which it is computed; interpolated between.
     """
     height, width = shape
     places = max(2, -(-height // coarse)), max(2, -(-width // coarse))
@@ -292,19 +292,19 @@ def warp(
     steps: int = _STEPS,
     coarse: int = _COARSE,
 ) -> Tensor:
-    """Return the images (n, 1, H, W) that untouched ones become under fields.
+    """Warp images without contact by fields to images (n, 1, H, W).
 
-    What comes into view from beyond the reference is without markers.
+    Areas that enter the view from outside of the reference have no markers.
 
     Args:
-        reference: Untouched images (n or 1, 1, H, W) float, of any size, of the whole view.
+        reference: Images without contact (n or 1, 1, H, W) float, of any size, of the whole view.
         field: Displacements (n, 2, h, w) [px of the 640 x 480 image].
-        lattice: Where the fields are kept; None: cells that cover the image.
+        lattice: Lattice of the fields; None: cells that cover the image.
         steps: Iterations of the inversion.
-        coarse: The inverse is found at every so many pixels of H x W.
+        coarse: Step of the grid of the inversion, in pixels of H x W.
     """
     shape = reference.shape[-2], reference.shape[-1]
-    # Coordinates in bfloat16 would be off by pixels.
+    # In bfloat16, coordinates would be off by pixels.
     with torch.autocast(field.device.type, enabled=False):
         field = field.float()
         back = inverse(field, shape, lattice, steps=steps, coarse=coarse)
@@ -321,13 +321,13 @@ def warp(
 
 
 def on_cells(field: Tensor, lattice: Lattice, side: int = FIELD_SIDE) -> Tensor:
-    """Return fields on a lattice at the centres of side x side cells of the image: (n, 2, ., .)."""
+    """Return fields at the centres of side x side cells of the image: (n, 2, side, side)."""
     columns, rows = _centres((side, side), field)
     return sampled(field, columns, rows, lattice)
 
 
 def log_area(field: Tensor) -> Tensor:
-    """Return the logarithm (n, h, w) of how areas change: of det(1 + grad d).
+    """Return the logarithm (n, h, w) of the relative area, det(1 + grad d).
 
     Args:
         field: (n, 2, h, w) [px] at the centres of cells that cover the image.
@@ -340,7 +340,7 @@ def log_area(field: Tensor) -> Tensor:
 
 
 def marker_maps(fields: Fields, side: int = FIELD_SIDE) -> Tensor:
-    """Return what a force model sees of fields (n, 3, side, side): dx, dy [px], log area change."""
+    """Return a force model's inputs from fields (n, 3, side, side): dx, dy [px], log area."""
     cells = on_cells(fields.displacement, fields.lattice, side)
     return torch.cat([cells, log_area(cells).unsqueeze(1)], dim=1)
 
@@ -352,8 +352,8 @@ def _centres(
 
     Args:
         shape: Rows and columns of an image of the whole view.
-        like: Has the device and the type that are wanted.
-        places: How many, evenly between the outermost; None: one a pixel.
+        like: Tensor with the device and dtype of the result.
+        places: Numbers of evenly spaced rows and columns; None: one for each pixel.
     """
 
     def along(pixels: int, side: int, count: int) -> Tensor:

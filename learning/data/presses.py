@@ -1,4 +1,4 @@
-"""The frames of presses, in memory or still in the archive, and the range of their forces."""
+"""Presses of a sensor, in memory or read from the archive on demand, and their force range."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from learning.data.images import (
 from learning.errors import LearningError
 from recorder.archive import ArchivedSensor
 
-# What is kept of a frame: an image (256, 256) uint8; its packed mask (38400,) uint8; or the marker
-# field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], logarithm of the area's change.
+# Form of a frame in memory: an image (256, 256) uint8; its packed mask (38400,) uint8; or the
+# marker field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], log of the area change.
 Form = Literal["images", "packed", "field"]
-# Where marker fields come from: followed in the masks, or the archive's own displacement.
+# Source of marker fields: tracked in the masks, or the archive's stored displacement.
 FieldSource = Literal["flow", "truth"]
 FORMS: tuple[Form, ...] = get_args(Form)
 
@@ -41,26 +41,26 @@ _ON_DEVICE = ("images", "references", "reference", "wrench")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Presses:
-    """Presses of one sensor: P of them with N frames in all, press after press."""
+    """P presses of one sensor with N frames in total, stored press by press."""
 
     sensor: str
-    """Its name."""
+    """Name of the sensor."""
     mm_per_px: float
     """Size of a pixel of the 640 x 480 image [mm]."""
     form: Form
-    """What `images` holds."""
+    """Form of `images`."""
     images: Tensor
-    """Frames (N, ...) as `form` says, on the device."""
+    """Frames (N, ...) in that form, on the device."""
     references: Tensor
-    """The untouched sensor (K, 256, 256) uint8, or (K, 38400) packed, on the device."""
+    """Images without contact (K, 256, 256) uint8, or (K, 38400) packed, on the device."""
     reference: Tensor
-    """Row of `references` (N,) int64 that belongs to a frame, on the device."""
+    """Row of `references` for each frame (N,) int64, on the device."""
     wrench: Tensor
     """Fx, Fy, Fz (N, 3) float32 [N], on the device; NaN without a label."""
     starts: Tensor
     """Frames of press p are starts[p]:starts[p + 1], in order of time: (P + 1,) int64."""
     location: Tensor
-    """Place of each press, equal across sensors (P,) int64; -1: none."""
+    """Location of each press, equal across sensors (P,) int64; -1: none."""
     indenter: Tensor
     """Code of each press's indenter (P,) int64."""
     target: Tensor
@@ -85,7 +85,7 @@ class Presses:
 
     @property
     def device(self) -> torch.device:
-        """Where images, references and wrench lie; everything else is on the CPU."""
+        """Device of images, references and wrench; everything else is on the CPU."""
         return self.images.device
 
     @property
@@ -94,7 +94,7 @@ class Presses:
         return torch.repeat_interleave(torch.arange(len(self)), self.starts.diff())
 
     def each_frame_alone(self) -> Self:
-        """Return the same frames, each as a press of its own: nothing was before it."""
+        """Return the same frames, each as a separate press without history."""
         press = self.of_frame
         values: dict[str, Any] = {"starts": torch.arange(self.frames + 1)}
         for each in ("location", "indenter", "target"):
@@ -107,10 +107,10 @@ class Presses:
         return replace(self, **moved)
 
     def require_wrench(self) -> None:
-        """Refuse presses without a label in all frames: a force model cannot learn from them.
+        """Reject presses with unlabelled frames, from which a force model cannot be trained.
 
         Raises:
-            LearningError: Naming the sensor and the first rows.
+            LearningError: Names the sensor and the first rows.
         """
         missing = (~self.wrench.isfinite().all(dim=1)).cpu()
         if bool(missing.any()):
@@ -132,22 +132,23 @@ def load_presses(
     processes: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> Presses:
-    """Return presses of an archive's sensor: a press is a location.
+    """Load presses of an archive's sensor; a press is a location.
 
-    Frames without a location, as force-depth presses have them, are grouped by their target.
+    Frames without a location, e.g. of force-depth presses, are grouped by their target.
 
     Args:
-        sensor: What is read.
+        sensor: The sensor.
         rows: Rows of its table, in any order; `Split.rows` gives those of a role.
-        device: Where images, references and wrench go.
-        form: What is kept of a frame.
-        field_source: Where marker fields come from, in the form `field`.
-        processes: How many of them follow markers; started once for some 8,000 frames.
-        progress: Called with the frames that are read and their number.
+        device: Device of images, references and wrench.
+        form: Form of the frames.
+        field_source: Source of marker fields, for the form `field`.
+        processes: Number of processes that track markers; restarted about every 8,000 frames.
+        progress: Called with the number of frames read and in total.
 
     Raises:
-        LearningError: Rows that repeat or are not valid, or an unknown form.
-        SessionError: No such row, an archive that is still being written, or a damaged chunk.
+        LearningError: Rows repeat or are invalid, or the form is unknown.
+        SessionError: A row does not exist, the archive is still being written, or a chunk is
+            corrupt.
     """
     described = press_table(sensor, rows)
     if form == "field":
@@ -163,21 +164,21 @@ def load_presses(
 
 
 def press_table(sensor: ArchivedSensor, rows: Any) -> Presses:
-    """Return presses without images: what is known of them, and no more than that.
+    """Return presses without image data.
 
-    Their `images` (N, 256, 256) and `references` are on the device `meta`: they have a shape and no
-    content, and whoever reads them gets an error of torch.
+    Their `images` (N, 256, 256) and `references` are on the device `meta`: they have a shape but no
+    data, and torch raises an error if they are read.
 
     Raises:
-        LearningError: Rows that repeat or are not valid.
-        SessionError: No such row, or an archive that is still being written.
+        LearningError: Rows repeat or are invalid.
+        SessionError: A row does not exist, or the archive is still being written.
     """
     table = sensor.table
     chosen = _checked_rows(sensor, rows)
     key = np.stack(
         [table[name][chosen].astype(np.int64) for name in ("location", "indenter", "target")]
     )
-    # The target tells presses apart where there is no location; elsewhere it is one press already.
+    # The target separates presses without a location; a location belongs to a single press anyway.
     order = np.lexsort((table["frame"][chosen], key[2], key[1], key[0]))
     chosen, key = chosen[order], key[:, order]
     begins = np.flatnonzero(np.r_[len(chosen) > 0, (np.diff(key) != 0).any(axis=0)])
@@ -212,10 +213,10 @@ def read_frames(
     form: Form = "images",
     progress: Progress = lambda done, total: None,
 ) -> Tensor:
-    """Return images (n, 256, 256) or packed masks (n, 38400) of rows, uint8 on a device.
+    """Read images (n, 256, 256) or packed masks (n, 38400) of rows, uint8, to a device.
 
     Raises:
-        SessionError: No such row, or a chunk that is missing or damaged.
+        SessionError: A row does not exist, or a chunk is missing or corrupt.
     """
     shape = _IMAGE if form == "images" else (sensor.references.shape[1],)
     frames = torch.empty(len(rows), *shape, dtype=torch.uint8, device=device)
@@ -227,7 +228,8 @@ def read_frames(
         elif device.type == "cpu":
             read = torch.from_numpy(shrink(packed))
         else:
-            # Bits are moved and become pixels there: an eighth of the way, and of the work here.
+            # Bits are transferred and unpacked on the device: an eighth of the traffic and of the
+            # CPU's work.
             read = shrink_masks(unpack_masks(torch.from_numpy(packed).to(device)))
         frames[first : first + len(read)] = read
         progress(first + len(read), len(rows))
@@ -245,7 +247,7 @@ def _read_fields(
     if source not in get_args(FieldSource):
         known = ", ".join(get_args(FieldSource))
         raise LearningError(f"field_source: found {source!r}; allowed: {known}")
-    # Translation reads data; here alone data ask it, for what it finds in masks.
+    # Imported here, as only marker fields need it.
     from learning.markers.displacement import PackedPresses, fields_of_presses
 
     rows, starts = presses.rows.numpy(), presses.starts.numpy()
@@ -274,7 +276,7 @@ def _read_fields(
 
 
 def _parts(starts: NDArray[np.int64], most: int) -> Iterator[NDArray[np.int64]]:
-    """Yield starts and end of runs of whole presses with so many frames, or one press."""
+    """Yield starts and ends of runs of whole presses with at most `most` frames, or one press."""
     first = 0
     while first < len(starts) - 1:
         end = max(first + 1, int(np.searchsorted(starts, starts[first] + most, "right")) - 1)
@@ -312,25 +314,25 @@ def _require_one_press(
         )
 
 
-# The box of forces that a model answers in: its last layer gives numbers from 0 to 1.
+# Force range of a model, whose last layer gives numbers from 0 to 1.
 #
-# The paper normalises by the least and greatest force of each axis (Methods); the authors' code has
-# fixed ones. Ours come from the training split and are stored with the model.
+# The paper normalises by the minimum and maximum force of each axis (Methods); the authors' code
+# has fixed values. Here they come from the training split and are stored with the model.
 
 Force = tuple[float, float, float]
 
-# An axis along which forces differ by less [N] is widened to this: it carries no signal.
+# Minimum width of the range along an axis [N]; smaller differences carry no signal.
 LEAST = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class ForceRange:
-    """Least and greatest force of each axis."""
+    """Minimum and maximum force of each axis."""
 
     low: Force
-    """Fx, Fy, Fz [N] that become 0."""
+    """Fx, Fy, Fz [N] that map to 0."""
     high: Force
-    """Fx, Fy, Fz [N] that become 1."""
+    """Fx, Fy, Fz [N] that map to 1."""
 
     def __post_init__(self) -> None:
         ends = np.array([self.low, self.high], np.float64)
@@ -345,11 +347,11 @@ class ForceRange:
         """Return the range of forces (n, 3) or wrenches (n, 6) [N], an array or a tensor.
 
         Args:
-            wrench: Those of the training split.
-            margin: Share of the range that is added at both ends: a sigmoid never reaches its own.
+            wrench: Labels of the training split.
+            margin: Share of the range to add at both ends, as a sigmoid never reaches its limits.
 
         Raises:
-            LearningError: None, NaN among them, or a negative margin.
+            LearningError: There are no labels, one is not finite, or the margin is negative.
         """
         forces: NDArray[np.float64] = np.asarray(
             wrench.cpu() if hasattr(wrench, "cpu") else wrench, np.float64
@@ -367,7 +369,7 @@ class ForceRange:
         return cls(_force(low - wider), _force(high + wider))
 
 
-# The range in the authors' code.
+# Fixed range of the authors' code.
 AUTHORS = ForceRange((-5.0, -5.0, -20.0), (5.0, 5.0, 5.0))
 
 
@@ -376,22 +378,22 @@ def _force(values: NDArray[np.float64]) -> Force:
     return x, y, z
 
 
-# Where the frames of a training lie: all in the memory of the device, or still in the archive.
+# Storage of a training's frames: all in device memory, or read from the archive.
 #
-# Both give the same batches, as which frames a step sees is decided before, by seed and step alone
-# (`learning.training.run`). 180,000 frames are 11.8 GB in memory; where that is too much, worker
-# processes read what is asked for, in order and ahead of time.
+# Both give the same batches, as the frames of a step depend on seed and step alone
+# (`learning.training.run`). 180,000 frames take 11.8 GB of memory; if that is too much, worker
+# processes read the frames in order and ahead of time.
 
-# Memory that an image takes.
+# Memory of an image [bytes].
 FRAME_BYTES = SIDE * SIDE
-# Of the free memory images may take this much: the network and its gradients want the rest.
+# Share of the free memory for images: the rest is for the network and its gradients.
 SHARE = 0.6
 
 Numbers = NDArray[np.int64]
 
 
 class FrameSource(Protocol):
-    """Gives images by the number of their frame among the presses."""
+    """Source of images by the number of their frame among the presses."""
 
     def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
         """Yield, for each list of frame numbers (n,), images (n, 256, 256) uint8 on the device."""
@@ -412,13 +414,13 @@ class Resident:
 
 @dataclass(frozen=True, slots=True)
 class Streaming:
-    """Images read from the archive by worker processes when they are needed."""
+    """Images read from the archive on demand by worker processes."""
 
     sensor: ArchivedSensor
     presses: Presses
     device: torch.device
     workers: int
-    """Processes; 0 reads in this one."""
+    """Number of processes; 0 reads in this process."""
 
     def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
         """Yield images (n, 256, 256) for each list of frame numbers."""
@@ -442,21 +444,21 @@ def open_frames(
     share: float = SHARE,
     progress: Progress = lambda done, total: None,
 ) -> tuple[Presses, FrameSource]:
-    """Return presses and where their images come from: memory if they fit, else the archive.
+    """Return presses and the source of their images: memory if they fit, else the archive.
 
-    Where they do not fit, the presses' own `images` have a shape and no content.
+    If they do not fit, the `images` of the presses have a shape but no data.
 
     Args:
-        sensor: What is read.
+        sensor: The sensor.
         rows: Rows of its table.
-        device: Where images are wanted.
-        workers: Processes that read, if they do not fit; 0: none but this one.
-        share: Of the free memory that images may take.
-        progress: Called with the frames that are read and their number.
+        device: Device of the images.
+        workers: Number of reading processes if the images do not fit; 0: read in this process.
+        share: Share of the free memory that images may take.
+        progress: Called with the number of frames read and in total.
 
     Raises:
-        LearningError: Rows that repeat or are not valid, or a wrong number.
-        SessionError: No such row, or an archive that is unfinished or damaged.
+        LearningError: Rows repeat or are invalid, or a number is out of range.
+        SessionError: A row does not exist, or the archive is unfinished or corrupt.
     """
     if workers < 0 or not 0 <= share <= 1:
         raise LearningError(
@@ -471,14 +473,14 @@ def open_frames(
 
 
 def free_bytes(device: torch.device) -> int:
-    """Return how much memory of a device is free."""
+    """Return the free memory of a device [bytes]."""
     if device.type == "cuda":
         return int(torch.cuda.mem_get_info(device)[0])
     return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 class _Read(Dataset[Tensor]):
-    """Reads a batch: its index is the list of frame numbers."""
+    """Dataset whose index is a list of frame numbers, a batch."""
 
     def __init__(self, sensor: ArchivedSensor, rows: Numbers) -> None:
         self._sensor, self._rows = sensor, rows
@@ -488,7 +490,7 @@ class _Read(Dataset[Tensor]):
 
 
 class _Wanted:
-    """Lets a loader take lists of frame numbers for the indices of a data set."""
+    """Sampler that yields lists of frame numbers."""
 
     def __init__(self, wanted: Iterable[Numbers]) -> None:
         self._wanted = wanted

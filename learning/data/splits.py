@@ -1,9 +1,9 @@
-"""Which presses models are trained on, and which they are measured on. A split is a file.
+"""Splits of an archive's presses into training, validation and test sets, stored as files.
 
-Whole presses are split, never frames and never pairs of them: a contact that is trained on is not
-in a test under another sensor. Of the indenters that may be trained on some presses go to
-`validation` and some to `new_press`; all presses of the others are `new_indenter`. States of one
-press that have a location each stay together. Whole sensors may be held out as well.
+Whole presses are split, never frames or pairs: a contact of the training set is in no test under
+another sensor. Some presses of the trainable indenters go to `validation` and some to `new_press`;
+all presses of other indenters are `new_indenter`. States of one press that have separate locations
+stay together. Whole sensors can be held out as well.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from recorder import MarkerArchive
 from recorder.store import replace_file
 
 Role = Literal["train", "validation", "new_press", "new_indenter"]
-# What a press may be for.
+# Roles of a press.
 ROLES: tuple[Role, ...] = get_args(Role)
-# Of a location that the split does not know, and of frames without one.
+# Role of unknown locations and of frames without a location.
 NO_ROLE = ""
 
 _FORMAT, _VERSION = "tactile-rig split", 1
@@ -34,12 +34,12 @@ _FORMAT, _VERSION = "tactile-rig split", 1
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """One press, or one state of it, that a split gives a role."""
+    """A press, or one state of it, and its role."""
 
     location: int
     """Equal across sensors."""
     indenter: str
-    """Name of what pressed."""
+    """Name of the indenter."""
     target: int
     """Its number within the indenter."""
     role: Role
@@ -54,15 +54,15 @@ class Split:
     held_out_sensors: tuple[str, ...] = ()
     """Names, in alphabetical order."""
     validation: float = 0.0
-    """Share of the presses of seen indenters that was asked for."""
+    """Requested share of the presses of seen indenters for validation."""
     new_press: float = 0.0
-    """The same of those that are kept for the test."""
+    """The same for `new_press`."""
     seed: int = 0
-    """Of the choice."""
+    """Seed of the choice."""
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of everything that it says, 64 hexadecimal digits."""
+        """SHA-256 of the content, 64 hexadecimal digits."""
         return hashlib.sha256(self._text().encode()).hexdigest()
 
     def locations(self, role: Role) -> NDArray[np.int64]:
@@ -97,10 +97,10 @@ class Split:
         return tuple(name for name in archive if name not in self.held_out_sensors)
 
     def check(self, archive: MarkerArchive) -> None:
-        """Refuse an archive that the split was not made for: it may have fewer presses, no others.
+        """Reject an archive with other presses than the split; a subset of its presses is allowed.
 
         Raises:
-            LearningError: A location that the split does not know, or knows as another press.
+            LearningError: A location is not in the split, or is another press there.
         """
         known = {each.location: each for each in self.presses}
         for location, (indenter, target) in presses_of(archive).items():
@@ -117,10 +117,10 @@ class Split:
                 )
 
     def write(self, path: Path) -> None:
-        """Write it as JSON. An equal file stays as it is.
+        """Write it as JSON. An equal file is left unchanged.
 
         Raises:
-            LearningError: Another split lies there.
+            LearningError: Another split is in the file.
         """
         if path.exists():
             if read_split(path) != self:
@@ -151,7 +151,7 @@ class Split:
             },
         }
         text = json.dumps(document, indent=2)
-        # A press a line makes files of thousands of lines; an indenter a line can be read.
+        # One line for each indenter is readable; one for each press would make thousands of lines.
         return _joined(text) + "\n"
 
 
@@ -164,21 +164,21 @@ def make_split(
     seed: int = 0,
     unseen: Sequence[str] | None = None,
 ) -> Split:
-    """Return a split of an archive's presses.
+    """Split the presses of an archive.
 
-    Each share is taken evenly from the seen indenters, and is one press at least unless it is 0.
+    Each share is taken evenly from the seen indenters; unless it is 0, it has at least one press.
 
     Args:
         archive: A complete archive.
         validation: Share of the presses of seen indenters.
         new_press: Share of the presses of seen indenters.
         held_out_sensors: Names of sensors that no model may be trained on.
-        seed: Of the choice; it depends on nothing else but the presses.
-        unseen: Indenters that no model may be trained on; None: those that the archive says.
+        seed: Seed of the choice, which depends on nothing else but the presses.
+        unseen: Indenters that no model may be trained on; None: the archive's list.
 
     Raises:
-        LearningError: Wrong shares, unknown names, nothing left to train on, or sensors that
-            disagree on a press.
+        LearningError: Shares are invalid, names are unknown, no press remains for training, or
+            sensors disagree on a press.
         SessionError: The archive is still being written.
     """
     for name, share in (("validation", validation), ("new_press", new_press)):
@@ -221,10 +221,10 @@ def make_split(
 
 
 def read_split(path: Path) -> Split:
-    """Return the split in a file.
+    """Read a split from a file.
 
     Raises:
-        LearningError: No such file, or not a split.
+        LearningError: The file is missing or is not a split.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -261,7 +261,7 @@ def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
     """Return indenter and target of each location in an archive.
 
     Raises:
-        LearningError: Sensors that disagree, or none with a location.
+        LearningError: Sensors disagree, or no frame has a location.
         SessionError: The archive is still being written.
     """
     found: dict[int, tuple[str, int]] = {}
@@ -280,10 +280,10 @@ def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
 
 
 def require_role(role: str) -> None:
-    """Refuse what is no role.
+    """Reject an unknown role.
 
     Raises:
-        LearningError: Naming those that there are.
+        LearningError: Names the known roles.
     """
     if role not in ROLES:
         raise LearningError(f"role: found {role!r}; allowed: {', '.join(ROLES)}")
@@ -295,7 +295,7 @@ def _role(text: str) -> Role:
 
 
 def _shuffled(presses: Iterable[tuple[str, int]], seed: int) -> list[tuple[str, int]]:
-    """Return presses such that any number of the first ones are spread over the indenters."""
+    """Order presses so that the first ones, however many, are spread over the indenters."""
     by_indenter: dict[str, list[int]] = {}
     for indenter, target in sorted(presses):
         by_indenter.setdefault(indenter, []).append(target)
@@ -323,7 +323,7 @@ def _require_known(what: str, names: Sequence[str], known: Iterable[str]) -> Non
 
 
 def _joined(text: str) -> str:
-    """Return indented JSON with lists of numbers, and lists of those, on one line."""
+    """Put lists of numbers, and lists of those, of indented JSON on one line."""
     lines: list[str] = []
     depth = 0
     for line in text.splitlines():

@@ -1,8 +1,8 @@
-"""Random marker patterns, drawn on the device: endless layouts that no sensor has.
+"""Random marker patterns, generated on the device, for training on layouts that no sensor has.
 
-A pattern is a lattice of markers (straight or staggered, turned, stretched) whose markers differ a
-little in place and size, or are missing. It is drawn where material was before anything touched it,
-so a deformed pattern is exact: no image is resampled, and markers come in over the border.
+A pattern is a lattice of markers (straight or staggered, rotated, stretched) with small variations
+of position and size, and missing markers. It is drawn in material coordinates before contact, so a
+deformed pattern is exact: no image is resampled, and markers enter over the border.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from recorder.markers import HEIGHT, WIDTH, Lattice
 PITCH_PX = 24.0, 135.0
 # Radius of a marker as a share of the smaller pitch.
 FILL = 0.09, 0.42
-# No marker is smaller [px of 640 x 480]: segmentation drops those.
+# Minimum radius of a marker [px of 640 x 480]: segmentation drops smaller ones.
 SMALLEST_RADIUS_PX = 4.0
 # Exponents of superellipses: diamond, rounded diamond, disc, rounded square, square.
 SHAPES = 1.0, 1.5, 2.0, 3.0, 8.0
-# Cells along each side of the table of markers, which repeats beyond: as many as a turned lattice
-# of the smallest pitch has on the image's diagonal.
+# Cells along each side of the table of markers, which repeats beyond: the count of a rotated
+# lattice of the smallest pitch along the image's diagonal.
 CELLS = 32
-# Width of the ramp at a marker's edge [px of 640 x 480]: a pixel of the nets (2.5 x 1.875).
+# Width of the ramp at a marker's edge [px of 640 x 480]: a pixel of the networks (2.5 x 1.875).
 EDGE_PX = 2.2
-# Largest strain at the middle of a made-up contact.
+# Largest strain at the centre of a synthetic contact.
 MOST_OUTWARD = 0.35
 
 
@@ -41,19 +41,19 @@ class Patterns:
     """Layouts of markers; the first axis of everything is the pattern (n)."""
 
     pitch: Tensor
-    """From a marker to the next along columns and rows of the lattice [px of 640 x 480], (n, 2)."""
+    """Distance of neighbours along lattice columns and rows [px of 640 x 480], (n, 2)."""
     angle: Tensor
-    """By which the lattice is turned [rad], (n,)."""
+    """Rotation of the lattice [rad], (n,)."""
     offset: Tensor
-    """Of the lattice [cells], (n, 2)."""
+    """Offset of the lattice [cells], (n, 2)."""
     stagger: Tensor
-    """By which odd rows are shifted [cells], (n,)."""
+    """Shift of odd rows [cells], (n,)."""
     exponent: Tensor
-    """Of the superellipse that a marker is, (n,)."""
+    """Exponent of the superellipse of the markers, (n,)."""
     radius: Tensor
-    """Of each marker [px of 640 x 480], (n, CELLS * CELLS); negative: no marker."""
+    """Radius of each marker [px of 640 x 480], (n, CELLS * CELLS); negative: no marker."""
     shift: Tensor
-    """Of each marker within its cell [cells], (n, CELLS * CELLS, 2)."""
+    """Shift of each marker within its cell [cells], (n, CELLS * CELLS, 2)."""
 
     def __len__(self) -> int:
         """Return the number of patterns."""
@@ -64,11 +64,11 @@ class Patterns:
         return Patterns(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def draw(self, places: Tensor) -> Tensor:
-        """Return images (n, 1, h, w) in 0..1: what shows the material of given places.
+        """Draw images (n, 1, h, w) in 0..1 of the material at given places.
 
         Args:
-            places: Where the material that each pixel shows was before anything touched it, as
-                column and row [px of 640 x 480], (n or 1, 2, h, w).
+            places: Column and row before contact of the material at each pixel [px of 640 x 480],
+                (n or 1, 2, h, w).
         """
         count = len(self)
         centre = places.new_tensor([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
@@ -99,7 +99,7 @@ class Patterns:
         return covered.unsqueeze(1)
 
     def _distance(self, east: Tensor, south: Tensor) -> Tensor:
-        """Return the superellipse's norm of offsets [px]."""
+        """Return the superellipse norm of offsets [px]."""
         power = self.exponent[:, None, None]
         sum_ = (east.abs() + 1e-6) ** power + (south.abs() + 1e-6) ** power
         root: Tensor = sum_ ** (1 / power)
@@ -138,10 +138,10 @@ def sample_patterns(count: int, generator: np.random.Generator, device: torch.de
 
 
 def random_fields(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
-    """Return made-up displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
+    """Return synthetic displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
 
-    Up to three contacts push the surface outwards and drag it along, each as a Gaussian; that is
-    not how a gel deforms, and does to learn what deformed markers look like.
+    Up to three contacts push the surface outwards and drag it along, each as a Gaussian. This is
+    not the deformation of a gel, but suffices to learn the appearance of deformed markers.
     """
     row, column = np.meshgrid((np.arange(24) + 0.5) * 20, (np.arange(32) + 0.5) * 20, indexing="ij")
     places = torch.from_numpy(np.stack([column, row]).astype(np.float32)).to(device)
@@ -162,24 +162,24 @@ def random_fields(count: int, generator: np.random.Generator, device: torch.devi
 
 
 def before(field: Tensor, lattice: Lattice | None, side: int = SIDE) -> Tensor:
-    """Return where the material that pixels show was before fields moved it (n, 2, side, side).
+    """Return the position before contact of the material at each pixel (n, 2, side, side).
 
     Args:
         field: Displacements (n, 2, h, w) [px of 640 x 480].
-        lattice: Where they are kept; None: at the centres of h x w cells that cover the image.
-        side: Of the small image [its pixels].
+        lattice: Lattice of the fields; None: centres of h x w cells that cover the image.
+        side: Side of the small image [its pixels].
     """
     return untouched(side, field.device) + inverse(field.float(), (side, side), lattice)
 
 
 def untouched(side: int, device: torch.device) -> Tensor:
-    """Return where the pixels of a small image lie, column and row [px of 640 x 480].
+    """Return the column and row of the pixels of a small image [px of 640 x 480].
 
     Pixel centres of both images are at whole numbers, and both cover the same scene.
 
     Args:
-        side: Of the small image [its pixels].
-        device: Where it is made.
+        side: Side of the small image [its pixels].
+        device: Device of the result.
 
     Returns:
         Places (1, 2, side, side).
@@ -191,11 +191,11 @@ def untouched(side: int, device: torch.device) -> Tensor:
 
 
 def _within(pitches: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which cells (n, CELLS * CELLS) lie within ellipses around the lattice's origin.
+    """Return a mask of the cells (n, CELLS * CELLS) within ellipses around the lattice's origin.
 
     Args:
-        pitches: Of the lattices [px], (n, 2).
-        half: Axes of the ellipses [px], (n, 2).
+        pitches: Pitches of the lattices [px], (n, 2).
+        half: Semi-axes of the ellipses [px], (n, 2).
     """
     steps = (np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2 + 0.5
     rows, columns = np.meshgrid(steps, steps, indexing="ij")

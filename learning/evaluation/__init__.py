@@ -1,1 +1,1 @@
-"""How good translated images and predicted forces are: errors, distances, baselines, one report."""
+"""Evaluation of translated images and predicted forces: errors, distances, baselines, report."""

@@ -1,4 +1,4 @@
-"""The pictures of the report, each drawn by one function, as PNG bytes."""
+"""Charts of the report, one function each, as PNG bytes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from recorder.strict_yaml import natural_key
 
 Floats = NDArray[np.float64]
 
-# Of Fx, Fy, Fz and Ft; and of domains.
+# Colours of Fx, Fy, Fz and Ft, and of domains.
 COLOURS = ("#3b6fb6", "#d9822b", "#3f9b6b", "#b0413e")
 TRUE_COLOUR = "#2b2f38"
 _DPI = 90
@@ -24,14 +24,14 @@ _TEXT = {"fontsize": 8}
 
 
 def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[str, str]) -> bytes:
-    """Return radar plots of the errors of all pairs: above all axes, below the shear alone.
+    """Draw radar plots of the errors of all pairs: all axes above, shear alone below.
 
-    What stands side by side has one scale, so that a smaller star is a smaller error.
+    Plots side by side have the same scale, so that a smaller star is a smaller error.
 
     Args:
         before: A row for each pair, source-only.
         after: A row for each pair, transferred.
-        names: What the two columns are called.
+        names: Names of the two columns.
     """
     figure = Figure(figsize=(9, 8.4), layout="constrained")
     for line, axes_shown in enumerate(((0, 1, 2, 3), (0, 1))):
@@ -62,13 +62,13 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
 def heatmaps(
     by_variant: Mapping[tuple[str, str], Sequence[ForceRow]], measure: str, title: str, good: str
 ) -> bytes:
-    """Return a map of source against target for each variant, all of one scale.
+    """Draw a heat map of source against target for each variant, with a common scale.
 
     Args:
         by_variant: A row for each pair, by method and translator.
-        measure: One of `force_table.MEASURES`.
-        title: What is shown, with its unit.
-        good: `low` or `high`: which end of the scale is good.
+        measure: One of `predictions.MEASURES`.
+        title: Name of the measure, with its unit.
+        good: `low` or `high`: the good end of the scale.
     """
     rows = [row for some in by_variant.values() for row in some]
     names = sorted({name for row in rows for name in (row.source, row.target)}, key=natural_key)
@@ -96,7 +96,7 @@ def heatmaps(
         axes.set_xlabel("target", **_TEXT)
         axes.set_ylabel("source", **_TEXT)
         axes.set_title(variant_name(variant), **_TEXT)
-    # An R2 below 0 is worse than the mean of the labels, and as red as can be.
+    # R2 below 0 is worse than the mean of the labels, and has the colour of 0.
     extended = "neither" if good == "low" else "min"
     figure.colorbar(image, ax=figure.axes, shrink=0.8, extend=extended).ax.tick_params(labelsize=7)
     figure.suptitle(title, fontsize=9)
@@ -104,12 +104,12 @@ def heatmaps(
 
 
 def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
-    """Return the forces of some whole presses, one behind the other: true and predicted.
+    """Plot true and predicted forces of some whole presses, one after another.
 
     Args:
-        shown: Of one pair, before and after; the same presses are taken of all.
-        presses: How many.
-        seed: Which ones.
+        shown: Predictions of one pair, before and after; all show the same presses.
+        presses: Number of presses.
+        seed: Seed of their choice.
     """
     different = np.unique(np.concatenate([one.location for one in shown]))
     for one in shown:
@@ -137,12 +137,12 @@ def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
 def embeddings(
     panels: Sequence[tuple[str, Floats, Floats]], columns: int, names: Sequence[tuple[str, str]]
 ) -> bytes:
-    """Return features of two sets on a plane, a panel a pair.
+    """Plot features of two sets on a plane, a panel for each pair.
 
     Args:
-        panels: Title, and places of both sets (n, 2), (m, 2).
-        columns: Panels beside each other.
-        names: Of the two sets of each panel.
+        panels: Title, and points of both sets (n, 2), (m, 2).
+        columns: Number of panels in a row.
+        names: Names of the two sets of each panel.
     """
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(3.2 * columns, 3.2 * rows), layout="constrained")
@@ -158,7 +158,7 @@ def embeddings(
 
 
 def _of_presses(one: Predictions, locations: NDArray[Any]) -> NDArray[np.int64]:
-    """Return where the frames of some presses stand, in the order of the presses and of time."""
+    """Return the indices of the frames of some presses, ordered by press and time."""
     parts = [np.flatnonzero(one.location == location) for location in locations]
     ordered = [part[np.argsort(one.frame[part], kind="stable")] for part in parts]
     return np.concatenate([np.empty(0, np.int64), *ordered])
@@ -166,6 +166,6 @@ def _of_presses(one: Predictions, locations: NDArray[Any]) -> NDArray[np.int64]:
 
 def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    # Without a version in it, the same picture is the same bytes.
+    # Without a version string, equal images are equal bytes.
     figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
     return buffer.getvalue()

@@ -1,10 +1,10 @@
-"""How far apart two sets of images are: features, distances between them, who tells them apart.
+"""Distances between two sets of images: features, distances of features, and classifiers.
 
-At first Inception v3 as FID and KID take it: 2048 features, with weights that the user has. They
-are those that TensorFlow published in 2015 for Inception, as ported to PyTorch in the file
-`pt_inception-2015-12-05-6726825d.pth`; FID is defined by them. Against Inception v3 elsewhere,
-averages leave out the border and the last block takes a maximum (Heusel et al., 2017; the port's
-documentation). Layers are named as in that file.
+The first features are those of Inception v3 for FID and KID: 2048 features, with weights that the
+user provides. These are the weights of Inception published by TensorFlow in 2015, as ported to
+PyTorch in the file `pt_inception-2015-12-05-6726825d.pth`; they define FID. In contrast to other
+versions of Inception v3, averages exclude the border and the last block takes a maximum (Heusel et
+al., 2017; the port's documentation). Layers are named as in that file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from learning.errors import LearningError
 
 FEATURES = 2048
 SIDE = 299
-# How images come to the size that it takes, without antialiasing.
+# Resizing of images to its input size, without antialiasing.
 RESIZED = "bilinear to 299"
 
 
@@ -37,11 +37,11 @@ class Step:
     name: str
     """Name of the layer."""
     width: int
-    """Channels it makes."""
+    """Number of output channels."""
     kernel: tuple[int, int] = (1, 1)
-    """Rows and columns it sees."""
+    """Rows and columns of the kernel."""
     stride: int = 1
-    """2 halves the sides, and keeps to what lies inside."""
+    """2 halves the sides, without padding."""
 
 
 Branch = tuple[Step, ...]
@@ -51,16 +51,16 @@ _THREE, _FIVE = (3, 3), (5, 5)
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """One block: branches side by side, and what is pooled."""
+    """One block: parallel branches, and a pooled branch."""
 
     branches: tuple[Branch, ...]
-    """Each from the block's input."""
+    """Branches from the block's input."""
     pooled: int
-    """Channels made of the pooled input; 0: it is taken as it is."""
+    """Channels of the convolution after pooling; 0: none."""
     forks: tuple[tuple[Step, Step], ...] = ()
-    """Two convolutions behind each of the last branches, side by side."""
+    """Two parallel convolutions at the end of each of the last branches."""
     pooling: str = "mean"
-    """`mean` or `max` of 3 x 3; `halve`: the maximum at every second place."""
+    """`mean` or `max` of 3 x 3; `halve`: the maximum, with stride 2."""
 
 
 def _fives(pooled: int) -> Design:
@@ -140,7 +140,7 @@ _HALVE_SECOND = Design(
     0,
     pooling="halve",
 )
-# Name, design and channels of the blocks, in their order.
+# Name, design and output channels of the blocks, in order.
 _BLOCKS = (
     ("Mixed_5b", _fives(32), 256),
     ("Mixed_5c", _fives(64), 288),
@@ -160,7 +160,7 @@ class Convolution(nn.Module):
     """Convolution, batch normalisation, ReLU."""
 
     def __init__(self, before: int, step: Step, *, inside: bool = False) -> None:
-        """Build it; `inside`: it sees nothing beyond the border, as halving ones never do."""
+        """Build the layer; without padding if `inside` or if it halves the sides."""
         super().__init__()
         rows, columns = step.kernel
         beyond = (0, 0) if inside or step.stride > 1 else (rows // 2, columns // 2)
@@ -173,10 +173,10 @@ class Convolution(nn.Module):
 
 
 class Block(nn.Module):
-    """One block."""
+    """One Inception block."""
 
     def __init__(self, before: int, design: Design) -> None:
-        """Build a block of `before` channels."""
+        """Build a block with `before` input channels."""
         super().__init__()
         self.design = design
         ends = []
@@ -194,7 +194,7 @@ class Block(nn.Module):
             self.branch_pool = Convolution(before, Step("branch_pool", design.pooled))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return features of all branches behind each other."""
+        """Return the concatenated features of all branches."""
         found: list[Tensor] = []
         plain = len(self.design.branches) - len(self.design.forks)
         for number, branch in enumerate(self.design.branches):
@@ -218,7 +218,7 @@ class Block(nn.Module):
 
 
 class Inception(nn.Module):
-    """Images to 2048 features."""
+    """Network from images to 2048 features."""
 
     def __init__(self) -> None:
         """Build it with untrained weights."""
@@ -248,21 +248,21 @@ class Inception(nn.Module):
 def load_inception(
     path: Path, device: str = "cpu"
 ) -> Callable[[NDArray[np.uint8]], NDArray[np.float64]]:
-    """Return what makes features (n, 2048) of images (n, 256, 256) uint8.
+    """Return a function that computes features (n, 2048) of images (n, 256, 256) uint8.
 
     Args:
         path: The file of the weights.
-        device: Where it computes.
+        device: Device of the computation.
 
     Raises:
-        LearningError: Weights of something else.
+        LearningError: The weights are of another network.
     """
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)
         kept = {name: value for name, value in weights.items() if not name.startswith("fc.")}
     except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError) as error:
         raise LearningError(f"{path}: found no weights: {error}") from None
-    with torch.device("meta"):  # shapes alone
+    with torch.device("meta"):  # shapes only
         here = Inception().state_dict()
     wrong = sorted(
         name
@@ -287,7 +287,7 @@ def load_inception(
     return compute
 
 
-# What turns images into features that distances are measured in, each named for what it is.
+# Extractors of the features in which distances are measured.
 
 Images = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -298,15 +298,15 @@ CELLS = 8
 GRID = f"marker-grid-{CELLS}x{CELLS}"
 AUTOENCODER = "marker-ae"
 _AT_ONCE = 64
-_HASHED = 12  # digits of a hash that are shown
+_HASHED = 12  # number of digits of a hash in names
 
 
 class Extractor(Protocol):
-    """Turns images into features."""
+    """Computes features of images."""
 
     @property
     def name(self) -> str:
-        """What made the features: a model and the hash of its weights."""
+        """Name of the extractor: a model and the hash of its weights."""
         ...
 
     def features(self, images: Images) -> Floats:
@@ -316,22 +316,22 @@ class Extractor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MarkerGrid:
-    """How much of each cell of a grid is marker, where in it, and how much of that is edge.
+    """Marker coverage, position and edges in the cells of a grid.
 
-    Of 8 x 8 cells: the share that is set; the mean of what is set times its column, and its row,
+    For each of 8 x 8 cells: the covered share; the mean of coverage times column, and times row,
     from -1 to 1 across the cell; the mean step to the next pixel, right and down. 256 numbers.
     """
 
     @property
     def name(self) -> str:
-        """What made the features."""
+        """Name of the extractor."""
         return GRID
 
     def features(self, images: Images) -> Floats:
         """Return features (n, 256) of images (n, 256, 256).
 
         Raises:
-            LearningError: Not such images.
+            LearningError: The images are not uint8 of that size.
         """
         require_images(images)
         parts = range(0, len(images), _AT_ONCE)
@@ -362,15 +362,15 @@ class Network:
     """Features of a network whose weights are in a file."""
 
     name: str
-    """What made the features."""
+    """Name of the extractor."""
     compute: Callable[[Images], Floats]
-    """Returns features (n, d) of at most 64 images (n, 256, 256)."""
+    """Function that returns features (n, d) of at most 64 images (n, 256, 256)."""
 
     def features(self, images: Images) -> Floats:
         """Return features (n, d) of images (n, 256, 256).
 
         Raises:
-            LearningError: Not such images.
+            LearningError: The images are not uint8 of that size.
         """
         require_images(images)
         parts = range(0, max(len(images), 1), _AT_ONCE)
@@ -378,15 +378,15 @@ class Network:
 
 
 def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
-    """Return what makes features.
+    """Load an extractor of features.
 
     Args:
         name_or_path: `marker-grid`; the folder of a trained marker autoencoder; or the file
             pt_inception-2015-12-05-6726825d.pth, for FID and KID.
-        device: Where networks compute.
+        device: Device of networks.
 
     Raises:
-        LearningError: None of them, or weights of something else.
+        LearningError: The name is none of these, or the weights are of another network.
     """
     if name_or_path in ("marker-grid", GRID):
         return MarkerGrid()
@@ -403,10 +403,10 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
 
 
 def require_images(images: Images) -> None:
-    """Refuse what is no image that networks see.
+    """Reject images that are not network inputs.
 
     Raises:
-        LearningError: Not uint8, or not 256 x 256.
+        LearningError: They are not uint8, or not 256 x 256.
     """
     if images.dtype != np.uint8 or images.ndim != 3 or images.shape[1:] != (256, 256):
         raise LearningError(
@@ -434,24 +434,24 @@ def _sha256(path: Path) -> str:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()[:_HASHED]}"
 
 
-# Distances between two sets of features: Frechet's, and that of a kernel.
+# Distances between two sets of features: Frechet distance and kernel distance.
 #
-# They carry the names FID and KID only with the features of Inception; otherwise they are named by
-# whatever made the features.
+# They are called FID and KID only with the features of Inception; otherwise they are named by their
+# extractor.
 
 # Degree of the kernel (x y / d + 1)^degree of the kernel distance (Binkowski et al., 2018).
 DEGREE = 3
 
 
 def frechet_distance(one: Floats, other: Floats) -> float:
-    """Return the Frechet distance of two sets of features (n, d), (m, d), taken for Gaussian.
+    """Return the Frechet distance of two sets of features (n, d), (m, d), taken as Gaussian.
 
     |mean1 - mean2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)), covariances with n - 1 (Heusel et al., 2017).
-    It comes out too large by what few samples miss of many dimensions: compare it with that of two
-    sets of the same kind and number.
+    With few samples of many dimensions it is biased upwards: compare it with the distance of two
+    sets of the same kind and size.
 
     Raises:
-        LearningError: Fewer than two samples, other widths, or features that are not numbers.
+        LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
     _require_samples(one, other, least=2)
     apart = one.mean(axis=0) - other.mean(axis=0)
@@ -460,7 +460,7 @@ def frechet_distance(one: Floats, other: Floats) -> float:
     root = _root(first)
     values = np.linalg.eigvalsh(root @ second @ root)
     cross = np.sqrt(np.clip(values, 0, None)).sum()
-    # Zero but for rounding may come out below it.
+    # Rounding can make a zero distance negative.
     return max(float(apart @ apart + np.trace(first) + np.trace(second) - 2 * cross), 0.0)
 
 
@@ -469,18 +469,18 @@ def kernel_distance(
 ) -> tuple[float, float]:
     """Return mean and standard deviation of the squared kernel distance over random subsets.
 
-    Each is the unbiased estimate with kernel (x y / d + 1)^3 (Binkowski et al., 2018): near zero,
-    and as often below it, for sets of one kind.
+    Each is the unbiased estimate with kernel (x y / d + 1)^3 (Binkowski et al., 2018): for sets of
+    the same kind it is near zero, and negative as often as positive.
 
     Args:
         one: Features (n, d).
         other: Features (m, d).
-        size: Samples of either in a subset; at most half of those that there are.
-        subsets: How many subsets.
-        seed: Of what is drawn.
+        size: Samples of each set in a subset; limited to half of the set.
+        subsets: Number of subsets.
+        seed: Seed of the draws.
 
     Raises:
-        LearningError: Fewer than two samples, other widths, or features that are not numbers.
+        LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
     _require_samples(one, other, least=2)
     size = max(min(size, len(one) // 2, len(other) // 2), 2)
@@ -499,7 +499,7 @@ def squared_kernel_distance(one: Floats, other: Floats) -> float:
     """Return the unbiased squared maximum mean discrepancy of features (n, d), (m, d).
 
     Raises:
-        LearningError: Fewer than two samples, other widths, or features that are not numbers.
+        LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
     _require_samples(one, other, least=2)
 
@@ -516,7 +516,7 @@ def _kernel(one: Floats, other: Floats) -> Floats:
 
 
 def _root(matrix: Floats) -> Floats:
-    """Return the symmetric square root of a symmetric matrix (d, d) that has no negative values."""
+    """Return the symmetric square root of a positive semidefinite matrix (d, d)."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T, np.float64)
 
@@ -532,33 +532,33 @@ def _require_samples(one: Floats, other: Floats, least: int) -> None:
             raise LearningError("features: found some that are not numbers; allowed: numbers")
 
 
-# Can two sets of features be told apart? By a classifier, by neighbours, and by eye.
+# Separability of two sets of features: by a classifier, by neighbours, and by t-SNE plots.
 
 FOLDS = 5
-# How many neighbours of each sample the mixing score looks at.
+# Number of neighbours of each sample in the mixing score.
 NEIGHBOURS = 10
-# Of t-SNE; a third of the samples where they are fewer than a hundred.
+# Perplexity of t-SNE; a third of the samples if there are fewer than 90.
 PERPLEXITY = 30.0
 
 
 def classifier_accuracy(
     one: Floats, other: Floats, groups: NDArray[np.integer[Any]], *, seed: int
 ) -> float:
-    """Return how often a linear classifier tells features (n, d) from others (m, d) rightly.
+    """Return the accuracy with which a linear classifier separates features (n, d) and (m, d).
 
-    The mean over both sets of the share of samples that a logistic regression on standardised
-    features, fitted to the other folds, puts into their own set: 0.5 is chance (two-sample test
-    with a classifier, Lopez-Paz and Oquab, 2017). A fold has whole groups, so that the classifier
-    cannot know a sample by its likes.
+    It is the mean over both sets of the share of samples that a logistic regression on standardised
+    features, fitted to the other folds, assigns to their own set: 0.5 is chance (classifier
+    two-sample test, Lopez-Paz and Oquab, 2017). A group is never divided between folds, so that the
+    classifier cannot recognise a sample by others of its group.
 
     Args:
         one: Features (n, d).
         other: Features (m, d).
         groups: Number of the group of each sample (n + m,), such as its location.
-        seed: Of the folds.
+        seed: Seed of the folds.
 
     Raises:
-        LearningError: Fewer groups in a set than folds, or other shapes.
+        LearningError: A set has fewer groups than folds, or shapes differ.
     """
     from sklearn.linear_model import LogisticRegression
     from sklearn.model_selection import StratifiedGroupKFold, cross_val_predict
@@ -579,14 +579,14 @@ def classifier_accuracy(
 
 
 def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> float:
-    """Return how well two sets of features (n, d), (m, d) are mixed: 1 fully, 0 not at all.
+    """Return the mixing of two sets of features (n, d), (m, d): 1 is full, 0 none.
 
-    Of each sample's k nearest neighbours by Euclid's distance, the share that is of the other set,
-    over the share that is so by chance (m / (n + m - 1) for samples of the first); the mean of the
-    means of both sets. Chance lets it stray from 1 to either side.
+    For each sample, take the share of its k nearest neighbours, by Euclidean distance, that belong
+    to the other set, over the share expected by chance (m / (n + m - 1) for samples of the first).
+    The score is the mean of both sets' means. Random fluctuation takes it to either side of 1.
 
     Raises:
-        LearningError: Not more samples than neighbours, or other widths.
+        LearningError: There are no more samples than neighbours, or widths differ.
     """
     _require(one, other, 2)
     features, which = _together(one, other)
@@ -605,13 +605,13 @@ def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> fl
 
 
 def embedded(features: Floats, *, seed: int) -> Floats:
-    """Return places (n, 2) of features (n, d) on a plane, by t-SNE.
+    """Return t-SNE coordinates (n, 2) of features (n, d).
 
-    Standardised; begun from principal components, so that a seed gives one picture. A picture
-    proves nothing: `mixing_score` says it in a number.
+    Features are standardised, and t-SNE starts from principal components, so that a seed determines
+    the plot. A plot proves nothing; `mixing_score` quantifies it.
 
     Raises:
-        LearningError: Fewer than four samples.
+        LearningError: There are fewer than four samples.
     """
     from sklearn.manifold import TSNE
 

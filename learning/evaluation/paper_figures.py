@@ -1,7 +1,7 @@
-"""The paper's figures, each with where it stands, and ours of the same setting beside them.
+"""The paper's figures with their sources, and our values in the same setting.
 
-The paper's forces reach 18 N and 4 N of shear, ours may not: beside newtons, both are given as a
-share of the range of the labels (the paper: 18 N normal, 8 N shear, Results).
+The paper's forces reach 18 N normal and 4 N shear, ours may not. So errors are given in newtons and
+as a share of the range of the labels (the paper: 18 N normal, 8 N shear, Results).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from learning.evaluation.predictions import ALL, UNSEEN, ForceRow, of_role
 from learning.metrics import AXES
 
-# The paper's sensors by test, the material ones from hard to soft.
+# The paper's sensors by test; the material test from hard to soft.
 GROUPS = {
     "homogeneous": ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i"),
     "material": ("r6", "r8", "r10", "r12", "r14", "r16", "r18"),
@@ -21,7 +21,7 @@ GROUPS = {
 }
 # Range of the paper's forces [N]: 0 to 18 and -4 to 4 (the paper, Results).
 NORMAL_RANGE, SHEAR_RANGE = 18.0, 8.0
-# Axes across the skin and along it.
+# Axes normal to the skin and along it.
 NORMAL, SHEAR = ("fz",), ("fx", "fy")
 
 
@@ -34,27 +34,30 @@ class PaperFigure:
     method: str
     """`source-only`, `transferred` or `compensated`."""
     measure: str
-    """`fx`, `fy`, `fz`: mean absolute error [N]; `shear`: of Fx and Fy; `r2_fx` and so on: R2;
-    `r2`: over all axes."""
+    """Name of the measure.
+
+    `fx`, `fy`, `fz`: mean absolute error [N]; `shear`: of Fx and Fy; `r2_fx` and so on: R2; `r2`:
+    over all axes.
+    """
     statistic: str
-    """`max`, `min` or `mean` over pairs; `pair`: of the pair that is named."""
+    """`max`, `min` or `mean` over pairs; `pair`: of the named pair."""
     value: float
-    """What the paper says."""
+    """Value in the paper."""
     cited: str
-    """Where."""
+    """Place in the paper."""
     relation: str = ""
-    """`>` or `<` where the paper only gives a bound."""
+    """`>` or `<` if the paper only gives a bound."""
     pair: tuple[str, str] | None = None
-    """Source and target, where they are named."""
+    """Source and target, if named."""
     which: str = ""
-    """Which pairs: `harder` or `softer` target; `others`: all but uSkin to GelSight and TacPalm."""
+    """Pairs: `harder` or `softer` target; `others`: all but uSkin to GelSight and TacPalm."""
 
 
 _FIVE, _SIX, _SEVEN = (f"Results, Fig. {number}" for number in ("5d, 5f", "6d, 6f", "7f"))
 _H, _M, _X = "homogeneous", "material", "heterogeneous"
 _SO, _TR, _CO = "source-only", "transferred", "compensated"
 
-# What the paper says of forces. It gives 5f and 6d in words, as bounds or rounded.
+# The paper's results on forces. It gives 5f and 6d in words, as bounds or rounded.
 PAPER = (
     PaperFigure(_H, _SO, "fz", "max", 4.8, _FIVE, ">", ("circle-ii", "diamond-i")),
     PaperFigure(_H, _SO, "fz", "min", 1.2, _FIVE, "", ("array-i", "circle-i")),
@@ -95,24 +98,24 @@ PAPER = (
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """One number of the paper, and ours."""
+    """One figure of the paper, and our value."""
 
     figure: PaperFigure
     """The paper's."""
     translator: str
-    """Which of our translators; empty: none took part."""
+    """Our translator; empty if none is used."""
     pairs: int
-    """How many pairs ours is over."""
+    """Number of our pairs."""
     of: int
-    """How many the paper's is over."""
+    """Number of the paper's pairs."""
     held_out: float
-    """Ours, over all held-out frames; NaN: there are none."""
+    """Our value over all held-out frames; NaN if there are none."""
     unseen: float
-    """Ours, over unseen indenters alone; NaN: there are none."""
+    """Our value over unseen indenters alone; NaN if there are none."""
     paper_share: float
-    """The paper's over the range of its labels; NaN of R2."""
+    """The paper's value over the range of its labels; NaN for R2."""
     our_share: float
-    """Ours, over all held-out frames, over the range of our labels; NaN of R2."""
+    """Our value over all held-out frames, over the range of our labels; NaN for R2."""
 
 
 def group_of(source: str, target: str) -> str | None:
@@ -124,7 +127,7 @@ def group_of(source: str, target: str) -> str | None:
 
 
 def beside_the_paper(rows: Sequence[ForceRow]) -> tuple[Beside, ...]:
-    """Return the paper's figures for which we have pairs of the same test, with ours."""
+    """Return the paper's figures for which we have pairs of the same test, with our values."""
     found: list[Beside] = []
     for figure in PAPER:
         of_ours = [row for row in rows if row.method == figure.method and _belongs(row, figure)]
@@ -158,7 +161,7 @@ def _belongs(row: ForceRow, figure: PaperFigure) -> bool:
 def _chosen(source: str, target: str, figure: PaperFigure) -> bool:
     sensors = GROUPS[figure.group]
     softer = sensors.index(target) > sensors.index(source)
-    # The two from uSkin to another are told apart in the paper: "the remaining four".
+    # The paper treats the two pairs from uSkin separately from "the remaining four".
     wanted = {"": True, "softer": softer, "harder": not softer, "others": source != "uskin"}
     return wanted[figure.which]
 
@@ -191,7 +194,7 @@ def _value(row: ForceRow, measure: str, share: bool) -> float:
 
 
 def label_share(row: ForceRow, axes: Sequence[str]) -> float:
-    """Return our mean absolute error over the range of the labels, mean over axes.
+    """Return our mean absolute error over the range of the labels, as a mean over axes.
 
     Args:
         row: The errors.
@@ -202,7 +205,7 @@ def label_share(row: ForceRow, axes: Sequence[str]) -> float:
 
 
 def paper_share(figure: PaperFigure) -> float:
-    """Return the paper's error over the range of its labels; NaN of R2."""
+    """Return the paper's error over the range of its labels; NaN for R2."""
     if figure.measure.startswith("r2"):
         return math.nan
     return figure.value / (NORMAL_RANGE if figure.measure == "fz" else SHEAR_RANGE)

@@ -1,4 +1,4 @@
-"""Predicted forces beside the true ones, frame by frame, and the table of their errors."""
+"""Predicted and true forces, frame by frame, and the table of their errors."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from learning.metrics import AXES, MEASURED, ForceErrors, force_errors, spread_a
 from recorder.archive import ArchivedSensor
 
 KIND = "predictions"
-# What the model was trained on: the source's images as they are; the translated ones; those with
-# labels compensated as the paper does most often; compensated as the skins' force-depth curves say
-# is best; as is best on the target's labels; the target's own labels.
+# Training data of the model: the source's images; translated images; these with labels compensated
+# by the paper's most frequent choice; by the choice that fits the skins' force-depth curves best;
+# by the choice that fits the target's labels best; the target's own labels.
 METHODS = ("source-only", "transferred", "compensated", "priors", "oracle", "target")
-# Those that a translator made images for.
+# Methods with translated images.
 TRANSLATED = METHODS[1:5]
-# Those of them that need no label of the target, what knows more of the skins behind.
+# Those that need no label of the target, in order of the knowledge of the skins that they use.
 LABEL_FREE = TRANSLATED[:3]
-# What compensation files call the labels of a method.
+# Names of these methods' choices in compensation files.
 CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
 
 _TEXTS = ("source", "target", "method", "translator", "model")
@@ -36,44 +36,44 @@ _SCALES = ("label_std", "label_range")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictions:
-    """Frames of one sensor, by location and frame, as one model sees them."""
+    """Forces that one model predicts for frames of one sensor, by location and frame."""
 
     source: str
     """Sensor whose labels the model was trained with."""
     target: str
-    """Sensor whose frames these are."""
+    """Sensor of the frames."""
     method: str
     """One of `METHODS`."""
     translator: str
-    """What made the images that the model was trained on; empty: nothing."""
+    """Translator of the model's training images; empty if none."""
     model: str
-    """What names the weights of the force model, their hash."""
+    """Hash of the weights of the force model."""
     rows: NDArray[np.int64]
     """Rows of the archive's table (n,)."""
     location: NDArray[np.int32]
-    """Location of each (n,)."""
+    """Location of each frame (n,)."""
     indenter: NDArray[np.str_]
-    """Name of the indenter of each (n,)."""
+    """Name of the indenter of each frame (n,)."""
     frame: NDArray[np.int32]
-    """Number within its press (n,)."""
+    """Number of each frame within its press (n,)."""
     phase: NDArray[np.int8]
-    """Code of the phase (n,)."""
+    """Phase code of each frame (n,)."""
     role: NDArray[np.str_]
-    """Role of each in the split (n,)."""
+    """Role of each frame in the split (n,)."""
     true: NDArray[np.float64]
     """Labels (n, 3) [N]."""
     predicted: NDArray[np.float64]
-    """What the model says (n, 3) [N]."""
+    """Predicted forces (n, 3) [N]."""
     label_std: NDArray[np.float64]
     """Standard deviation of Fx, Fy, Fz, Ft over all labelled frames of the target (4,) [N]."""
     label_range: NDArray[np.float64]
     """Range of the same (4,) [N]."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no set of predictions.
+        """Validate method, shapes and forces.
 
         Raises:
-            LearningError: An unknown method, other shapes, or a force that is not a number.
+            LearningError: The method is unknown, shapes differ, or a force is not finite.
         """
         if self.method not in METHODS:
             raise LearningError(f"method: found {self.method!r}; allowed: {', '.join(METHODS)}")
@@ -107,14 +107,14 @@ class Predictions:
         return self.source, self.target, self.method, self.translator
 
     def only(self, chosen: NDArray[np.bool_]) -> Predictions:
-        """Return some of the frames (n,)."""
+        """Return the chosen frames (n,)."""
         return _with(self, {name: getattr(self, name)[chosen] for name in _PER_FRAME})
 
     def write(self, path: Path) -> None:
-        """Write them as an .npz.
+        """Write the predictions as an .npz.
 
         Raises:
-            OSError: Not writable.
+            OSError: The file is not writable.
         """
         said = {name: getattr(self, name) for name in _TEXTS}
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
@@ -122,7 +122,7 @@ class Predictions:
 
 
 def after(methods: Collection[str]) -> str:
-    """Return the last of some methods that translates and needs no label of the target."""
+    """Return the last of some methods that uses translation and no label of the target."""
     return next((each for each in reversed(LABEL_FREE) if each in methods), LABEL_FREE[0])
 
 
@@ -141,22 +141,22 @@ def predictions_of(
     translator: str,
     model: str,
 ) -> Predictions:
-    """Return what a model said of rows of an archive, with what the archive knows of them.
+    """Combine predicted forces of rows of an archive with the archive's labels.
 
     Args:
         sensor: The target.
-        indenters: Names of the indenters by code, as the archive has them.
+        indenters: Names of the archive's indenters, by code.
         rows: Rows of its table (n,).
         role: Role of each (n,).
         predicted: Forces (n, 3) [N].
         source: Sensor whose labels the model was trained with.
         method: One of `METHODS`.
-        translator: What made the images that it was trained on; empty: nothing.
-        model: What names its weights.
+        translator: Translator of its training images; empty if none.
+        model: Hash of its weights.
 
     Raises:
-        LearningError: Frames without a label, other shapes, or an unknown method.
-        SessionError: A damaged table.
+        LearningError: Frames have no label, shapes differ, or the method is unknown.
+        SessionError: A table is corrupt.
     """
     table = sensor.table
     labels = table["wrench"][:, :3]
@@ -181,19 +181,19 @@ def predictions_of(
 
 
 def read_predictions(path: Path) -> Predictions:
-    """Return predictions that were written.
+    """Read predictions from a file.
 
     Raises:
-        LearningError: Not such a file, or one that does not hold them.
+        LearningError: The file is no result file, or holds no predictions.
     """
     return predictions_in(read_results(path), path)
 
 
 def predictions_in(results: Results, path: Path) -> Predictions:
-    """Return the predictions that a file holds; `path` begins the message of an error.
+    """Return the predictions in a file's content; `path` is for error messages.
 
     Raises:
-        LearningError: Results of another kind, or not all of them.
+        LearningError: The results are of another kind, or incomplete.
     """
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
@@ -201,7 +201,7 @@ def predictions_in(results: Results, path: Path) -> Predictions:
     found = {**results.said, **results.arrays}
     if set(found) != wanted:
         different = ", ".join(sorted(set(found) ^ wanted))
-        raise LearningError(f"{path}: lacks or has beyond what is expected: {different}")
+        raise LearningError(f"{path}: missing or unexpected: {different}")
     try:
         return Predictions(**found)
     except LearningError as error:
@@ -209,10 +209,10 @@ def predictions_in(results: Results, path: Path) -> Predictions:
 
 
 def merged(predictions: Iterable[Predictions]) -> tuple[Predictions, ...]:
-    """Return predictions with those of one source, target, method and translator in one.
+    """Merge predictions with the same source, target, method and translator.
 
     Raises:
-        LearningError: A frame that was predicted twice, or by two models.
+        LearningError: A frame is predicted twice, or by two models.
     """
     groups: dict[tuple[str, str, str, str], list[Predictions]] = {}
     for one in predictions:
@@ -244,16 +244,16 @@ def _with(one: Predictions, changed: dict[str, Any]) -> Predictions:
     return Predictions(**kept, **changed)
 
 
-# The table of force errors: a row for each pair of sensors, way of training, and role.
+# The table of force errors: a row for each pair of sensors, training method, and role.
 
 # Role of the row over all held-out frames.
 ALL = "all"
-# How axes are called in pictures.
+# Names of axes in plots.
 AXES_NAMED = ("Fx", "Fy", "Fz", "Ft")
-# Roles of frames that no model was trained on: of indenters unseen, and of those seen.
+# Roles of frames that no model was trained on: of unseen indenters, and of seen ones.
 UNSEEN, SEEN = "new_indenter", "new_press"
 HELD_OUT = (UNSEEN, SEEN)
-# Methods: before anything is transferred, and trained on the target's own labels.
+# Methods: without transfer, and trained on the target's own labels.
 BEFORE, TARGET = "source-only", "target"
 
 
@@ -264,11 +264,11 @@ class ForceRow:
     source: str
     """Sensor whose labels the model was trained with."""
     target: str
-    """Sensor whose frames these are."""
+    """Sensor of the frames."""
     method: str
-    """How the model was trained, one of `predictions.METHODS`."""
+    """Training method of the model, one of `METHODS`."""
     translator: str
-    """What made the images that it was trained on; empty: nothing."""
+    """Translator of its training images; empty if none."""
     role: str
     """Role of the frames in the split; `all`: unseen and seen indenters together."""
     errors: ForceErrors
@@ -278,7 +278,7 @@ class ForceRow:
 
     @property
     def variant(self) -> tuple[str, str]:
-        """How the model came to be: method and translator."""
+        """Method and translator of the model."""
         return self.method, self.translator
 
     def value(self, measure: str) -> float:
@@ -298,16 +298,16 @@ class ForceRow:
 MAES = tuple(f"mae_{name}_n" for name in MEASURED)
 RELATIVES = tuple(f"mae_{name}_over_std" for name in MEASURED)
 R2S = tuple(f"r2_{name}" for name in AXES)
-# What a row tells: mean absolute errors [N], the same over the labels' standard deviation, R2 of
+# Measures of a row: mean absolute errors [N], the same over the labels' standard deviation, R2 of
 # each axis and their mean, and the mean of the errors of Fx and Fy [N].
 MEASURES = (*MAES, *RELATIVES, *R2S, "r2_mean", "mae_shear_n")
 
 
 def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:
-    """Return the errors by role, and of all held-out frames where several roles are.
+    """Return the errors by role, and over all held-out frames.
 
     Raises:
-        LearningError: Predictions of no frames.
+        LearningError: Predictions have no frames.
     """
     rows: list[ForceRow] = []
     for one in predictions:
@@ -328,14 +328,14 @@ def of_role(rows: Iterable[ForceRow], role: str) -> tuple[ForceRow, ...]:
 
 
 def variants(rows: Iterable[ForceRow]) -> tuple[tuple[str, str], ...]:
-    """Return the different methods and translators: source-only first, the target's labels last."""
+    """Return the distinct methods and translators: source-only first, the target's labels last."""
     order = {BEFORE: 0, TARGET: 2}
     found = dict.fromkeys(row.variant for row in rows)
     return tuple(sorted(found, key=lambda variant: order.get(variant[0], 1)))
 
 
 def variant_name(variant: tuple[str, str]) -> str:
-    """Return how a variant is called."""
+    """Return the name of a variant."""
     method, translator = variant
     return f"{method}, {translator}" if translator else method
 
@@ -345,7 +345,7 @@ def gain_line(rows: Iterable[ForceRow], role: str = UNSEEN) -> str:
 
     Args:
         rows: Errors of any pairs.
-        role: Whose rows are looked at.
+        role: Role of the rows to use.
     """
     some = of_role(rows, role)
     said = []
@@ -356,7 +356,7 @@ def gain_line(rows: Iterable[ForceRow], role: str = UNSEEN) -> str:
 
 
 def csv_text(lines: Sequence[dict[str, Any]]) -> str:
-    """Return a CSV, its columns those of the first line; NaN is left empty."""
+    """Return a CSV with the columns of the first line; NaN is left empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""The report of an evaluation: one HTML page with its pictures in it, and CSV tables."""
+"""The report of an evaluation: one HTML page with embedded images, and CSV tables."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ from learning.evaluation.translation import (
 from recorder.store import replace_file
 from recorder.strict_yaml import natural_key
 
-# All results of a folder, told apart by what they are.
+# Results of a folder, separated by kind.
 
 RESULTS = "*.npz"
 
 
 def read_folder(folder: Path) -> tuple[list[Predictions], list[TranslationScores]]:
-    """Return the predictions and the scores of translations in a folder and those below it.
+    """Read the predictions and translation scores in a folder and its subfolders.
 
     Raises:
-        LearningError: A damaged file.
+        LearningError: A file is corrupt.
     """
     found: tuple[list[Predictions], list[TranslationScores]] = [], []
     for path in sorted(folder.rglob(RESULTS)):
@@ -70,7 +70,7 @@ def read_folder(folder: Path) -> tuple[list[Predictions], list[TranslationScores
     return found
 
 
-# One HTML page that needs nothing beside it: headings, paragraphs, coloured tables, pictures.
+# A self-contained HTML page: headings, paragraphs, coloured tables, images.
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #262a33; max-width: 1180px; margin: 2em auto;
@@ -91,25 +91,25 @@ class Cell:
     """One cell of a table."""
 
     text: str
-    """What stands in it."""
+    """Its text."""
     goodness: float | None = None
-    """From 0, red, over yellow to 1, green; None leaves it white."""
+    """Colour from 0, red, through yellow to 1, green; None: white."""
 
 
 def number(value: float, digits: int = 2) -> Cell:
-    """Return a cell with a number; a dash where there is none."""
+    """Return a cell with a number, or a dash for NaN."""
     return Cell("-" if math.isnan(value) else f"{value:.{digits}f}")
 
 
 def graded(value: float, goodness: float, digits: int = 2) -> Cell:
-    """Return a cell with a number and a colour; a dash where there is none."""
+    """Return a cell with a number and a colour, or a dash for NaN."""
     if math.isnan(value):
         return Cell("-")
     return Cell(f"{value:.{digits}f}", None if math.isnan(goodness) else goodness)
 
 
 def page(title: str, parts: Sequence[str]) -> str:
-    """Return the page."""
+    """Return the HTML of the page."""
     body = "\n".join(parts)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -119,27 +119,27 @@ def page(title: str, parts: Sequence[str]) -> str:
 
 
 def heading(text: str) -> str:
-    """Return a heading."""
+    """Return the HTML of a heading."""
     return f"<h2>{html.escape(text)}</h2>"
 
 
 def paragraph(text: str) -> str:
-    """Return a paragraph."""
+    """Return the HTML of a paragraph."""
     return f"<p>{html.escape(text)}</p>"
 
 
 def note(text: str) -> str:
-    """Return a paragraph in small print."""
+    """Return the HTML of a paragraph in small print."""
     return f'<p class="note">{html.escape(text)}</p>'
 
 
 def folded(summary: str, content: str) -> str:
-    """Return content that is shown when its summary is clicked."""
+    """Return the HTML of content that is shown on a click on its summary."""
     return f"<details><summary>{html.escape(summary)}</summary>\n{content}\n</details>"
 
 
 def picture(png: bytes, said: str) -> str:
-    """Return a picture, kept in the page itself."""
+    """Return the HTML of an embedded image."""
     data = base64.b64encode(png).decode()
     return f'<p><img alt="{html.escape(said, quote=True)}" src="data:image/png;base64,{data}"></p>'
 
@@ -151,13 +151,13 @@ def table(
     groups: Sequence[tuple[str, int]] = (),
     first_is_mean: bool = False,
 ) -> str:
-    """Return a table.
+    """Return the HTML of a table.
 
     Args:
         columns: Names of the columns.
-        rows: Cells of each row; a plain text is aligned to the left.
-        groups: Headings above the columns: text, and over how many.
-        first_is_mean: Whether the first row is the mean of the others, and stands out.
+        rows: Cells of each row; plain text is aligned to the left.
+        groups: Headings above the columns: text, and number of columns.
+        first_is_mean: True if the first row is the mean of the others and is emphasised.
     """
     lines = ['<div class="wide"><table>']
     if groups:
@@ -179,27 +179,27 @@ def _cell(cell: Cell | str) -> str:
 
 
 def _colour(goodness: float) -> str:
-    """Return a pale red, yellow or green, and what lies between."""
+    """Return a pale colour between red, yellow and green."""
     share = min(max(goodness, 0.0), 1.0)
     # Hue 0 is red, 60 yellow, 120 green.
     return f"hsl({120 * share:.0f} 75% 82%)"
 
 
-# What the report says of forces: what was gained, beside the paper, pair by pair.
+# Forces in the report: errors before and after, compared with the paper, pair by pair.
 
-# What roles are called.
+# Descriptions of roles.
 ROLES = {
     UNSEEN: "indenters that the models never saw",
     SEEN: "indenters seen, presses never trained on",
     ALL: "all held-out frames",
 }
-# What the first table shows of each variant.
+# Measures that the first table shows of each variant.
 GAINS = (
     ("r2_mean", "R2, mean of Fx, Fy, Fz"),
     ("mae_fz_n", "MAE Fz [N]"),
     ("mae_shear_n", "MAE shear, mean of Fx and Fy [N]"),
 )
-# Pairs whose sequences are shown, and presses of each.
+# Number of pairs whose sequences are shown, and of presses of each.
 SEQUENCES, PRESSES = 3, 10
 
 _METHODS = """source-only: trained on the source's images, shown the target's. transferred:
@@ -221,7 +221,7 @@ def force_parts(
     *,
     seed: int,
 ) -> list[str]:
-    """Return the parts of the page; none without predictions."""
+    """Return the parts of the page on forces; empty without predictions."""
     if not rows:
         return []
     written = [heading("Forces before and after"), note(_METHODS)]
@@ -243,14 +243,14 @@ def force_parts(
 
 
 def gains_table(rows: Sequence[ForceRow]) -> str:
-    """Return the table of pairs by before and after, coloured, its first row the mean of all."""
+    """Return the coloured table of pairs, one column per variant and the mean in the first row."""
     ways = variants(rows)
     by_pair: dict[tuple[str, str], dict[tuple[str, str], ForceRow]] = {}
     of_target = {row.target: row for row in rows if row.method == TARGET}
     for row in rows:
         if row.method != TARGET:
             by_pair.setdefault((row.source, row.target), {})[row.variant] = row
-    if not by_pair:  # nothing but models trained on the target's own labels
+    if not by_pair:  # only models trained on the target's own labels
         by_pair = {(name, name): {row.variant: row} for name, row in of_target.items()}
     for (_, target), some in by_pair.items():
         if target in of_target:
@@ -276,7 +276,7 @@ def _in_order(pair: tuple[tuple[str, str], Any]) -> tuple[Any, ...]:
 
 
 def beside_line(one: Beside) -> dict[str, Any]:
-    """Return a figure of the paper and ours as a line of the CSV."""
+    """Return a figure of the paper and our value as a line of the CSV."""
     figure = asdict(one.figure)
     figure["pair"] = " to ".join(one.figure.pair) if one.figure.pair else ""
     ours = {key: value for key, value in asdict(one).items() if key != "figure"}
@@ -284,7 +284,7 @@ def beside_line(one: Beside) -> dict[str, Any]:
 
 
 def _goodness(row: ForceRow, measure: str) -> float:
-    """Return 0 to 1: R2 itself; of an error, what is missing of half the labels' spread."""
+    """Return 0 to 1: R2 itself; for an error, 1 - 2 x the error over the labels' deviation."""
     if measure.startswith("r2"):
         return row.value(measure)
     fx, fy, fz, _ = row.errors.relative
@@ -380,7 +380,7 @@ def _pictures(
 def _sequences(
     predictions: Sequence[Predictions], rows: Sequence[ForceRow], role: str, seed: int
 ) -> list[str]:
-    """Return the sequences of the worst, the middle and the best pair, by R2 after."""
+    """Return the sequences of the worst, the median and the best pair, by R2 after."""
     after = [row for row in rows if row.method != BEFORE] or list(rows)
     score: dict[tuple[str, str], float] = {}
     for row in after:
@@ -420,9 +420,9 @@ def _column(name: str) -> str:
     return text.replace("_n", " [N]") if name.startswith("mae_") else text
 
 
-# What the report says of translated frames: scores beside baselines and floor, and features.
+# Translated frames in the report: scores next to baselines and lower bound, and features.
 
-# Pairs whose features are drawn at most, those of the best and the worst mixing among them.
+# Maximum number of pairs whose features are plotted, the best and the worst mixing included.
 DRAWN = 4
 
 _PAIRED = """Each frame beside the target's real frame of the same press and phase (location
@@ -444,7 +444,7 @@ as it gets with so many images."""
 
 
 def translation_parts(scores: Sequence[TranslationScores], *, seed: int) -> list[str]:
-    """Return the parts of the page; none without scores."""
+    """Return the parts of the page on translations; empty without scores."""
     if not scores:
         return []
     written = [heading("Translated frames beside true ones"), note(_PAIRED), _paired(scores)]
@@ -473,10 +473,10 @@ def _paired(scores: Sequence[TranslationScores]) -> str:
 
 
 def _paired_cells(row: PairedScore) -> list[Cell]:
-    if row.method == FLOOR:  # of a frame beside itself, only the simulator's truth says something
+    if row.method == FLOOR:  # compared with itself: only the EPE is meaningful
         blank = [Cell("")] * 7
         return [*blank, number(row.epe_px), number(row.epe_mm, 3)]
-    # Below 0.8, a Dice is no better than that of the untouched reference in most pairs.
+    # Below 0.8, a Dice is no better than that of the reference without contact in most pairs.
     return [
         graded(row.dice, (row.dice - 0.8) / 0.2, 3),
         number(row.iou, 3),
@@ -515,7 +515,7 @@ def _distances(scores: Sequence[TranslationScores]) -> str:
 
 
 def _measure(row: DistanceScore) -> str:
-    """Return what the distances are called."""
+    """Return the name of the distances."""
     if row.extractor.startswith("inception@"):
         return f"FID, KID [{row.extractor}]"
     return f"frechet, kernel [{row.extractor}]"
@@ -558,7 +558,7 @@ def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
     return charts.embeddings(panels, 2 if len(scores) == 1 else 4, names)
 
 
-# Files of a report.
+# File names of a report.
 PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
     "report.html",
     "force.csv",
@@ -570,18 +570,18 @@ PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was written."""
+    """Files and results of a report."""
 
     files: tuple[Path, ...]
-    """The page first, then the tables that there are."""
+    """The page first, then the tables."""
     force: tuple[ForceRow, ...]
     """Errors of forces."""
     beside: tuple[Beside, ...]
-    """The paper's figures, and ours."""
+    """The paper's figures, with our values."""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """R2 before and after, a line for each role there is; unseen indenters last."""
+        """R2 before and after, a line for each role that exists; unseen indenters last."""
         roles = [role for role in (ALL, SEEN, UNSEEN) if of_role(self.force, role)]
         return tuple(f"{role}: {gain_line(self.force, role)}" for role in roles)
 
@@ -600,14 +600,15 @@ def write_report(
     Args:
         predictions: Predicted forces, of any pairs, methods and translators.
         scores: Scores of translated frames.
-        out: Folder of the report; files of an earlier one are replaced.
+        out: Folder of the report; files of an earlier report are replaced.
         title: Title of the page.
-        seed: Of t-SNE, and of the presses that are shown.
-        progress: Called with the parts that are done and those there are.
+        seed: Seed of t-SNE, and of the choice of presses to plot.
+        progress: Called with the number of parts done and in total.
 
     Raises:
-        LearningError: Nothing to report, a frame predicted twice, or a score given twice.
-        OSError: Not writable.
+        LearningError: There is nothing to report, a frame is predicted twice, or a score is given
+            twice.
+        OSError: The folder is not writable.
     """
     if not predictions and not scores:
         raise LearningError("evaluate: found neither predictions nor translation scores")

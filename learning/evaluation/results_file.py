@@ -1,4 +1,4 @@
-"""Results on disk: one .npz of text and arrays, of one kind, written whole or not at all."""
+"""Result files: an .npz with a JSON header and arrays, of one kind, written atomically."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ _NEWEST = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """What a file holds."""
+    """Content of a file."""
 
     kind: str
-    """What sort of results."""
+    """Kind of results."""
     said: Mapping[str, Any]
-    """What is said of them in JSON."""
+    """JSON header."""
     arrays: Mapping[str, NDArray[Any]]
     """Their arrays, by name."""
 
 
 def write_results(path: Path, results: Results) -> None:
-    """Write results beside `path` and rename them: what was there before stays until then.
+    """Write results to a temporary file and rename it, so that an older file stays until then.
 
     Raises:
-        OSError: Not writable.
+        OSError: The file is not writable.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     header = {**results.said, _KIND: results.kind, _VERSION: _NEWEST}
@@ -52,10 +52,10 @@ def write_results(path: Path, results: Results) -> None:
 
 
 def read_results(path: Path) -> Results:
-    """Return what a file holds.
+    """Read a result file.
 
     Raises:
-        LearningError: Not such a file, cut short, or of a newer version.
+        LearningError: The file is missing, is no result file, is truncated, or of a newer version.
     """
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:

@@ -1,4 +1,4 @@
-"""Scores a translated archive against the real frames of the target, beside its baselines."""
+"""Scores of a translated archive against the target's real frames, with baselines."""
 
 from __future__ import annotations
 
@@ -31,45 +31,45 @@ if TYPE_CHECKING:
     from learning.data.splits import Role, Split
 
 
-# How far two masks cover each other: Dice, intersection over union, area. Of numpy or of torch.
+# Overlap of masks, of numpy or of torch: Dice, intersection over union, area.
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlap:
-    """Pixels of pairs of masks."""
+    """Pixel counts of pairs of masks."""
 
     common: NDArray[np.int64]
-    """Set in both (n,)."""
+    """Pixels set in both (n,)."""
     found: NDArray[np.int64]
-    """Set in what is judged (n,)."""
+    """Pixels set in the evaluated mask (n,)."""
     true: NDArray[np.int64]
-    """Set in what it should be (n,)."""
+    """Pixels set in the true mask (n,)."""
 
     @property
     def dice(self) -> Floats:
-        """Twice the common pixels over the sum of both (n,); 1 where both are empty."""
+        """Twice the common pixels over the sum of both (n,); 1 if both are empty."""
         return _share(2 * self.common, self.found + self.true)
 
     @property
     def iou(self) -> Floats:
-        """Common pixels over those that are set in either (n,); 1 where both are empty."""
+        """Common pixels over those that are set in either (n,); 1 if both are empty."""
         return _share(self.common, self.found + self.true - self.common)
 
     @property
     def area_ratio_error(self) -> Floats:
-        """|found / true - 1| (n,); NaN where nothing should be set."""
+        """|found / true - 1| (n,); NaN if the true mask is empty."""
         empty = self.true == 0
         ratio = self.found / np.where(empty, 1, self.true)
         return np.where(empty, np.nan, np.abs(ratio - 1))
 
 
 def overlap(found: Masks, true: Masks) -> Overlap:
-    """Return how many pixels masks (n, h, w) have in common, both of numpy or both of torch.
+    """Count the pixels that masks (n, h, w) have in common, both of numpy or both of torch.
 
     Raises:
-        LearningError: Other shapes, or not bool.
+        LearningError: The shapes differ, or masks are not bool.
     """
     if tuple(found.shape) != tuple(true.shape) or found.ndim != 3:
         raise LearningError(
@@ -83,7 +83,7 @@ def overlap(found: Masks, true: Masks) -> Overlap:
 
 
 def _pixels(masks: Any) -> NDArray[np.int64]:
-    """Return the number of set pixels (n,); counted where the masks are."""
+    """Return the number of set pixels (n,), counted on the device of the masks."""
     counted = masks.reshape(len(masks), masks.shape[1] * masks.shape[2]).sum(1)
     return np.asarray(counted if isinstance(masks, np.ndarray) else counted.cpu(), np.int64)
 
@@ -92,44 +92,44 @@ def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Floats:
     return np.where(whole == 0, 1.0, part / np.where(whole == 0, 1, whole))
 
 
-# How far markers lie from where they should be, and whether as many are there.
+# Errors of marker positions and counts.
 #
-# Markers of two images belong together when each is the other's nearest. Where markers lie further
-# off than half their distance from each other, a wrong one may be nearer: errors of that size are
-# told too small, and show as well in the overlap of the masks.
+# Markers of two images match if each is the other's nearest. Where the position error exceeds half
+# the distance of neighbours, a wrong marker may be nearer: such errors are underestimated, and are
+# also visible in the overlap of the masks.
 
 MaskArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerErrors:
-    """Markers of frames beside those of the frames they should be."""
+    """Errors of the markers of frames with respect to the true frames."""
 
     apart: Floats
-    """From each true marker to the one found, columns and rows (m, 2) [px], of all frames."""
+    """Offset from each true marker to its match, column and row (m, 2) [px], of all frames."""
     found: NDArray[np.int64]
-    """Markers of each frame (n,)."""
+    """Number of markers of each frame (n,)."""
     true: NDArray[np.int64]
-    """Markers there should be (n,)."""
+    """True number of markers (n,)."""
 
     @property
     def mismatched(self) -> NDArray[np.bool_]:
-        """Frames (n,) with more or fewer markers than there should be."""
+        """Frames (n,) with a wrong number of markers."""
         return np.asarray(self.found != self.true, np.bool_)
 
 
 def marker_errors(
     found: MaskArray, true: MaskArray, smallest_px: int = SMALLEST_PX
 ) -> MarkerErrors:
-    """Return how far the centres of markers lie from those of the true frames.
+    """Return the errors of the marker centres with respect to the true frames.
 
     Args:
-        found: What is judged (n, h, w).
-        true: What it should be (n, h, w).
-        smallest_px: Patches of fewer pixels are no markers.
+        found: Evaluated frames (n, h, w).
+        true: True frames (n, h, w).
+        smallest_px: Patches of fewer pixels are ignored.
 
     Raises:
-        LearningError: Not as many frames, or of another size.
+        LearningError: Numbers or sizes of frames differ.
     """
     if found.shape != true.shape:
         raise LearningError(f"masks: found {found.shape} and {true.shape}; allowed: the same")
@@ -146,21 +146,21 @@ def endpoint_errors(
     lattice: Lattice,
     smallest_px: int = SMALLEST_PX,
 ) -> Floats:
-    """Return how far markers lie from where the true displacement takes them (m, 2) [px].
+    """Return the offsets of markers from their true displaced positions (m, 2) [px].
 
-    The end-point error of optical flow, at the markers: a marker of the untouched image at p should
-    be at p + d(p). The centre of a marker that is also bent is not quite there: what true frames
-    have for an error says how far that goes.
+    This is the end-point error of optical flow, at the markers: a marker at p in the image without
+    contact belongs at p + d(p). A curved marker's centre deviates slightly from that; the error of
+    true frames shows by how much.
 
     Args:
-        found: Frames that are judged (n, 480, 640).
-        reference: The untouched image of the sensor that they are of (480, 640).
-        displacement: Its true displacement in each frame (n, rows, columns, 2) [px].
-        lattice: Where that is kept.
-        smallest_px: Patches of fewer pixels are no markers.
+        found: Evaluated frames (n, 480, 640).
+        reference: Image of their sensor without contact (480, 640).
+        displacement: True displacement in each frame (n, rows, columns, 2) [px].
+        lattice: Lattice of the displacement.
+        smallest_px: Patches of fewer pixels are ignored.
 
     Raises:
-        LearningError: Not as many fields as frames.
+        LearningError: Numbers of fields and frames differ.
     """
     if len(found) != len(displacement):
         raise LearningError(
@@ -177,13 +177,13 @@ def endpoint_errors(
 
 
 def _centres(blobs: Blobs, frames: int) -> tuple[NDArray[np.int64], list[Floats]]:
-    """Return how many markers each frame has (n,), and their centres frame by frame."""
+    """Return the number of markers of each frame (n,), and their centres frame by frame."""
     counts = np.bincount(blobs.frame, minlength=frames)
     return counts, np.split(blobs.centre, np.cumsum(counts)[:-1])
 
 
 def _apart(found: Floats, true: Floats) -> Floats:
-    """Return found - true (m, 2) [px] of the places that are each other's nearest."""
+    """Return found - true (m, 2) [px] of mutual nearest neighbours."""
     if not len(found) or not len(true):
         return np.empty((0, 2))
     apart = np.linalg.norm(found[:, None] - true[None], axis=-1)
@@ -192,28 +192,28 @@ def _apart(found: Floats, true: Floats) -> Floats:
     return np.asarray(found[both] - true[nearest[both]], np.float64)
 
 
-# What a translator must beat: frames that can be shown without translating anything.
+# Baselines of translators: frames that are available without translation.
 
 Rows = NDArray[np.int64]
 Table = Mapping[str, NDArray[Any]]
 
-_BASELINES_AT_ONCE = 2**22  # distances that are computed together
+_BASELINES_AT_ONCE = 2**22  # distances computed at once
 
 
 def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
-    """Return, for each wanted row, the known row whose motion is nearest to it (n,).
+    """Return, for each wanted row, the known row with the nearest motion (n,).
 
-    Nearest in commanded depth and position, by Euclid's distance, among frames of the same phase;
-    of all phases where that phase is not known. The indenter is not looked at: the one that is
-    wanted may never have been seen.
+    Nearest is by Euclidean distance of commanded depth and position, among frames of the same
+    phase, or of all phases if that phase is unknown. The indenter is ignored: the wanted one may be
+    unseen.
 
     Args:
         table: Table of the target sensor: columns `depth`, `position`, `phase`.
         wanted: Rows to find a frame for (n,).
-        known: Rows that may be shown, such as those of training (m,).
+        known: Rows to choose from, e.g. those of training (m,).
 
     Raises:
-        LearningError: No known rows.
+        LearningError: There are no known rows.
     """
     if not len(known):
         raise LearningError("nearest frame: found no frames to choose from; allowed: one or more")
@@ -237,14 +237,14 @@ def _motion(table: Table, rows: Rows) -> NDArray[np.float64]:
 
 
 def _frames_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared distances (n, m); from differences, as the square of a metre is large here."""
+    """Return squared distances (n, m), computed from differences to avoid cancellation."""
     apart = np.zeros((len(one), len(other)))
     for axis in range(one.shape[1]):
         apart += np.square(one[:, axis, None] - other[None, :, axis])
     return apart
 
 
-# The scores of translated frames: rows of tables, baselines too, and the file of them.
+# Scores of translated frames and baselines: rows of tables, and their file.
 
 KIND = "translation"
 TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR = (
@@ -254,52 +254,52 @@ TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR = (
     "nearest frame",
     "real",
 )
-# What is scored: the translator; the frames it was given; the untouched target; the training frame
-# of the target whose motion is nearest; and the target's own frames: half of them against the other
-# half, or against the truth of the simulator.
+# Frames that are scored: the translator's; its input; the target without contact; the target's
+# training frame with the nearest motion; and the target's own frames: half of them against the
+# other half, or against the simulator's ground truth.
 METHODS = (TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR)
 
 
 @dataclass(frozen=True, slots=True)
 class PairedScore:
-    """Frames beside the true frames of the same press and phase."""
+    """Scores of frames against the true frames of the same press and phase."""
 
     role: str
     """Role of the presses in the split."""
     method: str
     """One of `METHODS`."""
     frames: int
-    """How many pairs."""
+    """Number of pairs."""
     dice: float
     """Mean Dice of the masks."""
     iou: float
     """Mean intersection over union of the masks."""
     centroid_px: float
-    """Median distance of markers that belong together [px]."""
+    """Median distance of matching markers [px]."""
     centroid_p95_px: float
     """Its 95th percentile [px]."""
     centroid_mm: float
     """Its median on the surface [mm]."""
     count_mismatch: float
-    """Share of frames with more or fewer markers than the true one."""
+    """Share of frames with a wrong number of markers."""
     area_ratio_error: float
     """Mean of |marker area / true marker area - 1|."""
     epe_px: float
-    """Mean distance of markers from where the true displacement takes them [px]; NaN: not known."""
+    """Mean distance of markers from their true displaced positions [px]; NaN if unknown."""
     epe_mm: float
     """The same on the surface [mm]."""
 
 
 @dataclass(frozen=True, slots=True)
 class DistanceScore:
-    """Features of frames beside those of real frames of other presses."""
+    """Distances between features of frames and of real frames of other presses."""
 
     role: str
     """Role of the presses in the split."""
     method: str
     """One of `METHODS`."""
     extractor: str
-    """What made the features, by the hash of its weights."""
+    """Extractor of the features, with the hash of its weights."""
     frechet: float
     """Frechet distance."""
     kernel: float
@@ -307,41 +307,41 @@ class DistanceScore:
     kernel_std: float
     """Its standard deviation over the subsets."""
     classifier: float
-    """Accuracy of telling the two apart: 0.5 is chance."""
+    """Accuracy of a classifier that separates the two sets; 0.5 is chance."""
     mixing: float
-    """How well nearest neighbours are mixed: 1 fully, 0 not at all."""
+    """Mixing of nearest neighbours: 1 is full, 0 none."""
     samples: int
-    """Images on either side."""
+    """Number of images on each side."""
     dimensions: int
-    """Width of the features."""
+    """Number of features."""
     seed: int
-    """Of the halves, subsets and folds."""
+    """Seed of the halves, subsets and folds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TranslationScores:
-    """What is known of one translator between two sensors."""
+    """Scores of one translator between two sensors."""
 
     source: str
-    """Whose frames were translated."""
+    """Sensor of the frames that were translated."""
     target: str
-    """What they were translated to."""
+    """Sensor that they were translated to."""
     translator: str
     """Name of the translator."""
     model: str
-    """What names its weights, their hash."""
+    """Hash of its weights."""
     paired: tuple[PairedScore, ...]
-    """Rows on paired frames."""
+    """Scores of paired frames."""
     distances: tuple[DistanceScore, ...]
-    """Rows on features."""
+    """Distances of features."""
     features: Mapping[str, NDArray[np.float32]]
-    """Some features (n, d) of `SOURCE`, `TRANSLATED` and `FLOOR`, to look at."""
+    """Some features (n, d) of `SOURCE`, `TRANSLATED` and `FLOOR`, for plots."""
 
     def write(self, path: Path) -> None:
-        """Write them as an .npz.
+        """Write the scores as an .npz.
 
         Raises:
-            OSError: Not writable.
+            OSError: The file is not writable.
         """
         said = {
             "source": self.source,
@@ -355,19 +355,19 @@ class TranslationScores:
 
 
 def read_scores(path: Path) -> TranslationScores:
-    """Return scores that were written.
+    """Read scores from a file.
 
     Raises:
-        LearningError: Not such a file, or one that does not hold them.
+        LearningError: The file is no result file, or holds no translation scores.
     """
     return scores_in(read_results(path), path)
 
 
 def scores_in(results: Results, path: Path) -> TranslationScores:
-    """Return the scores that a file holds; `path` begins the message of an error.
+    """Return the scores in a file's content; `path` is for error messages.
 
     Raises:
-        LearningError: Results of another kind, or not all of them.
+        LearningError: The results are of another kind, or incomplete.
     """
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
@@ -389,7 +389,7 @@ def scores_in(results: Results, path: Path) -> TranslationScores:
 def paired_rows(
     scores: Iterable[TranslationScores],
 ) -> tuple[tuple[TranslationScores, PairedScore], ...]:
-    """Return the rows on paired frames, once each: features of other extractors change none."""
+    """Return the rows of paired frames without duplicates: they do not depend on the extractor."""
     found: dict[tuple[str, ...], tuple[TranslationScores, PairedScore]] = {}
     for one in scores:
         for row in one.paired:
@@ -405,10 +405,10 @@ def score_line(one: TranslationScores, row: PairedScore | DistanceScore) -> dict
 
 
 def require_alone(scores: Sequence[TranslationScores]) -> None:
-    """Refuse two scores of the same thing.
+    """Reject duplicate scores.
 
     Raises:
-        LearningError: The same pair, translator, role, method and extractor twice.
+        LearningError: A pair, translator, role, method and extractor occurs twice.
     """
     seen = set()
     for one in scores:
@@ -423,7 +423,7 @@ def require_alone(scores: Sequence[TranslationScores]) -> None:
 
 
 def _said(row: PairedScore | DistanceScore) -> dict[str, Any]:
-    """Return a row as JSON has it, which knows no NaN."""
+    """Return a row as JSON values; NaN becomes null."""
     return {key: None if value != value else value for key, value in asdict(row).items()}
 
 
@@ -435,7 +435,7 @@ def _numbers(row: Mapping[str, Any], kind: type[PairedScore | DistanceScore]) ->
     }
 
 
-# Scores frames beside the real ones of the same presses and phases.
+# Scoring of frames against the real frames of the same presses and phases.
 
 Packed = NDArray[np.uint8]
 
@@ -444,12 +444,12 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Real:
-    """Real frames of the target, which others are judged by."""
+    """Real frames of the target, the ground truth."""
 
     sensor: ArchivedSensor
     """The target."""
     rows: Rows
-    """Which of its frames (n,)."""
+    """Rows of its table (n,)."""
     packed: Packed
     """Their packed masks (n, 38400)."""
     mm: Floats
@@ -457,15 +457,15 @@ class Real:
 
     @property
     def smallest_px(self) -> int:
-        """Patches of fewer pixels are no markers of it."""
+        """Minimum size of its markers [px]; smaller patches are ignored."""
         return int((self.sensor.attrs.get("marker_check") or {}).get("smallest_px", SMALLEST_PX))
 
 
 def real_frames(sensor: ArchivedSensor, rows: Rows) -> Real:
-    """Return real frames of a target.
+    """Load real frames of a target.
 
     Raises:
-        SessionError: A chunk is missing or damaged.
+        SessionError: A chunk is missing or corrupt.
     """
     from learning.translation.translator import SensorView
 
@@ -475,11 +475,11 @@ def real_frames(sensor: ArchivedSensor, rows: Rows) -> Real:
 
 
 def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedScore:
-    """Return the score of frames (n, 38400) beside the real ones of the same presses and phases.
+    """Score frames (n, 38400) against the real ones of the same presses and phases.
 
     Raises:
-        LearningError: Not as many.
-        SessionError: A chunk of the displacement is missing or damaged.
+        LearningError: The numbers of frames differ.
+        SessionError: A chunk of the displacement is missing or corrupt.
     """
     if packed.shape != real.packed.shape:
         raise LearningError(
@@ -541,13 +541,13 @@ def _quantile(values: Floats, share: float) -> float:
     return float(np.quantile(values, share)) if len(values) else float("nan")
 
 
-# Pairs of a role that are scored at most, drawn at random.
+# Default maximum of scored pairs of a role, drawn at random.
 FRAMES = 1000
-# Samples in a subset of the kernel distance, and how many subsets.
+# Samples in a subset of the kernel distance, and number of subsets.
 SUBSET, SUBSETS = 500, 50
-# Features that are kept of each side, to draw them.
+# Number of features that are kept of each side for plots.
 SHOWN = 150
-# Locations without which there are no distances: six on each side.
+# Minimum number of locations for distances: six on each side.
 LEAST = 12
 
 
@@ -562,21 +562,22 @@ def score_translation(
     seed: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> TranslationScores:
-    """Return how good translated frames are, beside the baselines and the floor.
+    """Score translated frames, the baselines and the lower bound.
 
     Args:
-        archive: That the frames were made from: it has source and target.
+        archive: Archive with the source and target of the frames.
         translated: The translated sensor, `A-to-B`.
-        split: Says which presses are which.
-        roles: Which of them are scored.
-        extractor: Makes the features that distances are measured in.
-        frames: Location pairs of a role at most.
-        seed: Of what is drawn.
-        progress: Called with the frames that are scored and those there will be.
+        split: Roles of presses.
+        roles: Roles to score.
+        extractor: Extractor of features for distances.
+        frames: Maximum number of location pairs of a role.
+        seed: Seed of random draws.
+        progress: Called with the number of frames scored and in total.
 
     Raises:
-        LearningError: Not a translated sensor, one of other sensors, or no pairs of a role.
-        SessionError: A damaged archive.
+        LearningError: The sensor is not translated from and to sensors of the archive, or a role
+            has no pairs.
+        SessionError: The archive is corrupt.
     """
     source, target = (_sensor_of(archive, translated, end) for end in ("source", "target"))
     split.check(archive)
@@ -627,9 +628,9 @@ class Sample:
     """Features of some frames."""
 
     features: Floats
-    """What an extractor makes of them (n, d)."""
+    """Output of an extractor (n, d)."""
     location: NDArray[np.integer[Any]]
-    """Where each was pressed (n,)."""
+    """Location of each frame (n,)."""
 
 
 def distance_score(
@@ -638,7 +639,7 @@ def distance_score(
     """Return the distances of frames from real ones of other presses.
 
     Raises:
-        LearningError: Too few, or features of other widths.
+        LearningError: There are too few samples, or features differ in width.
     """
     one, other = real.features, found.features
     kernel, spread = kernel_distance(one, other, size=SUBSET, subsets=SUBSETS, seed=seed)
@@ -659,9 +660,9 @@ def distance_score(
 
 
 def half_of_locations(location: NDArray[np.integer], seed: int) -> NDArray[np.bool_]:
-    """Return which frames (n,) are of the half of the locations that real frames are taken from.
+    """Return True for frames (n,) in the half of the locations that real frames are taken from.
 
-    What is judged is taken from the other half, so that it is never the frame's own twin.
+    Evaluated frames come from the other half, so that none is compared with its own counterpart.
     """
     different = np.unique(location)
     chosen = np.random.default_rng(seed).permutation(different)[: len(different) // 2]
@@ -670,7 +671,7 @@ def half_of_locations(location: NDArray[np.integer], seed: int) -> NDArray[np.bo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Rows that belong together: of the target, of the source, of the translated frames."""
+    """Corresponding rows of the target, the source and the translated frames."""
 
     real: Rows
     source: Rows

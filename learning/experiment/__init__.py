@@ -1,1 +1,1 @@
-"""A whole experiment in one command: translate, train, compensate, evaluate, pair by pair."""
+"""A whole experiment in one command: translate, train, compensate and evaluate, pair by pair."""

@@ -1,4 +1,4 @@
-"""Force models of an experiment: of each source, carried over to each target, and what they say."""
+"""Force models of an experiment: trained per source, transferred to targets, and evaluated."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, aimed
 from recorder import MarkerArchive
 
-# How the force models of an experiment are trained.
+# Training settings of the force models of an experiment.
 
 
 def force_settings(
@@ -51,16 +51,16 @@ def force_settings(
     *,
     tuning: bool = False,
 ) -> ForceSettings:
-    """Return how force models learn.
+    """Return the settings of force models.
 
     Args:
-        experiment: Names a preset and what is changed of it.
-        archive: What they learn from.
-        device: Where they do.
-        tuning: Whether they go on from the source's model on translated frames.
+        experiment: Names a preset and its overrides.
+        archive: Archive of the training data.
+        device: Device of the training.
+        tuning: True for fine-tuning of the source's model on translated frames.
 
     Raises:
-        LearningError: A preset or a value that is none, or a model that sees no images.
+        LearningError: A preset or value is invalid, or the model does not use images.
     """
     changed = experiment.force.set + (experiment.fine_tuning if tuning else ())
     settings = read_settings(
@@ -73,7 +73,7 @@ def force_settings(
         )
     if experiment.memory:
         return settings
-    # A step sees as many frames as with whole presses.
+    # A step has as many frames as with whole presses.
     batch = settings.sequences.batch * frames_of_a_press(archive)
     return replace(settings, sequences=replace(settings.sequences, batch=batch))
 
@@ -83,7 +83,7 @@ BEFORE, TRANSFERRED, TARGET = "source-only", "transferred", "target"
 
 @dataclass(slots=True, eq=False)
 class Forces:
-    """Trains and predicts for one archive. What is in the folder already is read, not made."""
+    """Trains and predicts for one archive. Existing results are read, not computed again."""
 
     archive: MarkerArchive
     split: Split
@@ -91,7 +91,7 @@ class Forces:
     places: Places
     device: torch.device
     processes: int
-    """How many follow markers."""
+    """Number of processes that track markers."""
     say: Callable[[str], None]
     _tested: dict[str, Tested] = field(default_factory=dict)
     _seen: dict[str, tuple[Presses, Presses | None]] = field(default_factory=dict)
@@ -99,22 +99,22 @@ class Forces:
     _data: str = ""
 
     def own(self, sensor: str) -> Predictions:
-        """Return what the model that learned from a sensor's own labels says of it.
+        """Return predictions on a sensor by the model that was trained on its own labels.
 
         Raises:
-            LearningError: Presses without labels, or a training that diverged.
-            SessionError: A damaged archive.
-            KeyboardInterrupt: It was stopped between two steps of a training.
+            LearningError: Presses have no labels, or a training diverged.
+            SessionError: The archive is corrupt.
+            KeyboardInterrupt: A training was stopped between two steps.
         """
         return self._predicted(Pair(sensor, sensor), TARGET)
 
     def untranslated(self, pair: Pair) -> Predictions:
-        """Return what the source's own model says of the target.
+        """Return predictions on the target by the source's model.
 
         Raises:
-            LearningError: Presses without labels, or a training that diverged.
-            SessionError: A damaged archive.
-            KeyboardInterrupt: It was stopped between two steps of a training.
+            LearningError: Presses have no labels, or a training diverged.
+            SessionError: The archive is corrupt.
+            KeyboardInterrupt: A training was stopped between two steps.
         """
         return self._predicted(pair, BEFORE)
 
@@ -125,21 +125,20 @@ class Forces:
         model: Model,
         compensation: StoredCompensation | None,
     ) -> list[Predictions]:
-        """Return what models say that learned from translated frames, with each kind of labels.
+        """Return predictions by models fine-tuned on translated frames, for each kind of labels.
 
         Args:
-            pairs: Of one source.
-            translator: What makes its frames the targets', by name.
-            model: That itself.
-            compensation: How labels are brought from one skin to another; None: the settings ask
-                for none.
+            pairs: Pairs of one source.
+            translator: Name of the translator.
+            model: The translator.
+            compensation: Compensation of labels; None if the settings request none.
 
         Raises:
-            LearningError: Presses without labels, or a training that diverged.
-            SessionError: A damaged archive.
-            KeyboardInterrupt: It was stopped between two steps of a training.
+            LearningError: Presses have no labels, or a training diverged.
+            SessionError: The archive is corrupt.
+            KeyboardInterrupt: A training was stopped between two steps.
         """
-        # Sensors of one scale share the fields that were found in the source's frames.
+        # Targets of the same scale share the fields computed from the source's frames.
         known: dict[tuple[float, float], torch.Tensor] = {}
         methods = (TRANSFERRED, *self.settings.compensation)
         at_once = max(1, self.settings.together // len(methods))
@@ -198,7 +197,7 @@ class Forces:
         return found
 
     def _own_model(self, sensor: str) -> tuple[Path, ForcePredictor]:
-        """Return the model that a sensor's own frames and labels give."""
+        """Return the model trained on a sensor's own frames and labels."""
         if sensor not in self._own:
             settings = self._settings()
 
@@ -210,7 +209,7 @@ class Forces:
         return self._own[sensor]
 
     def _tuned_model(self, tuning: Tuning, shown: Presses) -> tuple[Path, ForcePredictor]:
-        """Return the model that goes on from the source's with its frames translated."""
+        """Return the source's model after fine-tuning on translated frames."""
         _, own = self._own_model(tuning.pair.source)
         return self._trained(
             tuning.name,
@@ -231,7 +230,7 @@ class Forces:
         start_from: ForcePredictor | None = None,
         compensation: Compensation | None = None,
     ) -> tuple[Path, ForcePredictor]:
-        """Return a model and its folder; frames to train and validate on are made if need be."""
+        """Return a model and its folder; its training frames are loaded only if needed."""
         folder = self.places.model(name)
         with self._open(name, settings, sensor) as run:
             if not run.finished:
@@ -261,7 +260,7 @@ class Forces:
         return self._open(tuning.name, self._settings(tuning=True), shown)
 
     def _open(self, name: str, settings: ForceSettings, sensor: str) -> RunFolder:
-        """Return the folder of a model that learns from a sensor's frames."""
+        """Open the run folder of a model that is trained on a sensor's frames."""
         if not self._data:
             self._data = f"{archive_fingerprint(self.archive)} {self.split.fingerprint}"
         data = f"{self._data} {sensor}"
@@ -292,7 +291,7 @@ class Forces:
             progress.close()
 
     def _frames(self, sensor: str) -> tuple[Presses, Presses | None]:
-        """Return a source's presses to train on, packed, and those to validate on."""
+        """Return a source's presses for training, packed, and those for validation."""
         if sensor not in self._seen:
             read = partial(
                 trained_on,
@@ -308,7 +307,7 @@ class Forces:
         return self._seen[sensor]
 
     def _as_seen(self, presses: Presses) -> Presses:
-        """Return presses as force models see them."""
+        """Return presses as inputs of force models."""
         return presses if self.settings.memory else presses.each_frame_alone()
 
     def _tested_on(self, sensor: str) -> Tested:
@@ -332,7 +331,7 @@ class Forces:
 def _labels(
     pair: Pair, method: str, compensation: StoredCompensation | None
 ) -> Compensation | None:
-    """Return what changes the labels of a pair, by a kind of labels."""
+    """Return the compensation of a pair's labels for a method, or None."""
     if compensation is None or method not in CHOICES:
         return None
     return compensation.pair(pair.source, pair.target, CHOICES[method]).applied

@@ -1,4 +1,4 @@
-"""The models of an experiment: translators, trained by commands, and force models tuned at once."""
+"""Models of an experiment: translators, trained by commands, and force models tuned in batches."""
 
 from __future__ import annotations
 
@@ -35,31 +35,31 @@ from learning.translation.translator import FLOW
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where an experiment keeps what."""
+    """Paths of an experiment."""
 
     out: Path
-    """Its folder."""
+    """Folder of the experiment."""
     archive: Path
-    """What it learns from."""
+    """Archive of the training data."""
 
     @property
     def split(self) -> Path:
-        """Roles of presses."""
+        """File of the roles of presses."""
         return self.out / "split.json"
 
     @property
     def compensation(self) -> Path:
-        """Priors of skins, and what was chosen for pairs."""
+        """File of priors of skins, and choices for pairs."""
         return self.out / "compensation.json"
 
     @property
     def predictions(self) -> Path:
-        """Predicted forces and scores of translations."""
+        """Folder of predicted forces and scores of translations."""
         return self.out / "results"
 
     @property
     def report(self) -> Path:
-        """The page and its tables."""
+        """Folder of the report and its tables."""
         return self.out / "report"
 
     def model(self, name: str) -> Path:
@@ -67,7 +67,7 @@ class Places:
         return self.out / "models" / name
 
     def translated(self, source: str, name: str) -> Path:
-        """Return the archive of a source's translated frames that are scored."""
+        """Return the archive of a source's translated frames for scoring."""
         return self.out / "translated" / f"{source}.{name}.markers.zarr"
 
 
@@ -78,11 +78,11 @@ def train_translator(
     device: torch.device,
     say: Callable[[str], None],
 ) -> None:
-    """Train a translator, if it has to be and is not yet.
+    """Train a translator, unless it needs no training or is trained already.
 
     Raises:
-        LearningError: A training that was refused.
-        KeyboardInterrupt: It was interrupted; the same experiment goes on with it.
+        LearningError: The training was rejected.
+        KeyboardInterrupt: It was interrupted; running the experiment again continues it.
     """
     for command in _commands(name, places, settings, device):
         run_command(command, say)
@@ -91,10 +91,10 @@ def train_translator(
 def open_translator(
     places: Places, settings: ExperimentSettings, name: str, device: torch.device
 ) -> Model:
-    """Return a translator, which is told of the source what the settings say.
+    """Open a translator, without the source's reference if the settings exclude it.
 
     Raises:
-        LearningError: It is not trained, or its files are damaged.
+        LearningError: It is not trained, or its files are corrupt.
     """
     folder: str | Path = name if name == FLOW else places.model(name)
     translator = load_translator(folder, device)
@@ -107,7 +107,7 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
     """Run `python -m learning ...` in this process.
 
     Raises:
-        LearningError: It ended with an error, which it has printed.
+        LearningError: The command failed; it has printed the error.
         KeyboardInterrupt: It was interrupted.
     """
     said = "python -m learning " + " ".join(command)
@@ -130,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
 def _commands(
     name: str, places: Places, settings: ExperimentSettings, device: torch.device
 ) -> Iterator[list[str]]:
-    """Return the commands that train a translator, the one that gives it last."""
+    """Yield the commands that train a translator, its own training last."""
     if name == "field":
         yield _training(places, "field", settings.field, device)
     if name == "direct":
@@ -147,25 +147,25 @@ def _training(places: Places, kind: str, choice: ModelChoice, device: torch.devi
     return command
 
 
-# Models that learn from translated frames, several at once: what a GPU needs to be kept busy.
+# Fine-tuning on translated frames, of several models at once to keep a GPU busy.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuning:
-    """One of the models."""
+    """One model to fine-tune."""
 
     pair: Pair
-    """From which sensor to which."""
+    """Source and target sensor."""
     method: str
-    """What its labels are, as evaluations call it."""
+    """Kind of its labels, a method of evaluations."""
     translator: str
-    """What made its frames."""
+    """Translator of its frames."""
     labels: Compensation | None
-    """What changes the labels."""
+    """Compensation of the labels."""
 
     @property
     def name(self) -> str:
-        """Of its folder."""
+        """Name of its folder."""
         return f"force-{self.pair.source}-to-{self.pair.target}.{self.method}.{self.translator}"
 
 
@@ -176,18 +176,18 @@ def tune_together(
     start_from: ForcePredictor,
     open_run: Callable[[Tuning], RunFolder],
 ) -> None:
-    """Train the models that are not there yet, all at once, and store them.
+    """Train all models that do not exist yet in one batch, and store them.
 
     Args:
-        tunings: Which.
-        shown: What they learn from, as they see it.
-        settings: How.
-        start_from: What they begin with.
-        open_run: Opens the folder of one.
+        tunings: The models.
+        shown: Their training presses, as model inputs.
+        settings: Settings of the training.
+        start_from: Model with the initial weights.
+        open_run: Opens the run folder of a model.
 
     Raises:
-        LearningError: Presses or settings that they cannot share, or a training that diverged.
-        KeyboardInterrupt: It was stopped; nothing of it is stored.
+        LearningError: The models cannot share presses or settings, or a training diverged.
+        KeyboardInterrupt: The training was stopped; nothing is stored.
     """
     with ExitStack() as opened:
         runs = [opened.enter_context(open_run(each)) for each in tunings]

@@ -1,4 +1,4 @@
-"""What an experiment reads of an archive: which presses train, which are predicted, in memory."""
+"""Parts of an archive that an experiment loads: presses for training and for prediction."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 
-# Roles that forces are predicted of.
+# Roles of presses whose forces are predicted.
 TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """From which sensor to which."""
+    """Source and target sensor."""
 
     source: str
     target: str
@@ -37,7 +37,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tested:
-    """Frames of a target whose forces are predicted."""
+    """Frames of a target for which forces are predicted."""
 
     presses: Presses
     """Their images."""
@@ -46,10 +46,10 @@ class Tested:
 
 
 def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair, ...]:
-    """Return the pairs that are asked for as SOURCE:TARGET; None: all directed pairs.
+    """Return the requested pairs, SOURCE:TARGET; None: all directed pairs.
 
     Raises:
-        LearningError: Not written like that, or a sensor that is not there.
+        LearningError: The text is not of that form, or names an unknown sensor.
     """
     if asked is None:
         return tuple(Pair(one, other) for one in archive for other in archive if one != other)
@@ -71,10 +71,10 @@ def trained_on(
     settings: ExperimentSettings,
     device: torch.device,
 ) -> Presses | None:
-    """Return presses of a source that models are trained on, packed; None where there are none.
+    """Load the training presses of a source, packed; None if there are none.
 
     Raises:
-        SessionError: A damaged archive.
+        SessionError: The archive is corrupt.
     """
     rows = _some(sensor, split, role, settings.train_presses, settings.seed)
     return _loaded(sensor, rows, device, packed=True) if len(rows) else None
@@ -83,11 +83,11 @@ def trained_on(
 def tested_on(
     sensor: ArchivedSensor, split: Split, settings: ExperimentSettings, device: torch.device
 ) -> Tested:
-    """Return presses of a target that forces are predicted of.
+    """Load the presses of a target for which forces are predicted.
 
     Raises:
-        LearningError: The split has none of them.
-        SessionError: A damaged archive.
+        LearningError: The split has none.
+        SessionError: The archive is corrupt.
     """
     rows = np.concatenate(
         [_some(sensor, split, role, settings.test_presses, settings.seed) for role in TESTED]
@@ -99,7 +99,7 @@ def tested_on(
 
 
 def as_images(presses: Presses) -> Presses:
-    """Return packed presses as images (N, 256, 256)."""
+    """Convert packed presses to images (N, 256, 256)."""
     images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
     for part in torch.arange(presses.frames, device=presses.device).split(256):
         images[part] = shrink_masks(unpack_masks(presses.images[part]))
@@ -108,7 +108,7 @@ def as_images(presses: Presses) -> Presses:
 
 
 def frames_of_a_press(archive: MarkerArchive) -> int:
-    """Return how many frames a located press has, on average over all sensors; at least 1."""
+    """Return the mean number of frames of a located press over all sensors; at least 1."""
     frames = presses = 0
     for sensor in archive.values():
         location = sensor.table["location"][sensor.table["valid"]]
@@ -118,10 +118,10 @@ def frames_of_a_press(archive: MarkerArchive) -> int:
 
 
 def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> Look:
-    """Return how a target looks untouched at the places of a source's presses.
+    """Return a target's references at the locations of a source's presses.
 
     Raises:
-        SessionError: A damaged archive.
+        SessionError: The archive is corrupt.
     """
     of_press = target_references(presses.location.numpy(), target.table).astype(np.int64)
     return Look(
@@ -133,7 +133,7 @@ def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> L
 
 
 def thinned(split: Split, most: int, seed: int) -> Split:
-    """Return a split with so many presses of each tested role; the others only validate."""
+    """Return a split with at most `most` presses of each tested role; others become validation."""
     presses: list[Press] = []
     for role in {press.role for press in split.presses}:
         of_role = [press for press in split.presses if press.role == role]
@@ -152,7 +152,7 @@ def thinned(split: Split, most: int, seed: int) -> Split:
 def _some(
     sensor: ArchivedSensor, split: Split, role: Role, most: int | None, seed: int
 ) -> NDArray[np.int64]:
-    """Return rows of a role, of so many presses at most: the same places for all sensors."""
+    """Return rows of at most `most` presses of a role, at the same locations for all sensors."""
     rows = split.rows(sensor.table, role)
     places = split.locations(role)
     if most is None or most >= len(places):

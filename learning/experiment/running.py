@@ -1,6 +1,6 @@
-"""Runs an experiment: split, translators, force models, compensation, predictions, scores, report.
+"""Run of an experiment: split, translators, force models, compensation, predictions, report.
 
-Whatever is there already is not made again: an experiment that was stopped goes on where it was.
+Existing results are reused: an interrupted experiment continues where it stopped.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ def run_experiment(
     jobs: int = 1,
     say: Say = print,
 ) -> Report:
-    """Run an experiment, or go on with it; return its report.
+    """Run or continue an experiment and return its report.
 
     Args:
         archive_path: Frames of all sensors, with labels and force-depth presses.
-        out: Folder of everything that is made.
-        settings: Which models, on how much data.
+        out: Folder of all results.
+        settings: Settings of models and amount of data.
         pairs: `SOURCE:TARGET`; None: all directed pairs.
-        device: Where models are trained and frames are translated.
-        processes: How many follow markers.
-        jobs: Models trained side by side, each in a process of its own.
-        say: Called with a line for each thing that was done.
+        device: Device of training and translation.
+        processes: Number of processes that track markers.
+        jobs: Number of models trained in parallel, each in its own process.
+        say: Called with a line for each completed part.
 
     Raises:
-        LearningError: The folder is that of another experiment, or data that cannot be used.
-        SessionError: A damaged archive.
-        KeyboardInterrupt: It was stopped; the same call goes on.
+        LearningError: The folder belongs to another experiment, or data are unusable.
+        SessionError: The archive is corrupt.
+        KeyboardInterrupt: It was stopped; repeating the call continues it.
     """
     archive, places = MarkerArchive(archive_path), Places(out, archive_path)
     if archive.warning:
@@ -76,7 +76,7 @@ def run_experiment(
 def gained(rows: Sequence[ForceRow]) -> str:
     """Return R2 on unseen indenters before and after, means over pairs, axes and translators.
 
-    After is the last method that needs no label of the target.
+    "After" is the last method that needs no label of the target.
 
     Args:
         rows: Errors of an experiment's pairs.
@@ -92,13 +92,13 @@ def gained(rows: Sequence[ForceRow]) -> str:
 def _begin(
     places: Places, settings: ExperimentSettings, archive: MarkerArchive, pairs: Sequence[Pair]
 ) -> None:
-    """Write what the experiment is, or make sure that the one that is there is the same."""
+    """Write the definition of the experiment, or check that an existing one is the same."""
     content = {
         "archive": archive_fingerprint(archive),
         "pairs": [f"{pair.source}:{pair.target}" for pair in pairs],
         **settings_to_dict(settings),
     }
-    # As JSON has it, where tuples are lists.
+    # Convert by JSON, in which tuples become lists.
     plain: dict[str, Any] = json.loads(json.dumps(content))
     path = places.out / "experiment.json"
     if not path.exists():
@@ -115,7 +115,7 @@ def _begin(
 
 
 def _write_split(places: Places, settings: ExperimentSettings, archive: MarkerArchive) -> None:
-    """Write the roles of presses, or make sure that those that are there fit the archive."""
+    """Write the split, or check that an existing one fits the archive."""
     if places.split.exists():
         read_split(places.split).check(archive)
         return

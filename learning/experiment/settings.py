@@ -1,4 +1,4 @@
-"""What an experiment is made of: the keys of its presets."""
+"""Settings of an experiment: the keys of its presets."""
 
 from __future__ import annotations
 
@@ -8,66 +8,66 @@ from typing import Literal
 
 from learning.errors import LearningError
 
-# The presets that are shipped.
+# Folder of the presets of this package.
 PRESETS = Path(__file__).parent / "presets"
 
 TranslatorName = Literal["flow", "field", "direct"]
-# Choices of compensation, as evaluations call them: label-free, and by the target's labels.
+# Choices of compensation, by method: label-free, or by the target's labels.
 Compensated = Literal["compensated", "priors", "oracle"]
 
 
 @dataclass(frozen=True, slots=True)
 class ModelChoice:
-    """A preset of a training, and what is changed in it."""
+    """A preset of a training, with overrides."""
 
     preset: str
     """Name of a preset, or a YAML file."""
     set: tuple[str, ...] = ()
-    """`key=value` over it."""
+    """Overrides, `key=value`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentSettings:
-    """Which models, on how much data."""
+    """Models of an experiment, and amount of data."""
 
     description: str
     translators: tuple[TranslatorName, ...]
-    """What makes one sensor's frames another's."""
+    """Translators between sensors."""
     force: ModelChoice
-    """The force model that is trained on the source's own frames."""
+    """Force model trained on the source's own frames."""
     fine_tuning: tuple[str, ...]
-    """`key=value` over that, for training on translated frames, which goes on from its weights."""
+    """Further overrides for fine-tuning that model on translated frames."""
     field: ModelChoice = ModelChoice("cpu_smoke")
-    """The learned field, one model for all pairs."""
+    """Learned field translator, one model for all pairs."""
     autoencoder: ModelChoice = ModelChoice("cpu_smoke")
-    """The marker autoencoder that the direct translator begins with."""
+    """Marker autoencoder, from which the direct translator starts."""
     direct: ModelChoice = ModelChoice("cpu_smoke")
-    """The direct translator, one model for all pairs."""
+    """Direct translator, one model for all pairs."""
     compensation: tuple[Compensated, ...] = ("compensated",)
-    """Which labels are trained on, beside the source's own."""
+    """Kinds of labels to train on, in addition to the source's own."""
     validation: float = 0.1
-    """Share of the presses of seen indenters that tells how far training is."""
+    """Share of the presses of seen indenters for validation."""
     new_press: float = 0.1
-    """Share of the presses of seen indenters that is kept for the test."""
+    """Share of the presses of seen indenters for the test."""
     train_presses: int | None = None
-    """Presses that force models learn from, of each source; none: all."""
+    """Number of training presses of force models, per source; none: all."""
     test_presses: int | None = None
-    """Presses of each role that forces are predicted of, of each target; none: all."""
+    """Number of test presses of each role, per target; none: all."""
     scored_presses: int = 30
-    """Presses of each role that translations are scored on; 0: they are not."""
+    """Number of presses of each role for scores of translations; 0: no scores."""
     together: int = 1
-    """Models that learn from a source's translated frames side by side: each operation is done for
-    all of them at once, which a GPU wants."""
+    """Number of models fine-tuned in one batch on a source's translated frames.
+
+    Batching keeps a GPU busy.
+    """
     memory: bool = True
-    """False: force models see every frame as if nothing had been before it. Shows what frames
-    before are worth."""
+    """False: force models see each frame without earlier ones, an ablation of their memory."""
     source_reference: bool = True
-    """False: translators are not told how the source looks untouched, which `direct` alone can do
-    without. Shows what that is worth."""
+    """False: translators get no source reference (ablation); only `direct` supports this."""
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse an experiment in which nothing is translated."""
+        """Validate the settings."""
         if not self.translators or len(set(self.translators)) != len(self.translators):
             raise LearningError(
                 f"translators: found {self.translators}; allowed: flow, field, direct, each once"

@@ -1,4 +1,4 @@
-"""Presses in memory, translated: many frames at once, on the device where they are."""
+"""Translation of presses in memory, many frames at once, on their device."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """How the target would look: its untouched masks, and which of them belongs to each frame."""
+    """References of the target for the frames of a source."""
 
     sensor: str
     """Name of the target."""
     view: SensorView
-    """What its images show."""
+    """View of the target's images."""
     references: Tensor
-    """Packed untouched masks (K, 38400) uint8, on the device."""
+    """Packed masks without contact (K, 38400) uint8, on the device."""
     reference: Tensor
     """Row of `references` for each frame of the source (N,) int64, on the CPU."""
 
@@ -47,16 +47,16 @@ def translate_presses(
     *,
     progress: Progress = lambda done, total: None,
 ) -> Presses:
-    """Return presses as another sensor would have shown them, as images.
+    """Translate presses to another sensor, as images.
 
-    Frames are given to the translator by references and not by press: it is one that looks at a
-    frame and its reference alone.
+    Frames are grouped by references, not by press, so the translator must depend on single frames
+    and their reference only.
 
     Args:
-        presses: Of the source, packed.
-        look: Of the target.
-        translator: Of this pair of sensors.
-        progress: Called with frames done and frames there are.
+        presses: Presses of the source, packed.
+        look: References of the target.
+        translator: Translator for this pair of sensors.
+        progress: Called with the number of frames done and in total.
     """
 
     def seen(rows: Tensor, own: int, other: int) -> Tensor:
@@ -74,13 +74,13 @@ def warp_presses(
     *,
     progress: Progress = lambda done, total: None,
 ) -> Presses:
-    """Return presses as another sensor would have shown them, by fields that are known.
+    """Translate presses to another sensor by known displacement fields.
 
     Args:
-        presses: Of the source, packed.
-        look: Of the target.
+        presses: Presses of the source, packed.
+        look: References of the target.
         fields: Displacement in the target's image (N, 57, 73, 2) [px], on the CPU.
-        progress: Called with frames done and frames there are.
+        progress: Called with the number of frames done and in total.
     """
 
     def seen(rows: Tensor, own: int, other: int) -> Tensor:
@@ -98,17 +98,17 @@ def flow_fields(
     processes: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> Tensor:
-    """Return displacements (N, 57, 73, 2) float16 [px of the target's image], markers followed.
+    """Compute displacements (N, 57, 73, 2) float16 [px of the target's image] from tracked markers.
 
     Args:
-        presses: Of the source, packed, each from its first frame on.
-        source: What its images show.
-        target: What the target's show.
-        processes: How many compute.
-        progress: Called with frames done and frames there are.
+        presses: Presses of the source, packed, each from its first frame on.
+        source: View of its images.
+        target: View of the target's images.
+        processes: Number of processes.
+        progress: Called with the number of frames done and in total.
 
     Raises:
-        LearningError: A reference without markers.
+        LearningError: A reference has no markers.
     """
     packed = PackedPresses(
         presses.images.cpu().numpy(),
@@ -144,7 +144,7 @@ def _shown(
 
 
 def _groups(own: Tensor, other: Tensor) -> Iterator[tuple[Tensor, int, int]]:
-    """Return rows (n,) that have both references in common, at most 256, and these references."""
+    """Yield rows (n,) that share both references, at most 256, and the references' rows."""
     both = np.stack([own.numpy(), other.numpy()], axis=1)
     for one, another in np.unique(both, axis=0).tolist():
         rows = torch.from_numpy(np.flatnonzero((both == (one, another)).all(axis=1)))
@@ -152,14 +152,14 @@ def _groups(own: Tensor, other: Tensor) -> Iterator[tuple[Tensor, int, int]]:
             yield part, one, another
 
 
-# A translator that is not told how the source looks untouched: what that is worth, by its lack.
+# Ablation: a translator without the source's reference.
 
 
 class Blind:
-    """Gives frames and the target's reference to a translator, and nothing else."""
+    """Hides the source's reference from a translator."""
 
     def __init__(self, translator: Translator) -> None:
-        """Wrap a translator that can do without, as `direct` can."""
+        """Wrap a translator that does not need the reference, such as `direct`."""
         self._translator = translator
         self.name = f"{translator.name}-blind"
 
@@ -171,15 +171,15 @@ class Blind:
         *,
         ordered: bool = False,
     ) -> torch.Tensor:
-        """Return the frames as the target would have shown them, bool (n, 480, 640).
+        """Translate frames to the target's, bool (n, 480, 640).
 
         Args:
             source: Masks of the source, bool (n, 480, 640).
-            target_reference: The untouched target, bool (480, 640).
-            source_reference: Not looked at.
-            ordered: Likewise: the first frame of a press would tell the same.
+            target_reference: Mask of the target without contact, bool (480, 640).
+            source_reference: Ignored.
+            ordered: Ignored: the first frame of a press would give the reference away.
 
         Raises:
-            LearningError: Wrong shapes or types, or a translator that needs the reference.
+            LearningError: Shapes or types are wrong, or the translator needs the reference.
         """
         return self._translator.translate(source, target_reference)

@@ -1,9 +1,9 @@
-"""The work of an experiment, in pieces that need nothing of each other: many can run at once.
+"""Tasks of an experiment, many of which can run in parallel.
 
-A piece for each translator, one for compensation, and one for each sensor: its own force model, and
-what that says of its own frames and of others'. When what it needs of these is done, a piece for
-each source and translator: models that learn from translated frames, and scores of translations.
-Whatever is there already is not made again.
+There is a task for each translator, one for compensation, and one for each sensor: its force model,
+and predictions on its own frames and on others'. When the tasks that it depends on are done, a task
+for each source and translator follows: models fine-tuned on translated frames, and scores of
+translations. Existing results are reused.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from learning.translation.archive import Model
 from recorder import MarkerArchive
 from recorder.processes import Workers
 
-# A method of a worker and its arguments.
+# Name of a method of `Worker` and its arguments.
 Piece = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What a piece of work gives."""
+    """Result of a task."""
 
     predictions: list[Predictions] = field(default_factory=list)
     scores: list[TranslationScores] = field(default_factory=list)
@@ -46,24 +46,24 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What all pieces have in common."""
+    """Inputs common to all tasks."""
 
     archive: Path
     """Frames of all sensors, with labels."""
     out: Path
     """Folder of the experiment, in which the split is."""
     settings: ExperimentSettings
-    """Which models, on how much data."""
+    """Settings of models and amount of data."""
     pairs: tuple[Pair, ...]
-    """From which sensors to which."""
+    """Source and target sensors."""
     device: str
-    """Where models are trained and frames are translated."""
+    """Device of training and translation."""
     processes: int
-    """How many follow markers, of each piece."""
+    """Number of processes that track markers, per task."""
 
     @property
     def pieces(self) -> dict[Piece, frozenset[Piece]]:
-        """All pieces, the longest to begin with, and which others each needs to be done before."""
+        """All tasks, the longest first, and the tasks that each depends on."""
         sources = tuple(dict.fromkeys(pair.source for pair in self.pairs))
         sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
         trained: list[Piece] = [("train", name) for name in self.settings.translators]
@@ -77,14 +77,14 @@ class Work:
 
 
 class Worker:
-    """Does pieces of work; keeps what several of them read."""
+    """Executes tasks; caches data that several of them read."""
 
     def __init__(self, work: Work, say: Callable[[str], None]) -> None:
         """Open the archive and the split.
 
         Raises:
-            LearningError: A split that cannot be read.
-            SessionError: A damaged archive.
+            LearningError: The split cannot be read.
+            SessionError: The archive is corrupt.
         """
         self._work, self._say = work, say
         self._device = torch.device(work.device)
@@ -101,24 +101,24 @@ class Worker:
         )
 
     def do(self, piece: Piece) -> Done:
-        """Return what a piece of work gives.
+        """Execute a task and return its result.
 
         Raises:
-            LearningError: Presses without labels, a training that was refused or diverged.
-            SessionError: A damaged archive.
-            KeyboardInterrupt: It was stopped between two steps of a training.
+            LearningError: Presses have no labels, or a training was rejected or diverged.
+            SessionError: The archive is corrupt.
+            KeyboardInterrupt: A training was stopped between two steps.
         """
         name, *arguments = piece
         done: Done = getattr(self, name)(*arguments)
         return done
 
     def train(self, name: str) -> Done:
-        """Train a translator, where it has to be."""
+        """Train a translator, if it needs training."""
         train_translator(self._places, self._work.settings, name, self._device, self._say)
         return Done()
 
     def compensate(self) -> Done:
-        """Fit priors of skins, and choose how labels of the pairs are brought over."""
+        """Fit priors of skins, and choose the compensation of each pair."""
         places, pairs = self._places, self._work.pairs
         if not places.compensation.exists():
             asked = ",".join(f"{pair.source}:{pair.target}" for pair in pairs)
@@ -127,7 +127,7 @@ class Worker:
         return Done()
 
     def own(self, sensor: str) -> Done:
-        """Train a sensor's own model; predict it, and all that it is carried over to."""
+        """Train a sensor's own model; predict its own forces and those of its targets."""
         pairs = [pair for pair in self._work.pairs if pair.source == sensor]
         found = [self._forces.untranslated(pair) for pair in pairs]
         if any(pair.target == sensor for pair in self._work.pairs):
@@ -135,7 +135,7 @@ class Worker:
         return Done(found)
 
     def carried(self, source: str, name: str) -> Done:
-        """Train models on a source's translated frames; predict their targets, score the frames."""
+        """Fine-tune models on a source's translated frames; predict targets, score translations."""
         model = open_translator(self._places, self._work.settings, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
@@ -146,7 +146,7 @@ class Worker:
     def _scores(
         self, source: str, pairs: Sequence[Pair], name: str, model: Model
     ) -> list[TranslationScores]:
-        """Translate some tested presses into an archive, and score its sensors."""
+        """Translate some test presses into an archive, and score its sensors."""
         settings = self._work.settings
         if not settings.scored_presses:
             return []
@@ -178,28 +178,28 @@ class Worker:
         return scores
 
 
-# Pieces of an experiment, one after the other or several at once.
+# Execution of the tasks, sequentially or in parallel.
 #
-# A small network keeps a GPU busy for a part of the time only: the rest goes into telling it what
-# to do. Several processes fill it.
+# A small network keeps a GPU busy only part of the time; the rest is spent on launching its
+# kernels. Several processes fill the gaps.
 
 Say = Callable[[str], None]
 
 
 def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
-    """Return what all pieces give, each done after those that it needs.
+    """Execute all tasks, each after those that it depends on, and return their results.
 
     Args:
-        work: What is to be done.
-        jobs: How many pieces at once, each in a process of its own; 1: all in this one.
-        say: Called with a line for each thing that was done.
+        work: Inputs of the experiment.
+        jobs: Number of tasks at once, each in its own process; 1: all in this process.
+        say: Called with a line for each completed part.
 
     Raises:
-        LearningError: A piece that cannot be done, or for which there is no memory beside the
-            others; pieces that run meanwhile end first.
-        SessionError: A damaged archive.
-        WorkerLost: A process was killed, by a lack of memory for example.
-        KeyboardInterrupt: It was stopped; what trains saves where it is.
+        LearningError: A task failed, or there is not enough memory for it next to the others; tasks
+            that are running are completed first.
+        SessionError: The archive is corrupt.
+        WorkerLost: A process was killed, e.g. for lack of memory.
+        KeyboardInterrupt: It was stopped; trainings save their state.
     """
     if jobs == 1:
         worker = Worker(work, say)
@@ -208,11 +208,11 @@ def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
         return _done(workers, work.pieces, say)
 
 
-# Of a process of the pool.
+# State of a process of the pool.
 _worker: Worker | None = None
-# Lines since the last piece was done.
+# Lines since the last task was done.
 _said: list[str] = []
-# Ctrl-C came: pieces that this process was already given are not begun.
+# Set by Ctrl-C: tasks already assigned to this process are not begun.
 _stopped = False
 
 
@@ -236,13 +236,13 @@ def _do(piece: Piece) -> tuple[Done, list[str]]:
     except torch.OutOfMemoryError as error:
         raise LearningError(
             f"jobs: found no memory left on the device for {' '.join(piece)} beside the others; "
-            "allowed: fewer jobs (the same command goes on)"
+            "allowed: fewer jobs (repeat the command to continue)"
         ) from error
     return done, [*_said]
 
 
 def _done(pool: Workers | Executor, pieces: Mapping[Piece, Set[Piece]], say: Say) -> list[Done]:
-    """Return what pieces give, in their order; each begins when all it needs is done."""
+    """Return results of tasks in order; each task starts when its dependencies are done."""
     due, found = dict(pieces), dict[Piece, Done]()
     running: dict[Future[tuple[Done, list[str]]], Piece] = {}
     while due or running:

@@ -1,7 +1,7 @@
-"""Three-axis force from sequences of marker images: network, training, ONNX, and what it costs.
+"""Three-axis force from sequences of marker images: network, training, ONNX export, live use.
 
-`learning.force.train.train_force` makes a model, `load_force_model` opens one, and
-`learning.force.stream` steps an exported one, frame by frame, without torch.
+`learning.force.train.train_force` trains a model, `load_force_model` opens one, and
+`learning.force.stream` runs an exported one frame by frame, without torch.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Return what is named, from its module: whoever steps an exported model needs no torch."""
+    """Import a public name on demand, so that running an exported model needs no torch."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

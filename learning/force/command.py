@@ -1,4 +1,4 @@
-"""`python -m learning train-force`: presses with force labels become a model of force."""
+"""`python -m learning train-force`: train a force model on presses with force labels."""
 
 from __future__ import annotations
 
@@ -28,32 +28,32 @@ def add_to(verbs: Verbs) -> None:
     """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-force",
-        description="Learns Fx, Fy, Fz [N] from sequences of marker images of a sensor, or of a "
-        "translated one (A-to-B). Ctrl-C saves; --resume goes on as if nothing had been.",
+        description="Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
+        "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it.",
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--sensor", metavar="NAME,...", required=True, help="what is learned from")
+    parser.add_argument("--sensor", metavar="NAME,...", required=True, help="sensors to train on")
     parser.add_argument("--split", type=Path, metavar="FILE", required=True, help="split.json")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
     add_settings(
         parser,
         "half",
-        "a preset, or a YAML file of your own (half)",
+        "a preset, or your own YAML file (half)",
         example="e.g. sequences.batch=32",
     )
     parser.add_argument(
-        "--start-from", type=Path, metavar="MODEL", help="begin with the weights of this model"
+        "--start-from", type=Path, metavar="MODEL", help="start from the weights of this model"
     )
     parser.add_argument(
-        "--compensation", type=Path, metavar="FILE", help="change labels for another material"
+        "--compensation", type=Path, metavar="FILE", help="compensate labels for another material"
     )
     parser.add_argument(
-        "--pair", metavar="A-to-B", help="the compensated pair (what --sensor says, if it does)"
+        "--pair", metavar="A-to-B", help="the compensated pair (default: that of --sensor)"
     )
     parser.add_argument(
-        "--choice", default="default", metavar="NAME", help="which d0 and lambda of it (default)"
+        "--choice", default="default", metavar="NAME", help="its choice of d0 and lambda (default)"
     )
-    add_resume(parser, "go on with the run in --out")
+    add_resume(parser, "continue the run in --out")
     parser.set_defaults(run=_run)
 
 
@@ -122,7 +122,7 @@ def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) 
 
 
 def _begun_with(options: argparse.Namespace) -> list[str]:
-    """Return what else a run depends on: hashes of files, and what is taken from them."""
+    """Return the other dependencies of a run: hashes of files, and the selection in them."""
     from learning.training.checkpoint import weights_hash
 
     found = []

@@ -1,4 +1,4 @@
-"""The frames and forces of a training step, taken out of presses in memory."""
+"""Frames and forces of training steps, selected from presses in memory."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from learning.errors import LearningError
 from learning.force.model import ForceSettings, InputSettings, SequenceSettings, prepare
 from learning.training.run import generator
 
-# Which frames a training step sees. A pure function of seed, stage, epoch and step.
+# Selection of a training step's frames: a pure function of seed, stage, epoch and step.
 
-# Frames of the shortest sequence (the paper, Methods).
+# Length of the shortest sequence (the paper, Methods).
 SHORTEST = 2
 
 
@@ -26,13 +26,13 @@ class Sequences:
     """The sequences of one step, on one process."""
 
     sensor: NDArray[np.int64]
-    """Which of the sensors each is of (b,)."""
+    """Index of the sensor of each sequence (b,)."""
     rows: NDArray[np.int64]
-    """Frames (b, s) of that sensor's presses; a shorter sequence repeats its last."""
+    """Frame indices (b, s) in that sensor's presses; a shorter sequence repeats its last frame."""
     lengths: tuple[int, ...]
-    """Frames (b,) of each that count."""
+    """Number of valid frames of each sequence (b,)."""
     flips: NDArray[np.bool_]
-    """Whether columns and rows are mirrored (b, 2)."""
+    """True where columns and rows are mirrored (b, 2)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Epoch:
     """One pass over the presses of some sensors."""
 
     strings: tuple[tuple[int, NDArray[np.int64]], ...]
-    """Sensor and presses of each sequence, in the order in which they are learned from."""
+    """Sensor and presses of each sequence, in training order."""
     starts: tuple[NDArray[np.int64], ...]
     """Frames of press p of a sensor are starts[p]:starts[p + 1]."""
     settings: SequenceSettings
@@ -49,11 +49,11 @@ class Epoch:
     """Counts epochs over all stages."""
 
     def steps(self, ranks: int) -> int:
-        """Return how many steps the pass takes with so many processes."""
+        """Return the number of steps of the pass with `ranks` processes."""
         return -(-len(self.strings) // (self.settings.batch * ranks))
 
     def sequences(self, step: int, rank: int = 0, ranks: int = 1) -> Sequences:
-        """Return the sequences of a step; the last step begins the order anew to be full."""
+        """Return the sequences of a step; the last is filled up from the start of the order."""
         batch = self.settings.batch
         first = (step * ranks + rank) * batch
         chosen = [self.strings[place % len(self.strings)] for place in range(first, first + batch)]
@@ -84,13 +84,13 @@ def epoch(
     seed: int,
     number: int,
 ) -> Epoch:
-    """Return one pass over the presses of `sensors`, in an order of its own.
+    """Return one pass over the presses of `sensors` in random order.
 
     Args:
-        starts: Of every sensor (P + 1,): frames of press p are starts[p]:starts[p + 1].
-        sensors: Which of them are learned from.
-        settings: How many presses make a sequence; a few may be left over and sit this pass out.
-        seed: Of the whole training.
+        starts: Starts for every sensor (P + 1,): frames of press p are starts[p]:starts[p + 1].
+        sensors: Indices of the sensors to train on.
+        settings: Number of presses per sequence; leftover presses are skipped in this pass.
+        seed: Seed of the whole training.
         number: Counts epochs over all stages.
     """
     random = generator(seed, "force", "epoch", number)
@@ -105,10 +105,10 @@ def epoch(
 
 
 def require_form(presses: Presses, inputs: InputSettings) -> None:
-    """Refuse presses of another form than a model takes.
+    """Reject presses of another form than a model takes.
 
     Raises:
-        LearningError: Images where marker fields are wanted, or the other way round.
+        LearningError: Images instead of marker fields, or vice versa.
     """
     if presses.form != inputs.stored_form:
         raise LearningError(
@@ -118,12 +118,12 @@ def require_form(presses: Presses, inputs: InputSettings) -> None:
 
 
 def prepared_rows(presses: Presses, rows: Tensor, inputs: InputSettings) -> Tensor:
-    """Return frames (n, planes, side, side) of presses as the network takes them.
+    """Return frames (n, planes, side, side) of presses as network inputs.
 
     Args:
         presses: Images or marker fields.
-        rows: Which of their frames (n,), on the device of the presses.
-        inputs: What is to be shown.
+        rows: Frame indices (n,), on the device of the presses.
+        inputs: Settings of the network input.
     """
     references = presses.references[presses.reference[rows]] if inputs.needs_reference else None
     return prepare(presses.images[rows], references, inputs)
@@ -132,13 +132,13 @@ def prepared_rows(presses: Presses, rows: Tensor, inputs: InputSettings) -> Tens
 def frames_of(
     groups: Sequence[Presses], sequences: Sequences, inputs: InputSettings, device: torch.device
 ) -> Tensor:
-    """Return the prepared frames (b, s, planes, side, side) of a step, mirrored where it says so.
+    """Return the prepared and mirrored frames (b, s, planes, side, side) of a step.
 
     Args:
-        groups: The presses of each sensor.
-        sequences: Which frames.
-        inputs: What is to be shown.
-        device: Where they are to lie.
+        groups: Presses of each sensor.
+        sequences: Sequences of the step.
+        inputs: Settings of the network input.
+        device: Device of the result.
     """
     shown = []
     for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True):
@@ -149,12 +149,12 @@ def frames_of(
 
 
 def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) -> Tensor:
-    """Return prepared frames (..., b, s, planes, h, w), columns and rows mirrored where asked.
+    """Return prepared frames (..., b, s, planes, h, w), mirrored where requested.
 
     Args:
-        frames: Of sequences.
-        flips: Whether columns and rows of each sequence are mirrored (b, 2).
-        inputs: What the frames show.
+        frames: Frames of sequences.
+        flips: True to mirror columns and rows of each sequence (b, 2).
+        inputs: Settings of the network input.
     """
     for plane, axis in enumerate((-1, -2)):
         if not flips[:, plane].any():
@@ -170,12 +170,12 @@ def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) ->
 
 
 def signs(flips: NDArray[np.bool_], device: torch.device) -> Tensor:
-    """Return what forces (..., b, s, 3) of mirrored sequences are multiplied with (b, 1, 3).
+    """Return the signs (b, 1, 3) for forces (..., b, s, 3) of mirrored sequences.
 
     Args:
-        flips: Whether columns and rows of each sequence are mirrored (b, 2), and the shear with
-            them.
-        device: Where it is to lie.
+        flips: True where columns and rows of each sequence are mirrored (b, 2), together with the
+            shear.
+        device: Device of the result.
     """
     sign = torch.ones(len(flips), 1, 3)
     sign[:, 0, :2] = torch.where(torch.from_numpy(flips), -1.0, 1.0)
@@ -187,8 +187,8 @@ def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.devi
 
     Args:
         labels: Forces (N, 3) N of the frames of each sensor.
-        sequences: Which frames.
-        device: Where they are to lie.
+        sequences: Sequences of the step.
+        device: Device of the result.
     """
     wanted = [
         labels[sensor][torch.from_numpy(rows).to(labels[sensor].device)].to(device)
@@ -198,12 +198,12 @@ def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.devi
 
 
 def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> Tensor:
-    """Return the mean absolute error of forces (b, s, 3) over frames that count (eq. 5).
+    """Return the mean absolute error of forces (b, s, 3) over valid frames (eq. 5).
 
     Args:
-        predicted: As shares of the box of forces.
-        wanted: Likewise.
-        lengths: Frames of each sequence that count (b,); None: all.
+        predicted: Predicted forces, normalised to the force range.
+        wanted: True forces, likewise.
+        lengths: Number of valid frames of each sequence (b,); None: all.
     """
     difference = (predicted - wanted).abs()
     if lengths is None:
@@ -213,10 +213,10 @@ def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> T
     return (difference * inside[..., None]).sum() / (counts.sum() * difference.shape[2])
 
 
-# The forces that a model learns to say: labels, changed for another material, and their box.
+# Training targets: labels, optionally compensated for another material, and their range (a box).
 
-# From forces (N, 3) N, depth (N,) m and phase (N,) to forces as the target's material would give
-# them, and how many were limited: `learning.compensation` with its sensors and numbers filled in.
+# Function from forces (N, 3) N, depth (N,) m and phase (N,) to forces for the target's material and
+# the number of limited ones: `learning.compensation` with its sensors and parameters bound.
 Compensation = Callable[
     [NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]],
     tuple[NDArray[np.float64], int],
@@ -224,10 +224,10 @@ Compensation = Callable[
 
 
 def labels_of(presses: Presses, compensation: Compensation | None = None) -> Tensor:
-    """Return the forces (N, 3) N that presses are learned with, on their device.
+    """Return the training labels (N, 3) N of presses, on their device.
 
     Raises:
-        LearningError: A frame has no label, or compensation makes one that is no number.
+        LearningError: A frame has no label, or a compensated label is not finite.
     """
     presses.require_wrench()
     if compensation is None:
@@ -243,9 +243,9 @@ def labels_of(presses: Presses, compensation: Compensation | None = None) -> Ten
 
 
 def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange:
-    """Return the box of forces that a model answers in.
+    """Return the force range (a box) of a model's output.
 
-    Where images are mirrored, shear has both signs, and so has the box.
+    If images are mirrored, shear has both signs, and the box includes both.
     """
     if settings.force_range == "authors":
         return AUTHORS

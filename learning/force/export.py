@@ -1,4 +1,4 @@
-"""Writes one step of a force model as ONNX, and checks that it says what torch says."""
+"""Export one step of a force model to ONNX, and verify it against torch."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from learning.force.stream import (
     open_exported,
 )
 
-# The exported step may differ from torch by so much of the box of forces.
+# Tolerated difference of the exported step from torch, as a share of the force range.
 CLOSE = 1e-4
-# Frames that are compared, each from the state that the one before left.
+# Number of consecutive frames to compare.
 _FRAMES = 4
 
 
@@ -38,7 +38,7 @@ class OneFrame(nn.Module):
     """One step from stored frame to newtons."""
 
     def __init__(self, model: ForceModel) -> None:
-        """Step a model, whatever its precision; newtons are float32."""
+        """Wrap a model of any precision; forces in newtons are float32."""
         super().__init__()
         self.model = model
 
@@ -50,7 +50,7 @@ class OneFrame(nn.Module):
         Args:
             frame: Stored frame (n, 256, 256) uint8 or (n, 3, 32, 32) float32.
             state: State (n, channels, h, w).
-            reference: Image (n, 256, 256) uint8 of the untouched sensor, where the model needs it.
+            reference: Image (n, 256, 256) uint8 of the untouched sensor, if the model needs it.
         """
         kind = self.model.head.weight.dtype
         prepared = prepare(frame, reference, self.model.inputs)
@@ -59,12 +59,12 @@ class OneFrame(nn.Module):
 
 
 def torch_stream(predictor: ForcePredictor) -> ForceStream:
-    """Return a stream that torch answers, on the device of the predictor."""
+    """Return a stream that runs on torch, on the device of the predictor."""
     return stepped_by(OneFrame(predictor.model).eval(), predictor)
 
 
 def stepped_by(one: nn.Module, predictor: ForcePredictor) -> ForceStream:
-    """Return a stream that a module such as `OneFrame` answers."""
+    """Return a stream that runs a module such as `OneFrame`."""
 
     def step(given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         with torch.inference_mode():
@@ -85,7 +85,7 @@ def stepped_by(one: nn.Module, predictor: ForcePredictor) -> ForceStream:
 
 
 def made_up_frames(predictor: ForcePredictor, count: int, seed: int = 0) -> np.ndarray:
-    """Return frames (count, ...) as the model takes them, noise: to compare and to time by."""
+    """Return random stored frames (count, ...) for comparisons and timing."""
     random = np.random.default_rng(seed)
     shape = (count, *stored_shape(predictor.settings.input))
     if predictor.settings.input.form == "field":
@@ -94,15 +94,15 @@ def made_up_frames(predictor: ForcePredictor, count: int, seed: int = 0) -> np.n
 
 
 def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> float:
-    """Write the model's step, whole or not at all; how far it is from torch, in shares of the box.
+    """Write the model's step atomically; return its deviation from torch as a share of the box.
 
     Raises:
-        LearningError: The file is there already, or what was written differs from torch.
+        LearningError: The file already exists, or the exported model differs from torch.
     """
     out = Path(path)
     if out.exists():
         raise LearningError(f"{out}: exists; allowed: a new file")
-    # Exported and compared on the CPU; the model itself stays where it is.
+    # Export and comparison run on a CPU copy; the model stays on its device.
     predictor = ForcePredictor(copy.deepcopy(predictor.model).cpu().eval(), predictor.settings)
     model, inputs = predictor.model, predictor.settings.input
     frames = torch.from_numpy(made_up_frames(predictor, 2))
@@ -113,7 +113,7 @@ def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> floa
     out.parent.mkdir(parents=True, exist_ok=True)
     try:
         with warnings.catch_warnings():
-            # The exporter warns of its own innards; what counts is compared below.
+            # The exporter warns about internals; the result is verified below.
             warnings.simplefilter("ignore")
             logging.getLogger("torch.onnx").setLevel(logging.ERROR)
             program = torch.onnx.export(
@@ -140,7 +140,7 @@ def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> floa
 
 
 def _difference(predictor: ForcePredictor, file: Path) -> float:
-    """Return the largest difference of force over a few frames, in shares of the box."""
+    """Return the largest force difference over a few frames, as a share of the box."""
     streams = torch_stream(predictor), open_exported(file, threads=1)
     first, *frames = made_up_frames(predictor, 1 + _FRAMES)
     box = (predictor.model.high - predictor.model.low).numpy()
@@ -152,16 +152,16 @@ def _difference(predictor: ForcePredictor, file: Path) -> float:
     )
 
 
-# Convolutions of an exported model in 8-bit integers, by ONNX Runtime.
+# Quantisation of an exported model's convolutions to 8-bit integers, by ONNX Runtime.
 
 
 def quantise(exported: Path, out: Path, inputs: Iterable[Mapping[str, Any]]) -> None:
-    """Write a model whose convolutions are int8: weights by channel, activations by tensor.
+    """Quantise a model's convolutions to int8: weights per channel, activations per tensor.
 
     Args:
-        exported: The model in float.
-        out: Where the new one goes.
-        inputs: Inputs of steps, by name, that show how large activations become.
+        exported: The exported float model.
+        out: Path of the quantised model.
+        inputs: Step inputs by name, to calibrate the ranges of activations.
 
     Raises:
         LearningError: The package `onnx` is not installed.
@@ -173,7 +173,7 @@ def quantise(exported: Path, out: Path, inputs: Iterable[Mapping[str, Any]]) -> 
     reader = _reader(quantization.CalibrationDataReader, iter(inputs))
     quiet = logging.getLogger()
     level = quiet.level
-    quiet.setLevel(logging.ERROR)  # it advises to run a step first that needs another package
+    quiet.setLevel(logging.ERROR)  # it recommends a preprocessing step that needs another package
     try:
         quantization.quantize_static(
             str(exported),

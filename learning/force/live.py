@@ -1,13 +1,13 @@
-"""Force while it happens: a picture or a scan of taxels in, three axes of force out.
+"""Live prediction of three-axis force from camera pictures or taxel scans.
 
     predictor = open_live("models/force", preset_name="bench-tacpalm")
     for picture in camera:
-        found = predictor.step(picture)  # None while the untouched sensor is looked at
+        found = predictor.step(picture)  # None while the reference is being taken
 
-Each frame goes the way of the training data: markers by a preset of `learning.markers`, the image
-or the marker field that the network takes (`shown_to`), the network step by step with its memory
-carried along. The first frames must show the untouched sensor. Training sequences begin untouched
-and are short, so the memory is cleared for as long as nothing touches the sensor (`ContactRule`).
+Each frame is processed like the training data: markers by a preset of `learning.markers`, then the
+image or marker field that the network takes (`shown_to`), then a network step that keeps its state.
+The first frames must show the untouched sensor. Training sequences are short and begin untouched,
+so the state is reset while nothing touches the sensor (`ContactRule`).
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from learning.markers.frames import one_thread, taxel_masks
 from learning.markers.segment import CameraPreset, Preset, Segmenter, preset, preset_of_sensor
 from recorder.markers import pack
 
-# What a network is shown of a mask, frame after frame: its image, or its marker field.
+# Network inputs from a stream of masks: images or marker fields.
 
 Mask = NDArray[np.bool_]
 
 
 class Shown(Protocol):
-    """Makes of masks what a network takes."""
+    """Converts masks to network inputs."""
 
     @property
     def reference(self) -> NDArray[np.uint8] | None:
-        """The image of the untouched sensor, for a network that takes images."""
+        """Image of the untouched sensor, for a network that takes images."""
 
     def of(self, mask: Mask) -> NDArray[Any]:
-        """Return what is shown of the next mask (480, 640)."""
+        """Return the network input for the next mask (480, 640)."""
 
     def restart(self) -> None:
-        """Forget the frames before: the next is untouched."""
+        """Forget earlier frames; the next frame is untouched."""
 
 
 def shown_to(network: ForceStream, reference: Mask) -> Shown:
-    """Return what makes of masks what a network takes.
+    """Return the converter from masks to a network's inputs.
 
     Args:
         network: The force model.
         reference: The untouched mask (480, 640).
 
     Raises:
-        LearningError: A network of another input, or a reference without markers.
+        LearningError: The network takes other inputs, or the reference has no markers.
     """
     shape = network.inputs.frame[1:]
     if network.inputs.is_image:
@@ -68,10 +68,10 @@ def shown_to(network: ForceStream, reference: Mask) -> Shown:
 
 
 class Images:
-    """Images of 256 x 256, as training data have them."""
+    """Images of 256 x 256, as in the training data."""
 
     def __init__(self, reference: Mask) -> None:
-        """Take the untouched mask (480, 640)."""
+        """Store the untouched mask (480, 640)."""
         self.reference: NDArray[np.uint8] | None = self.of(reference)
 
     def of(self, mask: Mask) -> NDArray[np.uint8]:
@@ -80,11 +80,11 @@ class Images:
         return np.asarray(image, np.uint8)
 
     def restart(self) -> None:
-        """An image does not depend on the one before."""
+        """Do nothing, as an image does not depend on earlier ones."""
 
 
 class Fields(FieldReader):
-    """Marker fields (3, 32, 32), whose markers are followed from frame to frame."""
+    """Marker fields (3, 32, 32), with markers tracked from frame to frame."""
 
     reference: NDArray[np.uint8] | None = None
 
@@ -100,30 +100,29 @@ class Fields(FieldReader):
         self._matcher.restart()
 
 
-# Whether a sensor is touched, told from its markers: has any edge of one moved?
+# Contact detection from the motion of marker edges.
 #
-# The share of pixels in which a mask differs from the untouched one, over the length of the
-# markers' edges, is how far those edges moved on average [px]. What it is in the frames that the
-# untouched mask was taken from is the noise. Contact is above twice that and a little more; contact
-# has ended after a few frames in a row below, so that a press that passes through its untouched
-# look does not lose its history.
+# The number of pixels in which a mask differs from the untouched one, divided by the length of the
+# markers' edges, is the mean motion of those edges [px]. Its largest value in the untouched frames
+# is the noise. Contact begins above twice the noise plus a margin. It ends after several
+# consecutive frames below, so that a press that briefly looks untouched keeps its history.
 
 
 @dataclass(frozen=True, slots=True)
 class ContactRule:
-    """When a sensor counts as touched."""
+    """Thresholds for contact."""
 
     times_noise: float = 2.0
-    """Of the largest motion among the untouched frames."""
+    """Factor on the largest motion among the untouched frames."""
     least_px: float = 0.02
-    """And so much more, mean motion of the markers' edges [px of 640 x 480]."""
+    """Margin added to it, as mean motion of the markers' edges [px of 640 x 480]."""
     frames: int = 5
-    """Contact has ended after so many frames in a row below."""
+    """Number of consecutive frames below the threshold that end contact."""
     noise_px: float = 0.5
-    """Untouched frames that differ by more are not untouched."""
+    """Largest motion accepted in untouched frames [px]."""
 
     def __post_init__(self) -> None:
-        """Refuse a rule by which nothing ever ends, or all is contact."""
+        """Reject thresholds by which contact never ends, or every frame is contact."""
         if not (self.times_noise >= 1 and self.least_px > 0 and self.frames >= 1):
             raise LearningError(
                 f"contact: found {self}; allowed: times_noise 1 or more, least_px above 0, frames "
@@ -132,21 +131,21 @@ class ContactRule:
 
 
 class Contact:
-    """Follows the masks of one sensor: is it touched?"""
+    """Detects contact from the masks of one sensor."""
 
     def __init__(self, untouched: NDArray[np.bool_], rule: ContactRule | None = None) -> None:
-        """Take the untouched mask and its noise from frames without contact.
+        """Compute the untouched mask and its noise from frames without contact.
 
         Args:
             untouched: Masks (n, 480, 640), one or more.
-            rule: When it counts as touched.
+            rule: Thresholds for contact.
 
         Raises:
-            LearningError: No markers, or frames that differ too much to be untouched.
+            LearningError: There are no markers, or the frames differ too much to be untouched.
         """
         self._rule = rule or ContactRule()
         self.reference: Mask = np.asarray(2 * untouched.sum(axis=0) > len(untouched), np.bool_)
-        """What most of them show (480, 640)."""
+        """Majority of the untouched masks (480, 640)."""
         self._edge = _edge_length(self.reference)
         if not self._edge:
             raise LearningError("untouched frames: found no markers; allowed: another preset")
@@ -157,24 +156,24 @@ class Contact:
                 f"{self._rule.noise_px} px; was the sensor touched while its reference was taken?"
             )
         self.threshold_px = self._rule.times_noise * noise + self._rule.least_px
-        """Mean motion of edges above which it is touched [px]."""
+        """Mean motion of edges above which there is contact [px]."""
         self._still = self._rule.frames
         self.motion_px = 0.0
         """Mean motion of the markers' edges in the last frame [px]."""
 
     def moved(self, mask: Mask) -> float:
-        """Return how far the markers' edges lie from where they are untouched, on average [px]."""
+        """Return the mean distance of the markers' edges from their untouched positions [px]."""
         return float(np.count_nonzero(mask != self.reference)) / self._edge
 
     def step(self, mask: Mask) -> bool:
-        """Return whether the sensor is touched in the next frame (480, 640)."""
+        """Return True if the sensor is touched in the next frame (480, 640)."""
         self.motion_px = self.moved(mask)
         self._still = 0 if self.motion_px > self.threshold_px else self._still + 1
         return self._still < self._rule.frames
 
 
 def _edge_length(mask: Mask) -> int:
-    """Return the number of sides that pixels of markers share with others."""
+    """Return the number of sides between marker pixels and background pixels."""
     across = np.count_nonzero(mask[:, 1:] != mask[:, :-1])
     down = np.count_nonzero(mask[1:] != mask[:-1])
     return int(across + down)
@@ -182,38 +181,38 @@ def _edge_length(mask: Mask) -> int:
 
 Frame = NDArray[Any]
 
-# What may step a model: ONNX Runtime and OpenVINO the exported one, torch the trained one.
+# Runtimes: ONNX Runtime and OpenVINO run the exported model, torch the trained one.
 RUNTIMES = ("onnx", "openvino", "openvino-bf16", "torch")
-# Untouched frames that the reference is taken from.
+# Number of untouched frames for the reference.
 START_FRAMES = 10
 _TAXELS = (16, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class LiveForce:
-    """What one frame says."""
+    """Prediction for one frame."""
 
     force: tuple[float, float, float]
     """Fx, Fy, Fz on the sensor [N]; pressing is negative Fz."""
     contact: bool
-    """Whether the sensor is touched; if not, the force is what the network says of an untouched
+    """True if the sensor is touched; if not, the force is the network's output for an untouched
     sensor."""
     motion_px: float
     """Mean motion of the markers' edges [px of 640 x 480]."""
 
 
 class Masks(Protocol):
-    """Makes masks from what a sensor sends."""
+    """Computes masks from sensor frames."""
 
     def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return masks (n, 480, 640) of frames without contact, and remember what they are."""
+        """Return masks (n, 480, 640) of frames without contact, and store their baseline."""
 
     def mask(self, frame: Frame) -> NDArray[np.bool_]:
         """Return the mask (480, 640) of a frame."""
 
 
 class LivePredictor:
-    """Frame after frame in, force after force out."""
+    """Predicts the force of each frame of a live stream."""
 
     def __init__(
         self,
@@ -223,16 +222,16 @@ class LivePredictor:
         rule: ContactRule | None = None,
         start_frames: int = START_FRAMES,
     ) -> None:
-        """Begin before the first frame.
+        """Create a predictor without a reference.
 
         Args:
-            network: The force model, step by step.
-            chosen: How markers are found in pictures or drawn from taxels.
-            rule: When the sensor counts as touched.
-            start_frames: Untouched frames that the reference is taken from.
+            network: Stream of the force model.
+            chosen: Preset for finding markers in pictures or drawing them from taxels.
+            rule: Thresholds for contact.
+            start_frames: Number of untouched frames for the reference.
 
         Raises:
-            LearningError: No frames to begin with.
+            LearningError: `start_frames` is below 1.
         """
         if start_frames < 1:
             raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
@@ -247,17 +246,17 @@ class LivePredictor:
 
     @property
     def reference(self) -> NDArray[np.bool_] | None:
-        """The untouched mask (480, 640); None as long as it is not known."""
+        """The untouched mask (480, 640); None until it is known."""
         return None if self._contact is None else self._contact.reference
 
     def begin(self, frames: NDArray[Any]) -> None:
-        """Take the untouched sensor from frames without contact, and forget what was before.
+        """Take the reference from frames without contact, and forget all earlier frames.
 
         Args:
             frames: Pictures (n, h, w, 3) uint8, RGB, or counts of taxels (n, 16, 3).
 
         Raises:
-            LearningError: No such frames, no markers in them, or frames that are not untouched.
+            LearningError: There are no frames, they have no markers, or they are not untouched.
         """
         if not len(frames):
             raise LearningError("untouched frames: found none; allowed: one or more")
@@ -267,13 +266,13 @@ class LivePredictor:
         self._first.clear()
 
     def step(self, frame: Frame) -> LiveForce | None:
-        """Return the force of the next frame; None while the untouched sensor is looked at.
+        """Return the force of the next frame; None while the reference is being taken.
 
         Args:
             frame: Picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
 
         Raises:
-            LearningError: Another shape, no markers, or a sensor that was touched at the beginning.
+            LearningError: Another shape, no markers, or the sensor was touched at the beginning.
         """
         if self._contact is None or self._shown is None:
             self._first.append(np.array(frame))
@@ -300,19 +299,19 @@ def open_live(
     """Return the predictor of a finished force model.
 
     Args:
-        model: Its folder.
+        model: Folder of the model.
         runtime: One of `RUNTIMES`; `python -m learning export-onnx` exports a model.
-        sensor: Name of the sensor, which tells the preset.
-        preset_name: Name or YAML file of the preset, in place of that.
-        threads: Of a step; 0: what the runtime thinks best.
+        sensor: Name of the sensor, which determines the preset.
+        preset_name: Name or YAML file of the preset, instead of `sensor`.
+        threads: Number of threads; 0: default of the runtime.
 
     Raises:
-        LearningError: No such model or preset, or no preset is meant for the sensor.
+        LearningError: The model or preset does not exist, or the sensor has no preset.
     """
     chosen = preset_name or (None if sensor is None else preset_of_sensor(sensor))
     if chosen is None:
         raise LearningError(
-            f"preset: none is meant for sensor {sensor}; allowed: say one (docs/markers.md)"
+            f"preset: none is meant for sensor {sensor}; allowed: name a preset (docs/markers.md)"
         )
     one_thread()
     return LivePredictor(_stream(model, runtime, threads), preset(chosen))
@@ -337,7 +336,7 @@ def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceS
 
 
 class _PictureMasks:
-    """Markers in pictures of a camera."""
+    """Masks of camera pictures."""
 
     def __init__(self, chosen: CameraPreset) -> None:
         self._segmenter = Segmenter(chosen)
@@ -352,7 +351,7 @@ class _PictureMasks:
 
 
 class _TaxelMasks:
-    """Discs of taxels, whose counts are relative to the mean of the untouched ones."""
+    """Masks of taxel counts: discs, relative to the mean of the untouched counts."""
 
     def __init__(self, chosen: Preset) -> None:
         if isinstance(chosen, CameraPreset):

@@ -16,65 +16,65 @@ from learning.data.presses import ForceRange
 from learning.errors import LearningError
 from learning.training.run import LaunchSettings
 
-# What a force model is made of and how it is trained: the keys of the presets.
+# Settings of a force model and its training: the keys of the presets.
 
-# The presets that are shipped.
+# Presets shipped with the package.
 PRESETS = Path(__file__).parent / "presets"
-# Marker fields are sampled at so many places along either axis.
+# Number of samples of a marker field along either axis.
 FIELD_SIDE = 32
 _SIDES = (256, 128, 64, 32)
 
 
 @dataclass(frozen=True, slots=True)
 class InputSettings:
-    """What the network is shown of a frame."""
+    """Network input computed from a frame."""
 
     form: Literal["image", "difference", "both", "field"] = "both"
-    """The image, the image less the untouched one, image and difference as two channels, or the
-    marker field (dx, dy, change of log area) that was measured in it."""
+    """The image, the image minus the untouched one, image and difference as two channels, or the
+    measured marker field (dx, dy, change of log area)."""
     side_px: int = 256
-    """Images are averaged down to this side; fields have their own."""
+    """Side to which images are averaged down; fields have a fixed side."""
     channels: int = 1
-    """3 repeats a single channel, as nets made for colour want it."""
+    """3 repeats a single channel for networks that take colour images."""
     imagenet: bool = False
-    """Whether the statistics of ImageNet are taken off (the paper, Methods)."""
+    """True to normalise by the statistics of ImageNet (the paper, Methods)."""
     marker_value: float = 1.0
-    """What a marker is worth before that; authors' code feeds 1/255 for homogeneous sensors."""
+    """Value of a marker before normalisation; authors' code: 1/255 for homogeneous sensors."""
     field_scale_px: float = 10.0
-    """Displacements are divided by this [px of the 640 x 480 image]."""
+    """Divisor of displacements [px of the 640 x 480 image]."""
 
     def __post_init__(self) -> None:
-        """Refuse what no network here can be made for."""
+        """Reject inputs that no network supports."""
         if self.side_px not in _SIDES:
             allowed = ", ".join(map(str, _SIDES))
             raise LearningError(f"side_px: found {self.side_px}; allowed: {allowed}")
         if self.channels not in (1, 3) or (self.channels == 3 and self.form not in _SINGLE):
             single = " or ".join(_SINGLE)
             raise LearningError(
-                f"channels: found {self.channels}; allowed: 1, or 3 where form is {single}"
+                f"channels: found {self.channels}; allowed: 1, or 3 if form is {single}"
             )
         if self.imagenet and self.channels != 3:
-            raise LearningError("imagenet: found true; allowed: where channels is 3")
+            raise LearningError("imagenet: found true; allowed: only if channels is 3")
         _positive(self, "marker_value", "field_scale_px")
 
     @property
     def stored_form(self) -> Literal["images", "field"]:
-        """What presses in memory have to hold."""
+        """Required form of presses in memory."""
         return "field" if self.form == "field" else "images"
 
     @property
     def planes(self) -> int:
-        """Number of channels that the network takes."""
+        """Number of input channels of the network."""
         return {"both": 2, "field": 3}.get(self.form, self.channels)
 
     @property
     def side(self) -> int:
-        """Side of what the network takes [px or lattice points]."""
+        """Side of the network's input [px or lattice points]."""
         return FIELD_SIDE if self.form == "field" else self.side_px
 
     @property
     def needs_reference(self) -> bool:
-        """Whether the untouched image is needed beside a frame."""
+        """True if the untouched image is needed in addition to a frame."""
         return self.form in ("difference", "both")
 
 
@@ -83,23 +83,23 @@ _SINGLE = ("image", "difference")
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """Widths and norms; as they stand they are the paper's (Methods, force prediction model)."""
+    """Widths and norms; the defaults are the paper's (Methods, force prediction model)."""
 
     encoder: tuple[int, int, int] = (64, 96, 128)
     """Channels at 1/2, 1/4 and 1/8 of the side."""
     blocks: int = 2
-    """Residual blocks of each of these stages."""
+    """Number of residual blocks in each of these stages."""
     memory: int = 128
     """Channels of the hidden state of the convolutional GRU."""
     tail: tuple[int, int] = (256, 512)
-    """Channels of the two residual blocks behind it, each of which halves the side."""
+    """Channels of the two residual blocks after it, each of which halves the side."""
     encoder_norm: Literal["instance", "batch", "group", "none"] = "instance"
     tail_norm: Literal["batch", "group", "none"] = "batch"
     dropout: float = 0.0
-    """Share of the encoder's channels that is left out while training."""
+    """Share of the encoder's channels dropped during training."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built."""
+        """Reject a network that cannot be built."""
         widths = (*self.encoder, self.memory, *self.tail)
         if min(widths) < 4 or any(width % 4 for width in widths):
             raise LearningError(f"encoder, memory, tail: found {widths}; allowed: multiples of 4")
@@ -115,54 +115,54 @@ class StageSettings:
     epochs: int
     learning_rate: float
     schedule: Literal["constant", "cosine", "authors"] = "constant"
-    """Constant; half a cosine down to nothing; or (1 + 3e-4 step)^-0.75 (authors' code)."""
+    """Constant; half a cosine down to 0; or (1 + 3e-4 step)^-0.75 (authors' code)."""
     warm_up_steps: int = 0
-    """Steps over which the rate first rises from nothing."""
+    """Number of steps over which the rate first rises from 0."""
     one_sensor: bool = False
-    """Whether only one sensor, drawn by the seed, is learned from (the paper's first stage)."""
+    """True to train on only one sensor, drawn by the seed (the paper's first stage)."""
 
     def __post_init__(self) -> None:
-        """Refuse a stage in which nothing happens."""
+        """Reject a stage without training, or invalid values."""
         _positive(self, "epochs", "learning_rate")
         if self.warm_up_steps < 0:
-            raise LearningError(f"warm_up_steps: found {self.warm_up_steps}; allowed: 0 and more")
+            raise LearningError(f"warm_up_steps: found {self.warm_up_steps}; allowed: 0 or more")
 
 
 @dataclass(frozen=True, slots=True)
 class OptimiserSettings:
-    """How weights are moved."""
+    """Optimiser of the weights."""
 
     name: Literal["sgd", "adamw"] = "adamw"
     momentum: float = 0.9
-    """Of SGD."""
+    """Momentum of SGD."""
     weight_decay: float = 1e-2
     clip: float | None = 1.0
-    """Largest norm of a gradient; none: as it comes."""
+    """Gradient norm above which gradients are clipped; none: no clipping."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceSettings:
-    """What a training sequence is."""
+    """Training sequences."""
 
     batch: int = 8
-    """Sequences of a step on each GPU."""
+    """Batch size on each GPU."""
     lengths: Literal["random", "whole"] = "random"
-    """Random: from the first frame on, 2 frames to all of them (the paper, Methods)."""
+    """Random: from the first frame, a length of 2 frames to all (the paper, Methods)."""
     padding: Literal["masked", "last_frame"] = "masked"
-    """Whether what follows a shorter sequence counts: its last frame again (authors' code)."""
+    """Frames after a shorter sequence: masked, or its last frame repeated (authors' code)."""
     presses: int = 1
-    """Presses of one sensor that are strung together in a sequence."""
+    """Number of presses of one sensor that form a sequence."""
     truncate_frames: int | None = None
-    """Gradients reach back no further than the last multiple of this; none: to the beginning."""
+    """Interval at which backpropagation through time is truncated; none: not truncated."""
     flips: bool = False
-    """Whether images are mirrored at random, and the shear with them."""
+    """True to mirror images at random, together with the shear."""
 
     def __post_init__(self) -> None:
-        """Refuse empty sequences."""
+        """Reject empty sequences."""
         _positive(self, "batch", "presses")
         if self.truncate_frames is not None and self.truncate_frames < 1:
             found = self.truncate_frames
-            raise LearningError(f"truncate_frames: found {found}; allowed: 1 and more, or none")
+            raise LearningError(f"truncate_frames: found {found}; allowed: 1 or more, or none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,32 +176,32 @@ class ForceSettings:
     optimiser: OptimiserSettings
     sequences: SequenceSettings
     force_range: Literal["training", "authors"] = "training"
-    """The box of forces that the sigmoid spans: of the training labels, or authors' code's."""
+    """Force range (a box) that the sigmoid spans: of the training labels, or of authors' code."""
     range_margin: float = 0.0
-    """Share of its length by which that box is longer at either end: a sigmoid never quite reaches
-    its own."""
+    """Share of its length by which the box is extended at either end, because a sigmoid never
+    reaches its limits."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Device and precision of training."""
+    """Devices and precision of training."""
     ema: float | None = None
-    """Decay of the average of the weights that is kept instead of the last; none: the last."""
+    """Decay of the running average of weights, which is the model; none: the last weights are."""
     start_at_mean: bool = True
-    """Whether the untrained model says the mean label, rather than the middle of the box."""
+    """True if the untrained model predicts the mean label, False if the centre of the box."""
     patience_epochs: int | None = 10
-    """Validations without a better one, after which a stage ends; none: it never does."""
+    """Number of validations without improvement after which a stage ends; none: no early end."""
     validate_every_epochs: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse training without stages."""
+        """Reject training without stages, or invalid values."""
         if not self.stages:
-            raise LearningError("stages: found none; allowed: one and more")
+            raise LearningError("stages: found none; allowed: one or more")
         if self.ema is not None and not 0.0 < self.ema < 1.0:
             raise LearningError(f"ema: found {self.ema}; allowed: between 0 and 1, or none")
         if self.patience_epochs is not None and self.patience_epochs < 1:
             found = self.patience_epochs
-            raise LearningError(f"patience_epochs: found {found}; allowed: 1 and more, or none")
+            raise LearningError(f"patience_epochs: found {found}; allowed: 1 or more, or none")
         if self.range_margin < 0.0:
-            raise LearningError(f"range_margin: found {self.range_margin}; allowed: 0 and more")
+            raise LearningError(f"range_margin: found {self.range_margin}; allowed: 0 or more")
         _positive(self, "validate_every_epochs")
 
 
@@ -213,12 +213,12 @@ def _positive(settings: object, *names: str) -> None:
 
 # Parts of the force model: residual blocks, encoders and the convolutional GRU.
 
-# Channels that group norm pools; all widths are multiples of it.
+# Channels per group of a group norm; all widths are multiples of it.
 _GROUP = 4
 
 
 def norm(kind: str, channels: int) -> nn.Module:
-    """Return a normalisation: instance, batch, group or none."""
+    """Return a normalisation layer: instance, batch, group or none."""
     if kind == "instance":
         return nn.InstanceNorm2d(channels)
     if kind == "batch":
@@ -229,10 +229,10 @@ def norm(kind: str, channels: int) -> nn.Module:
 
 
 class EncoderBlock(nn.Module):
-    """A residual block as in RAFT: its branch ends in a ReLU of its own."""
+    """A residual block as in RAFT, whose branch ends in a separate ReLU."""
 
     def __init__(self, before: int, after: int, *, stride: int, kind: str) -> None:
-        """Make the block; it halves the side where the stride is 2."""
+        """Build the block; a stride of 2 halves the side."""
         super().__init__()
         self.branch = nn.Sequential(
             nn.Conv2d(before, after, 3, stride=stride, padding=1),
@@ -252,10 +252,10 @@ class EncoderBlock(nn.Module):
 
 
 class TailBlock(nn.Module):
-    """A residual block as in ResNet-18, which halves the side."""
+    """A residual block as in ResNet-18 that halves the side."""
 
     def __init__(self, before: int, after: int, *, kind: str) -> None:
-        """Make the block."""
+        """Build the block."""
         super().__init__()
         bias = kind == "none"
         self.branch = nn.Sequential(
@@ -275,7 +275,7 @@ class TailBlock(nn.Module):
 
 
 def image_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
-    """Return what turns images (n, planes, h, w) into features (n, last width, h / 8, w / 8).
+    """Return the encoder of images (n, planes, h, w) into features (n, last width, h / 8, w / 8).
 
     RAFT's encoder (the paper, Methods; authors' code): 7 x 7 convolution, three stages of residual
     blocks, of which the second and third halve the side, 1 x 1 convolution.
@@ -298,9 +298,9 @@ def image_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
 
 
 def field_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
-    """Return what turns fields (n, planes, h, w) into features (n, last width, h / 2, w / 2).
+    """Return the encoder of fields (n, planes, h, w) into features (n, last width, h / 2, w / 2).
 
-    Fields are smooth, so half of their lattice keeps what they say.
+    Fields are smooth, so half their resolution is sufficient.
     """
     first, second, last = settings.encoder
     kind = settings.encoder_norm
@@ -314,7 +314,7 @@ def field_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
 
 
 def encoder(settings: NetworkSettings, inputs: InputSettings) -> nn.Sequential:
-    """Return the encoder that an input asks for."""
+    """Return the encoder for an input form."""
     make = field_encoder if inputs.form == "field" else image_encoder
     return make(settings, inputs.planes)
 
@@ -323,14 +323,14 @@ class ConvGru(nn.Module):
     """A gated recurrent unit whose weights are 3 x 3 convolutions (the paper, Methods)."""
 
     def __init__(self, planes: int, hidden: int) -> None:
-        """Make the unit for inputs of `planes` channels."""
+        """Build the unit for inputs of `planes` channels."""
         super().__init__()
         self.hidden = hidden
         self.gates = nn.Conv2d(hidden + planes, 2 * hidden, 3, padding=1)
         self.candidate = nn.Conv2d(hidden + planes, hidden, 3, padding=1)
 
     def forward(self, features: Tensor, state: Tensor) -> Tensor:
-        """Return the next state (n, hidden, h, w) of features (n, planes, h, w)."""
+        """Return the next state (n, hidden, h, w) for features (n, planes, h, w)."""
         gates = torch.sigmoid(self.gates(torch.cat((state, features), dim=1)))
         update, reset = gates.chunk(2, dim=1)
         candidate = torch.tanh(self.candidate(torch.cat((reset * state, features), dim=1)))
@@ -338,22 +338,22 @@ class ConvGru(nn.Module):
 
 
 AXES = ("Fx", "Fy", "Fz")
-# The untrained model stays so far from the ends of the sigmoid.
+# Minimum distance of the untrained model's output from the ends of the sigmoid.
 _NEAREST = 1e-3
 
 
 class ForceModel(nn.Module):
-    """From frames to three-axis force, with a memory for what was before.
+    """Recurrent network from frames to three-axis force.
 
-    Forces are shares of the box of forces, 0 to 1; `newtons` turns them into N. The box is part of
-    the weights, so that it is stored with them.
+    Outputs are forces normalised to the force range (a box), 0 to 1; `newtons` converts them to N.
+    The box is a buffer, so it is stored with the weights.
     """
 
     low: Tensor
     high: Tensor
 
     def __init__(self, network: NetworkSettings, inputs: InputSettings) -> None:
-        """Make the model; convolutions begin as Kaiming has them, norms constant (Methods)."""
+        """Build the model; convolutions start with Kaiming weights, norms constant (Methods)."""
         super().__init__()
         self.inputs = inputs
         self.encoder = encoder(network, inputs)
@@ -374,12 +374,12 @@ class ForceModel(nn.Module):
 
     @property
     def state_shape(self) -> tuple[int, int, int]:
-        """Shape (channels, h, w) of the state of one sequence."""
+        """Shape (channels, h, w) of the hidden state of one sequence."""
         side = self.inputs.side // (2 if self.inputs.form == "field" else 8)
         return self.memory.hidden, side, side
 
     def untouched(self, batch: int) -> Tensor:
-        """Return the state (batch, channels, h, w) before anything was seen."""
+        """Return the initial state (batch, channels, h, w)."""
         return self.head.weight.new_zeros(batch, *self.state_shape)
 
     def forward(
@@ -392,14 +392,14 @@ class ForceModel(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Return forces (b, s, 3), 0 to 1, and the state after the last frame of each sequence.
 
-        What comes after a sequence's length is neither computed nor counted: its forces are 0, and
-        it changes no statistic of a norm and no gradient.
+        Frames beyond a sequence's length are not computed: their forces are 0, and they affect
+        neither the statistics of norms nor gradients.
 
         Args:
             frames: Prepared frames (b, s, planes, h, w).
-            state: What the sequences before ended with (b, channels, h, w); None: untouched.
-            lengths: Frames of each sequence (b,); None: all.
-            truncate: Gradients stop at frames whose number is a multiple of this.
+            state: Final state of the preceding sequences (b, channels, h, w); None: initial state.
+            lengths: Number of frames of each sequence (b,); None: all.
+            truncate: Gradients stop at frames whose index is a multiple of this.
         """
         batch, steps = frames.shape[:2]
         length = [steps] * batch if lengths is None else lengths
@@ -426,9 +426,9 @@ class ForceModel(nn.Module):
         return forces, hidden[back]
 
     def step(self, frame: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return force (b, 3), 0 to 1, and state after one more prepared frame (b, planes, h, w).
+        """Return force (b, 3), 0 to 1, and state after the next prepared frame (b, planes, h, w).
 
-        Frame after frame this is the same as `forward` on the sequence, in evaluation mode.
+        In evaluation mode, repeated steps equal `forward` on the sequence.
         """
         features = self.encoder(frame)
         before = self.untouched(len(frame)).to(features.dtype) if state is None else state
@@ -436,31 +436,31 @@ class ForceModel(nn.Module):
         return torch.sigmoid(self.head(self.tail(after)).float()), after
 
     def set_range(self, box: ForceRange) -> None:
-        """Set the box of forces that 0 and 1 stand for."""
+        """Set the force range that 0 and 1 correspond to."""
         self.low.copy_(self.low.new_tensor(box.low))
         self.high.copy_(self.high.new_tensor(box.high))
 
     def newtons(self, shares: Tensor) -> Tensor:
-        """Return forces (..., 3) N of shares of the box."""
+        """Convert forces normalised to the box to forces (..., 3) N."""
         return self.low + shares * (self.high - self.low)
 
     def shares(self, forces: Tensor) -> Tensor:
-        """Return shares of the box of forces (..., 3) N."""
+        """Normalise forces (..., 3) N to the box."""
         return (forces - self.low) / (self.high - self.low)
 
     def start_at(self, mean: Tensor) -> None:
-        """Let the untrained model say a force (3,), given as shares of the box."""
+        """Let the untrained model predict a force (3,), normalised to the box."""
         near = mean.clamp(_NEAREST, 1.0 - _NEAREST)
         with torch.no_grad():
             self.head.bias.copy_(torch.logit(near))
             self.head.weight.normal_(std=1.0 / (10.0 * math.sqrt(self.head.in_features)))
 
 
-# What is stored of a frame becomes what the network takes; part of the exported graph as well.
+# Conversion of stored frames to network inputs; also part of the exported graph.
 
 # Side of stored images [px].
 STORED_SIDE = 256
-# Of ImageNet's red, green and blue (the paper, Methods).
+# Statistics of ImageNet's red, green and blue (the paper, Methods).
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -472,16 +472,16 @@ def stored_shape(inputs: InputSettings) -> tuple[int, ...]:
 
 
 def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) -> Tensor:
-    """Return what the network takes (n, planes, side, side), float.
+    """Convert stored frames to network inputs (n, planes, side, side), float.
 
     Args:
         frames: Images (n, 256, 256) uint8, or marker fields (n, 3, 32, 32) float: dx, dy [px of
             the 640 x 480 image] and the change of the logarithm of a marker's area.
-        references: Images of the untouched sensor (n, 256, 256) uint8, where the form needs them.
-        inputs: What is to be shown.
+        references: Images of the untouched sensor (n, 256, 256) uint8, if the form needs them.
+        inputs: Settings of the network input.
 
     Raises:
-        LearningError: Frames of another shape or type, or a reference is missing.
+        LearningError: Frames have another shape or type, or a reference is missing.
     """
     require_stored(frames, inputs, "frames")
     if inputs.form == "field":
@@ -506,7 +506,7 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
 
 
 def require_stored(frames: Tensor, inputs: InputSettings, name: str) -> None:
-    """Refuse frames that are not stored as the input has them.
+    """Reject frames that are not in the stored form of an input.
 
     Raises:
         LearningError: Another shape or type.
@@ -516,7 +516,7 @@ def require_stored(frames: Tensor, inputs: InputSettings, name: str) -> None:
     if tuple(frames.shape[1:]) != expected or frames.dtype != kind:
         found = f"{tuple(frames.shape)} {str(frames.dtype).removeprefix('torch.')}"
         allowed = f"(n, {', '.join(map(str, expected))}) {str(kind).removeprefix('torch.')}"
-        raise LearningError(f"{name}: found {found}; allowed: {allowed}, as {inputs.form} has it")
+        raise LearningError(f"{name}: found {found}; allowed: {allowed}, for input {inputs.form}")
 
 
 def _reduced(images: Tensor, inputs: InputSettings) -> Tensor:

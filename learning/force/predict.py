@@ -1,4 +1,4 @@
-"""A trained force model: opened from its folder, it predicts the forces of presses."""
+"""Prediction of the forces of presses by a trained force model."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from learning.force.model import PRESETS, ForceModel, ForceSettings
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import seed_torch
 
-# What the folder of a force model calls itself.
+# Kind of a force model's folder.
 KIND = "force"
-# Presses that are stepped through at once, by type of device.
+# Number of presses predicted at once, by type of device.
 _TOGETHER = {"cpu": 8, "cuda": 128}
 
 Progress = Callable[[int, int], None]
@@ -29,27 +29,27 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForcePredictor:
-    """A force model that is no longer trained."""
+    """A trained force model."""
 
     model: ForceModel
     settings: ForceSettings
 
     @property
     def device(self) -> torch.device:
-        """Where the model lies."""
+        """Device of the model."""
         return self.model.low.device
 
     def predict(
         self, presses: Presses, *, progress: Progress = lambda done, total: None
     ) -> NDArray[np.float64]:
-        """Return forces (N, 3) N of all frames, every press from the untouched state.
+        """Return forces (N, 3) N of all frames; every press starts from the initial state.
 
         Args:
-            presses: Images, or marker fields where the model takes those.
-            progress: Called with frames done and frames there are.
+            presses: Images, or marker fields if the model takes those.
+            progress: Called with the number of frames done and the total.
 
         Raises:
-            LearningError: Presses of another form than the model's.
+            LearningError: The presses have another form than the model takes.
         """
         shares = predicted_shares(self.model, presses, progress=progress)
         forces: NDArray[np.float64] = self.model.newtons(shares).double().cpu().numpy()
@@ -60,12 +60,12 @@ class ForcePredictor:
 def predicted_shares(
     model: ForceModel, presses: Presses, *, progress: Progress = lambda done, total: None
 ) -> Tensor:
-    """Return what a model says of all frames (N, 3), 0 to 1, on its device.
+    """Return a model's outputs (N, 3), 0 to 1, for all frames, on its device.
 
-    Presses are stepped through side by side, so that memory holds one frame of each.
+    Presses are processed in parallel frame by frame, so that memory holds one frame of each.
 
     Raises:
-        LearningError: Presses of another form than the model's.
+        LearningError: The presses have another form than the model takes.
     """
     require_form(presses, model.inputs)
     training, device = model.training, model.low.device
@@ -76,7 +76,7 @@ def predicted_shares(
     for group in lengths.argsort(descending=True, stable=True).split(_TOGETHER[device.type]):
         state = model.untouched(len(group))
         for time in range(int(lengths[group].max())):
-            # The longest come first, so that those that have ended are at the end.
+            # Sorted by descending length, so finished presses are at the end.
             running = group[lengths[group] > time]
             rows = (starts[running] + time).to(presses.device)
             frames = prepared_rows(presses, rows, model.inputs).to(device)
@@ -91,10 +91,10 @@ def predicted_shares(
 def load_force_model(
     folder: str | os.PathLike[str], device: str | torch.device = "cpu"
 ) -> ForcePredictor:
-    """Return the model of a finished run.
+    """Load the model of a finished run.
 
     Raises:
-        LearningError: Not such a folder, a model of another kind, or weights that do not fit it.
+        LearningError: Not such a folder, a model of another kind, or weights that do not fit.
     """
     found = read_model_folder(Path(folder), KIND)
     settings = found.settings(ForceSettings)
@@ -104,10 +104,10 @@ def load_force_model(
 
 
 def untrained(preset: str, device: str | torch.device = "cpu") -> ForcePredictor:
-    """Return a model of a preset with random weights; its box of forces is the authors'.
+    """Return a model of a preset with random weights and the authors' force range.
 
     Raises:
-        LearningError: No such preset.
+        LearningError: The preset does not exist.
     """
     settings = read_settings(ForceSettings, PRESETS, preset)
     seed_torch(settings.seed, "force", "weights")

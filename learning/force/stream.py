@@ -1,8 +1,8 @@
-"""Forces of a stream of frames, by whatever runs the model; needs no torch.
+"""Forces of a stream of frames by an exported model on any runtime; needs no torch.
 
-An exported model is one step: frame, state and, where it needs one, the untouched image in; force
-in newtons and the next state out. It takes frames as they are stored, so that nothing has to be
-prepared outside of it.
+An exported model is one step: it takes a frame, the state and, if needed, the untouched image, and
+returns the force in newtons and the next state. It takes stored frames, so that no preprocessing is
+needed outside of it.
 """
 
 from __future__ import annotations
@@ -18,48 +18,48 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 
+# Names of the inputs and outputs of a step.
 FRAME, STATE, REFERENCE = "frame", "state", "reference"
-# Names of what goes into a step and comes out of it.
 FORCE, AFTER = "force", "state_after"
-# What can run an exported model.
+# Runtimes for an exported model.
 RUNTIMES = ("onnxruntime", "openvino")
 
 Array = NDArray[Any]
-# Runs one step: inputs by name, then force (1, 3) N and state (1, c, h, w).
+# Function that runs one step: inputs by name to force (1, 3) N and state (1, c, h, w).
 Step = Callable[[Mapping[str, Array]], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, slots=True)
 class StepInputs:
-    """What a step takes."""
+    """Inputs of a step."""
 
     frame: tuple[int, ...]
     """Shape (1, ...) of a frame: an image (256, 256) uint8 or a marker field (3, 32, 32)."""
     is_image: bool
-    """Images are uint8, marker fields float32."""
+    """True for images, which are uint8; marker fields are float32."""
     state: tuple[int, ...]
     """Shape (1, c, h, w) of the state, float32."""
     needs_reference: bool
-    """Whether it is told the image of the untouched sensor."""
+    """True if the image of the untouched sensor is an input."""
 
 
 class ForceStream:
-    """Frame after frame in, force after force out; the state is carried."""
+    """Predicts the force of each frame of a stream and keeps the state between frames."""
 
     def __init__(self, step: Step, inputs: StepInputs) -> None:
-        """Begin untouched; `reset` says the reference where one is needed."""
+        """Start from the initial state; `reset` sets the reference if one is needed."""
         self._step, self.inputs = step, inputs
         self._reference: Array | None = None
         self._state = np.zeros(inputs.state, np.float32)
 
     def reset(self, reference: Array | None = None) -> None:
-        """Forget what was seen, as at no contact; a reference given replaces the one there was.
+        """Reset the state, as at no contact, and optionally replace the reference.
 
         Args:
             reference: Image (256, 256) uint8 of the untouched sensor.
 
         Raises:
-            LearningError: Of another shape or type.
+            LearningError: The reference has another shape or type.
         """
         if reference is not None:
             self._reference = self._checked(reference, REFERENCE)
@@ -72,27 +72,27 @@ class ForceStream:
             frame: Image (256, 256) uint8, or marker field (3, 32, 32) float32.
 
         Raises:
-            LearningError: Of another shape or type, or the reference is still missing.
+            LearningError: The frame has another shape or type, or the reference is missing.
         """
         force, self._state = self._step(self.given(frame))
         return np.asarray(force[0], np.float64)
 
     def given(self, frame: Array) -> dict[str, Array]:
-        """Return by name what the next step takes, without taking it.
+        """Return the inputs of the next step by name, without running it.
 
         Raises:
-            LearningError: A frame of another shape or type, or the reference is still missing.
+            LearningError: The frame has another shape or type, or the reference is missing.
         """
         inputs = {FRAME: self._checked(frame, FRAME), STATE: self._state}
         if self.inputs.needs_reference:
             if self._reference is None:
-                raise LearningError("reference: missing; reset(reference) says the untouched image")
+                raise LearningError("reference: missing; pass the untouched image to reset()")
             inputs[REFERENCE] = self._reference
         return inputs
 
     @property
     def state(self) -> NDArray[np.float32]:
-        """The state (1, c, h, w) after the last frame."""
+        """State (1, c, h, w) after the last frame."""
         return self._state
 
     def _checked(self, frame: Array, name: str) -> Array:
@@ -110,17 +110,17 @@ def open_exported(
     threads: int = 0,
     bf16: bool = False,
 ) -> ForceStream:
-    """Return a stream that an exported model answers.
+    """Return a stream that runs an exported model.
 
     Args:
         path: `model.onnx`, or the folder of a model that has one.
         runtime: One of `RUNTIMES`.
-        threads: Threads of a step; 0: what the runtime thinks best.
-        bf16: Whether numbers may be bfloat16 inside; OpenVINO can.
+        threads: Number of threads; 0: default of the runtime.
+        bf16: True to allow bfloat16 inside; OpenVINO only.
 
     Raises:
-        LearningError: No such file or runtime, not a model of this kind, or the runtime is not
-            installed.
+        LearningError: The file or runtime does not exist, the model is of another kind, or the
+            runtime is not installed.
     """
     file = Path(path)
     file = file / "model.onnx" if file.is_dir() else file
@@ -139,14 +139,14 @@ def _onnxruntime(file: Path, threads: int) -> ForceStream:
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
-    # Threads that spin between frames would take the cores from whoever reads the camera.
+    # Threads that spin between frames would take cores from the camera reader.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         session = onnxruntime.InferenceSession(
             str(file), options, providers=["CPUExecutionProvider"]
         )
-    except Exception as error:  # every kind of bad file is an exception class of its own there
-        raise LearningError(f"{file}: not an ONNX model that runs: {error}") from error
+    except Exception as error:  # each kind of invalid file raises another class there
+        raise LearningError(f"{file}: cannot be loaded as an ONNX model: {error}") from error
     shapes = {given.name: tuple(given.shape) for given in session.get_inputs()}
     images = {given.name for given in session.get_inputs() if given.type == "tensor(uint8)"}
     inputs = _inputs(file, shapes, images)
@@ -167,7 +167,7 @@ def _openvino(file: Path, threads: int, bf16: bool) -> ForceStream:
     try:
         model = core.read_model(str(file))
     except RuntimeError as error:
-        raise LearningError(f"{file}: not an ONNX model that runs: {error}") from error
+        raise LearningError(f"{file}: cannot be loaded as an ONNX model: {error}") from error
     wanted: dict[str, Any] = {
         "PERFORMANCE_HINT": "LATENCY",
         "INFERENCE_PRECISION_HINT": "bf16" if bf16 else "f32",

@@ -1,10 +1,10 @@
-"""Trains a force model: data, model, loop, evaluation, from top to bottom.
+"""Training of a force model: data, model, loop, evaluation, from top to bottom.
 
     python -m learning train-force X.markers.zarr --sensor array-i --split split.json --out run
     torchrun --nproc-per-node 4 -m learning train-force ... --preset paper
 
-`train_force` works on presses in memory and can do without a run folder, so that a table of many
-sensor pairs calls it pair after pair.
+`train_force` takes presses in memory and does not require a run folder, so that it can be called
+repeatedly for a table of many sensor pairs.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Course:
-    """How far training has come."""
+    """Progress of a training."""
 
     stage: int = 0
     epoch: int = 0
@@ -58,15 +58,15 @@ class Course:
     step: int = 0
     """Within the epoch."""
     summed: float = 0.0
-    """Losses of the epoch's steps."""
+    """Sum of the losses of the epoch's steps."""
     epochs: int = 0
-    """Over all stages."""
+    """Epochs over all stages."""
     steps: int = 0
-    """Likewise."""
+    """Steps over all stages."""
     best: float = math.inf
-    """Smallest validation error of the stage, in shares of the box of forces."""
+    """Smallest validation error of the stage, normalised to the force range."""
     waited: int = 0
-    """Validations since then."""
+    """Validations since the best one."""
 
 
 def train_force(
@@ -81,30 +81,32 @@ def train_force(
     stopped: Callable[[], bool] = lambda: False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ForcePredictor:
-    """Return a trained force model.
+    """Train a force model and return it.
 
     Args:
-        presses: What is learned from, of one sensor or of several. They stay where they are, so
-            whoever has them on the GPU saves the way there.
-        settings: The model and how it is trained.
-        run: Where log, checkpoints and model go, and what is gone on with; None: nothing is stored.
-        validation: Presses that tell when a stage ends, and which of its weights are kept.
-        start_from: A model with the same network, whose weights are begun with.
-        compensation: Changes all labels, before the box of forces is taken.
-        accelerator: Devices and precision; None: what the settings launch.
-        stopped: Asked before every step. If so training is saved and the model is as it is then.
-        progress: Called with steps done and the most there may be.
+        presses: Training presses of one or several sensors. They stay on their device; presses on
+            the GPU avoid a copy at every step.
+        settings: Settings of the model and its training.
+        run: Folder for log, checkpoints and model, from which training resumes; None: nothing is
+            stored.
+        validation: Presses that determine the end of a stage and the weights to keep.
+        start_from: A model with the same network, for the initial weights.
+        compensation: Changes all labels, before the force range is computed.
+        accelerator: Devices and precision; None: from the settings.
+        stopped: Called before every step; if it returns True, training is saved and the current
+            model is returned.
+        progress: Called with the number of steps done and the largest possible total.
 
     Raises:
-        LearningError: Presses without labels or of the wrong form, a network that `start_from` does
-            not fit, or a loss that is no number.
+        LearningError: Presses have no labels or the wrong form, `start_from` has another network,
+            or a loss is not finite.
     """
     # Data
     groups, held = _groups(presses), _groups(validation)
     for each in (*groups, *held):
         require_form(each, settings.input)
     if not groups or not all(len(each) for each in groups):
-        raise LearningError("presses: found none of a sensor; allowed: one and more of each")
+        raise LearningError("presses: found none of a sensor; allowed: one or more of each")
     labels = [labels_of(each, compensation) for each in groups]
     wanted = [labels_of(each, compensation) for each in held]
 
@@ -156,8 +158,8 @@ def train_force(
         course.summed = float(summed)
         if not math.isfinite(course.summed):
             raise LearningError(
-                f"loss: found {course.summed} within {course.steps} steps; allowed: a finite one, "
-                "as a smaller learning_rate may give"
+                f"loss: found {course.summed} within {course.steps} steps; allowed: finite "
+                "(try a smaller learning_rate)"
             )
         if course.step < steps:
             if run is not None:
@@ -172,7 +174,7 @@ def train_force(
         score = None
         if held and course.epoch % settings.validate_every_epochs == 0:
             with average.applied(model) if average is not None else nullcontext():
-                # The same on every process, or they would end a stage at different times.
+                # Reduced over processes, so that all of them end a stage at the same time.
                 off = accelerator.reduce(_validated(model, held, wanted), "mean")
                 score = float(off.mean())
                 if score < course.best:
@@ -209,10 +211,10 @@ def begun_model(
     start_from: ForcePredictor | None,
     device: torch.device,
 ) -> ForceModel:
-    """Return the model that a training begins with, for the labels (N, 3) N of each sensor.
+    """Return the initial model of a training, for the labels (N, 3) N of each sensor.
 
     Raises:
-        LearningError: A network that `start_from` does not fit.
+        LearningError: `start_from` has another network.
     """
     seed_torch(settings.seed, "force", "weights")
     model = ForceModel(settings.network, settings.input).to(device)
@@ -228,7 +230,7 @@ def begun_model(
 def epoch_of(
     groups: Sequence[Presses], stage: StageSettings, settings: ForceSettings, number: int
 ) -> Epoch:
-    """Return a pass over the presses of all sensors, or of the one that a stage learns from."""
+    """Return a pass over the presses of all sensors, or of the only sensor of a stage."""
     sensors = range(len(groups))
     if stage.one_sensor:
         drawn = int(generator(settings.seed, "force", "sensor").integers(len(groups)))
@@ -238,7 +240,7 @@ def epoch_of(
 
 
 def schedule_of(stage: StageSettings, steps: int) -> Schedule:
-    """Return the learning rate of a stage of so many steps."""
+    """Return the learning-rate schedule of a stage with `steps` steps."""
     rate, warm_up = stage.learning_rate, min(stage.warm_up_steps, steps - 1)
     if stage.schedule == "cosine":
         return Cosine(rate, steps=steps, warm_up=warm_up)
@@ -248,7 +250,7 @@ def schedule_of(stage: StageSettings, steps: int) -> Schedule:
 
 
 def optimiser_of(weights: Iterable[Tensor], settings: OptimiserSettings) -> torch.optim.Optimizer:
-    """Return an optimiser whose rate is set before each step."""
+    """Return an optimiser; the rate is set before each step."""
     decay = settings.weight_decay
     if settings.name == "sgd":
         return torch.optim.SGD(weights, lr=0.0, momentum=settings.momentum, weight_decay=decay)
@@ -260,7 +262,7 @@ def _average(model: nn.Module, settings: ForceSettings) -> Ema | None:
 
 
 def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tensor]) -> Tensor:
-    """Return the mean absolute error (3,) over all frames, in shares of the box of forces."""
+    """Return the mean absolute error (3,) over all frames, normalised to the force range."""
     off = [
         (predicted_shares(model, each) - model.shares(labels.to(model.low.device))).abs()
         for each, labels in zip(held, wanted, strict=True)
@@ -289,7 +291,7 @@ def _save(
 def _resumed(
     run: RunFolder, model: nn.Module, optimiser: Any, average: Ema | None
 ) -> tuple[Course, State | None]:
-    """Return how far a run is, and the best weights of its stage; fill what it goes on with."""
+    """Restore a run's latest checkpoint; return its progress and the best weights of its stage."""
     training: dict[str, Any] = {"optimiser": optimiser}
     if average is not None:
         training["average"] = average
@@ -306,18 +308,18 @@ def _resumed(
 def _finished(
     accelerator: Accelerator, model: ForceModel, settings: ForceSettings
 ) -> ForcePredictor:
-    # Without this the model would go on to evaluate in the precision that it was trained in.
+    # Otherwise the model would be evaluated in the precision of the training.
     bare: ForceModel = accelerator.unwrap_model(model, keep_fp32_wrapper=False)
     return ForcePredictor(bare.eval(), settings)
 
 
-# Trains force models side by side: one for each sensor that would have shown the same presses.
+# Batched training of force models, one for each sensor that shows the same presses.
 #
-# A small network leaves a GPU waiting for orders most of the time. Models of one network that learn
-# from the same presses, as several sensors would have shown them, take the same orders; here each
-# is given once for all of them (`torch.vmap` over weights and frames). Every model learns what
-# `train_force` would have taught it alone, up to round-off. Nothing is stored on the way: it is for
-# trainings of a minute, which are begun anew when they were stopped.
+# With a small network a GPU mostly waits for kernel launches. Models of the same network that learn
+# from the same presses, as shown by several sensors, launch the same kernels; here each is launched
+# once for all models (`torch.vmap` over weights and frames). Each model equals the result of
+# `train_force` up to round-off. No checkpoints are stored, as this is for trainings of a minute,
+# which can be restarted.
 
 # Frames prepared at once.
 _AT_ONCE = 256
@@ -332,20 +334,19 @@ def train_together(
     stopped: Callable[[], bool] = lambda: False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[ForcePredictor] | None:
-    """Return a trained force model for each of the presses; None: it was stopped.
+    """Train one force model per sensor and return them; None if stopped.
 
     Args:
-        presses: The same presses, as each of the sensors shows them; on the device of the training.
-        settings: The network and how it is trained; precision as `launch` says.
-        start_from: A model with the same network, whose weights are begun with.
-        compensation: Changes the labels of each; empty: of none.
-        stopped: Asked before every step.
-        progress: Called with steps done and steps there are.
+        presses: The same presses as shown by each sensor, on the device of the training.
+        settings: Settings of the network and its training; `launch` sets the precision.
+        start_from: A model with the same network, for the initial weights.
+        compensation: Changes of labels, one per sensor; empty: none.
+        stopped: Called before every step; True stops training.
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: Presses that differ, that have no labels or the wrong form, settings that
-            models cannot share, a network that `start_from` does not fit, or a loss that is no
-            number.
+        LearningError: Presses differ, have no labels or the wrong form, models cannot share the
+            settings, `start_from` has another network, or a loss is not finite.
     """
     _require_alike(presses, settings)
     device = presses[0].device
@@ -399,8 +400,8 @@ def train_together(
         for each, loss in zip(presses, summed.tolist(), strict=True):
             if not math.isfinite(loss):
                 raise LearningError(
-                    f"loss of {each.sensor}: found {loss}; allowed: a finite one, as a smaller "
-                    "learning_rate may give"
+                    f"loss of {each.sensor}: found {loss}; allowed: finite (try a smaller "
+                    "learning_rate)"
                 )
     for number, model in enumerate(models):
         found = {**weights, **buffers}
@@ -409,13 +410,13 @@ def train_together(
 
 
 def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
-    """Refuse presses and settings that models cannot share.
+    """Reject presses and settings that models cannot share.
 
     Raises:
-        LearningError: They are not the same presses, or one model's training would touch another's.
+        LearningError: The presses differ, or one model's training would affect another's.
     """
     if not presses or not len(presses[0]):
-        raise LearningError("presses: found none; allowed: one and more, of one sensor and more")
+        raise LearningError("presses: found none; allowed: one or more, of one or more sensors")
     for each in presses:
         require_form(each, settings.input)
         if not torch.equal(each.starts, presses[0].starts) or each.device != presses[0].device:
@@ -432,13 +433,13 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
     for key, found in alone.items():
         if found:
             raise LearningError(
-                f"{key}: found what models have to be trained for one at a time; allowed together: "
+                f"{key}: found a setting that needs one model at a time; allowed for several: "
                 "norms none, instance or group, no ema, precision no or bf16"
             )
 
 
 def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:
-    """Return all frames (n, planes, h, w) as the network takes them."""
+    """Return all frames (n, planes, h, w) as network inputs."""
     rows = torch.arange(presses.frames, device=presses.device)
     return torch.cat(
         [prepared_rows(presses, part, settings.input) for part in rows.split(_AT_ONCE)]
@@ -457,7 +458,7 @@ def _forward(
     lengths: Sequence[int] | None,
     settings: ForceSettings,
 ) -> Tensor:
-    """Return forces (k, b, s, 3), 0 to 1, of frames (k, b, s, planes, h, w), each by its model."""
+    """Return forces (k, b, s, 3), 0 to 1, for frames (k, b, s, planes, h, w) of k models."""
 
     def one(own: dict[str, Tensor], fixed: dict[str, Tensor], seen: Tensor) -> Tensor:
         how = {"lengths": lengths, "truncate": settings.sequences.truncate_frames}
@@ -469,7 +470,7 @@ def _forward(
 
 
 def _clip(weights: Any, most: float) -> None:
-    """Scale the gradients of each model (k, ...) whose norm is above `most`."""
+    """Clip the gradients of each model (k, ...) to the norm `most`."""
     grads = [each.grad for each in weights if each.grad is not None]
     norms = torch.stack([grad.flatten(1).square().sum(dim=1) for grad in grads]).sum(dim=0).sqrt()
     share = (most / (norms + 1e-6)).clamp(max=1.0)

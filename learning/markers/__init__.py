@@ -1,7 +1,7 @@
-"""Signals to markers: pictures and taxels of sessions become binary marker images.
+"""Binary marker images from the pictures and taxels of sessions.
 
-A preset says how (`preset`); `Segmenter` makes masks, `find_centres` places markers to a part of a
-pixel, `Tracker` follows them. `archive_sessions` does it for whole sessions.
+A preset configures the detection (`preset`). `Segmenter` makes masks, `find_centres` locates
+markers with subpixel accuracy, `Tracker` follows them. `archive_sessions` processes whole sessions.
 """
 
 from learning.markers.build import Built, archive_sessions

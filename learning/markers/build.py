@@ -1,4 +1,4 @@
-"""Sessions become a marker archive: how fast that is, the call that does it, a contact sheet."""
+"""Conversion of sessions to a marker archive, with its speed and a contact sheet."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ from recorder.markers import SMALLEST_PX, count_markers, pack, unpack
 from recorder.plot import INK, PAPER, SOFT, font
 from recorder.spec import PHASES
 
-# The one call behind `python -m learning markers`: sessions in, an archive out.
+# Implementation of `python -m learning markers`.
 
-# Frames, and reasons, that are told of one by one.
+# Maximum number of frames, and of reasons, that are listed individually.
 NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """What became of an archive."""
+    """Result of building an archive."""
 
     path: Path
     made: int
-    """Frames that were made now; others were there."""
+    """Number of frames made by this call."""
     lines: tuple[str, ...]
-    """What there is to say of it: frames, flags, what was left out."""
+    """Summary: frames, flags, omissions."""
 
 
 def archive_sessions(
@@ -64,21 +64,21 @@ def archive_sessions(
     sam: EfficientSam | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Built:
-    """Make the marker archive of sessions, or go on with it.
+    """Make or resume the marker archive of sessions.
 
     Args:
         sessions: One for each indenter on each sensor.
         out: The archive.
-        preset_name: How markers are found, for all sensors; what is meant for each when None.
-        sensor: What the sensor is called, in place of what the sessions say.
-        mm_per_px: Size of a pixel [mm], in place of the preset's.
+        preset_name: Preset of marker detection for all sensors; None: the preset for each.
+        sensor: Name of the sensor, instead of the names in the sessions.
+        mm_per_px: Size of a pixel [mm], instead of the preset's.
         unseen: Indenters that models may not be trained on.
-        sam: Refines what presets find in pictures; None leaves it.
-        progress: Called with the frames that are there and those there will be.
+        sam: Model that refines masks of pictures; None: no refinement.
+        progress: Called with the number of frames that exist and the total.
 
     Raises:
-        LearningError: Sessions that do not belong together, or a preset that does not fit.
-        SessionError: A damaged session, or another archive at `out`.
+        LearningError: Sessions are incompatible, or a preset does not fit.
+        SessionError: A session is corrupt, or another archive exists at `out`.
         OSError: The disk is full, or not writable.
     """
     one_thread()
@@ -103,16 +103,16 @@ def recorded_sensor(
     unseen: tuple[str, ...] = UNSEEN,
     sam: EfficientSam | None = None,
 ) -> RecordedSensor:
-    """Return a sensor of a group with the preset that is meant for it, or the one that is said.
+    """Return a sensor of a group with the given preset, or the one for its name.
 
     Raises:
-        LearningError: No preset is meant for it, or one that does not fit.
+        LearningError: There is no preset for it, or the preset does not fit.
     """
     chosen = preset_name or preset_of_sensor(one.name)
     if chosen is None:
         raise LearningError(
-            f"{one.name}: no preset is meant for it; say one of {', '.join(names())}, or a .yaml "
-            "file of your own"
+            f"{one.name}: no preset is assigned to it; allowed: {', '.join(names())}, or a .yaml "
+            "file"
         )
     found = preset(chosen)
     return RecordedSensor(
@@ -127,10 +127,10 @@ def recorded_sensor(
 
 
 def told(path: Path) -> tuple[str, ...]:
-    """Return lines on an archive: frames a sensor, what was flagged, what is not there.
+    """Return lines that summarise an archive: frames, flags and missing frames of each sensor.
 
     Raises:
-        SessionError: No archive, or a damaged one.
+        SessionError: There is no archive, or it is corrupt.
     """
     lines = []
     for name, sensor in MarkerArchive(path).items():
@@ -167,9 +167,9 @@ def _left_out(group: Group) -> tuple[str, ...]:
     return tuple(lines)
 
 
-# Frames that are timed, and how often; the fastest time counts.
+# Number of timed frames and of repeats; the fastest repeat counts.
 FRAMES, REPEATS = 100, 3
-# A step that an archive does without; it is told of and not in the sum.
+# A step that archives do not need; it is reported but not in the sum.
 CENTRES = "centres"
 
 
@@ -180,11 +180,11 @@ def rates(
     sensor: str | None = None,
     sam: EfficientSam | None = None,
 ) -> Iterator[str]:
-    """Yield a line for each sensor: frames a second of an archive, and of each step alone.
+    """Yield a line for each sensor: frames per second in total, and for each step.
 
     Raises:
-        LearningError: Sessions that do not belong together, or a preset that does not fit.
-        SessionError: A damaged session.
+        LearningError: Sessions are incompatible, or a preset does not fit.
+        SessionError: A session is corrupt.
     """
     one_thread()
     group = read_group(sessions, sensor)
@@ -204,7 +204,7 @@ def rates(
 def _camera(
     recording: Recording, preset: CameraPreset, sam: EfficientSam | None
 ) -> dict[str, float]:
-    """Return the seconds that each step takes for a frame."""
+    """Return the seconds per frame of each step."""
     camera = recording.session.streams["camera"]
     rows = np.unique(recording.column("image"))
     rows = rows[rows >= 0][:FRAMES]
@@ -242,7 +242,7 @@ def _taxels(recording: Recording, preset: TaxelPreset) -> dict[str, float]:
 
 
 def _fastest(work: Callable[[], object], frames: int) -> float:
-    """Return the CPU time that a frame takes [s], the least of some repeats."""
+    """Return the CPU time per frame [s], the minimum of the repeats."""
     spent = []
     for _ in range(REPEATS):
         began = time.process_time()
@@ -251,30 +251,30 @@ def _fastest(work: Callable[[], object], frames: int) -> float:
     return max(min(spent), 1e-9) / frames
 
 
-# A contact sheet of an archive made from sessions: outlines of the markers over the pictures.
+# Contact sheet of an archive made from sessions: outlines of the markers over the pictures.
 
-# Size of a picture, the space around it, the height of what stands below and above [px].
+# Size of a picture, space around it, height of the captions below and above [px].
 TILE, GAP, CAPTION, HEAD = (320, 240), 10, 40, 34
-# Frames of a session that are shown beside its reference, and flagged ones among them at most.
+# Maximum number of frames of a session next to its reference, and of flagged ones among them.
 SHEET_FRAMES, FLAGGED = 5, 2
 OUTLINE, MARKER, GROUND, ALARM = (255, 150, 30), (240, 240, 236), (22, 26, 34), (220, 60, 50)
 COLOURS = 256
 
 
 def draw_sheet(archive_path: Path, group: Group, out: Path) -> None:
-    """Write a PNG: a row for each session, its reference first, then frames evenly over it.
+    """Write a PNG with a row for each session: its reference, then evenly spaced frames.
 
-    The last ones are flagged frames, framed in red, where there are any.
+    Flagged frames, if any, come last, with a red frame.
 
     Args:
         archive_path: The archive.
         group: The sessions that it was made from.
-        out: Where the picture goes.
+        out: File to write.
 
     Raises:
-        LearningError: An archive that was not made from these sessions.
-        SessionError: A damaged archive or session.
-        OSError: Not writable.
+        LearningError: The archive was not made from these sessions.
+        SessionError: The archive or a session is corrupt.
+        OSError: The file is not writable.
     """
     archive = MarkerArchive(archive_path)
     rows = [(sensor, placed) for sensor in group.sensors for placed in sensor.placed]
@@ -335,7 +335,7 @@ def _rows_of(archived: ArchivedSensor, sensor: SensorGroup, placed: Placed) -> r
 
 
 def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int]:
-    """Return the rows that are shown: the deepest of some targets, then flagged ones."""
+    """Return the rows to show: the deepest of some targets, then flagged ones."""
     table = archived.table
     valid = np.array([row for row in of if table["valid"][row]])
     shown = flagged[:: max(len(flagged) // FLAGGED, 1)][:FLAGGED]
@@ -366,7 +366,7 @@ def _image_of(placed: Placed, row: int) -> int:
 
 
 def _view(archived: ArchivedSensor, placed: Placed, image: int) -> NDArray[np.uint8] | None:
-    """Return the picture (480, 640, 3) as the preset saw it; None of taxels."""
+    """Return the picture (480, 640, 3) as input to the detection; None for taxels."""
     session = placed.recording.session
     if "camera" not in session.streams:
         return None

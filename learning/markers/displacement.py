@@ -1,10 +1,10 @@
-"""How a skin moved, by its markers: edges, a spline, who is who, and fields of whole presses.
+"""Displacement of a skin from its markers: edges, splines, matching, and fields of whole presses.
 
-A marker of a frame, alone or along a press, is looked for where the spline says: at first where it
-was in the frame before, moved on at half its last speed, or where it lies untouched. Those that are
-each other's nearest, within half a pitch, are taken to be the same; one that the others would not
-have expected within half a pitch is let go; the spline through the rest says anew where each should
-be, and it is done again. Discs that grew together are cut where they meet.
+In a frame, with or without the frames before, a marker is first expected at its last position plus
+half its last motion, or at its position without contact. Detections within half a pitch are matched
+if they are mutual nearest neighbours. A match that the others predict more than half a pitch away
+is dropped. The spline through the rest predicts all markers again, and the matching is repeated.
+Merged discs are divided between their markers.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from recorder.processes import Workers
 if TYPE_CHECKING:
     from learning.translation.translator import SensorView
 
-# The edges of a mask's markers, to a part of a pixel: what a warp moves in place of the mask.
+# Subpixel edges of a mask's markers, which are warped instead of the mask.
 #
-# A mask says of every pixel yes or no, so that its edges are off by up to half a pixel, back and
-# forth along them. Markers are smooth: each is blurred on its own, and then taken where its level
-# keeps the area that it had. The mask is where the level is above one half.
+# A binary mask has edges that are off by up to half a pixel, back and forth along them. Markers are
+# smooth: each is blurred separately and thresholded at the level that preserves its area. The mask
+# is where the level is above one half.
 
-# Deviation of the blur. Wider, edges are smoother, and corners of squares and diamonds rounder.
+# Standard deviation of the blur. A larger one gives smoother edges and rounder corners of markers.
 BLUR_PX = 1.0
-_REACH = 5  # pixels around a marker that its blur reaches
-_LEAST_SLOPE = 1e-3  # of a level, a pixel: without an edge a pixel is above or below
+_REACH = 5  # pixels that the blur extends beyond a marker
+_LEAST_SLOPE = 1e-3  # level per pixel: flatter pixels count as wholly above or below
 _HALVINGS = 14
-_REFERENCES = 64  # levels that are kept: a sensor that drifts has one reference a contact point
+_REFERENCES = 64  # cached levels: a drifting sensor has a reference for each contact point
 
 
 def edge_level(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the level (480, 640), about 0 to 1, which is above 0.5 on markers; computed once."""
+    """Return the level (480, 640), about 0 to 1, which is above 0.5 on markers; cached."""
     return _level(pack(mask).tobytes())
 
 
@@ -51,7 +51,7 @@ def edge_level(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
 def _level(packed: bytes) -> NDArray[np.float32]:
     mask = unpack(np.frombuffer(packed, np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
-    # Between markers a pixel belongs to the nearest.
+    # Pixels between markers belong to the nearest.
     _, nearest = cv2.distanceTransformWithLabels(
         (~mask).view(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -65,7 +65,7 @@ def _level(packed: bytes) -> NDArray[np.float32]:
             slice(max(top - _REACH, 0), top + height + _REACH),
             slice(max(left - _REACH, 0), left + width + _REACH),
         )
-        # At the border a marker goes on: what is cut off there is not an edge.
+        # A marker continues beyond the image border, where its cut is no edge.
         soft = cv2.GaussianBlur(
             (labels[part] == label).astype(np.float32),
             (0, 0),
@@ -80,10 +80,10 @@ def _level(packed: bytes) -> NDArray[np.float32]:
 
 
 def _middle(soft: NDArray[np.float32], area: float) -> float:
-    """Return the level of a blurred marker (h, w) above which so many pixels lie, parts counted.
+    """Return the level of a blurred marker (h, w) above which its area lies, with partial pixels.
 
-    The share of a pixel that lies above follows from its level and the slope there: whole pixels
-    would come and go by the dozen, since markers are symmetric.
+    The share of a pixel above the level follows from its value and slope. Whole pixels would switch
+    by the dozen, since markers are symmetric.
     """
     down, across = np.gradient(soft)
     slope = np.maximum(np.hypot(down, across), _LEAST_SLOPE)
@@ -95,20 +95,19 @@ def _middle(soft: NDArray[np.float32], area: float) -> float:
     return 0.5 * (low + high)
 
 
-# A smooth field through the displacements of markers: the thin-plate spline (Duchon, 1977).
+# Smooth interpolation of marker displacements: the thin-plate spline (Duchon, 1977).
 #
-# Of all fields that take given values at the markers it is the one that bends least. Since markers
-# are named by where they lie untouched, the knots are the same in all frames: value anywhere,
-# energy of bending, and what a marker should have done by the others, are each one matrix per
-# reference.
+# Of all fields with given values at the markers it has the least bending energy. Markers are
+# identified by their positions without contact, so the knots are the same in all frames.
+# Evaluation, bending energy and leave-one-out prediction are each one matrix per reference.
 
 Floats = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
-# Share of the stiffness that holds on to nothing: without it a field that no marker pins down in
-# some direction (fewer than three, or all on one line) would be any.
+# Regularisation as a share of the stiffness. It makes a field unique if its markers (fewer than
+# three, or all on one line) do not determine it.
 _RIDGE = 1e-6
-# So many markers are needed before the field may grow linearly beyond them.
+# Minimum number of markers for a field that grows linearly beyond them.
 _AFFINE_FROM = 6
 
 
@@ -119,9 +118,9 @@ class Spline:
         """Prepare the matrices.
 
         Args:
-            knots: Column and row of the untouched markers (m, 2) [px], m 1 or more.
-            smoothing: How much a field may miss the markers' displacements to bend less, of the
-                kernel at the distance of neighbours; 0 goes through them.
+            knots: Column and row of the markers without contact (m, 2) [px], m 1 or more.
+            smoothing: Weight of bending against misfit at the markers, relative to the kernel at
+                the distance of neighbours; 0 interpolates.
         """
         self.knots = np.asarray(knots, np.float64)
         count = len(self.knots)
@@ -135,23 +134,23 @@ class Spline:
         self._solved = np.linalg.inv(system)[:, :count]
         self._rank = rank
         self.energy: Floats = np.array(self._solved[:count])
-        """Of bending: d^T energy d for displacements d (m,) of the markers (m, m)."""
+        """Bending energy: d^T energy d for displacements d (m,) of the markers (m, m)."""
 
     def at(self, places: Floats) -> Floats:
-        """Return the matrix (q, m) that takes displacements of the markers to those of places.
+        """Return the matrix (q, m) from displacements of the markers to those of places.
 
         Args:
-            places: Column and row in the untouched image (q, 2) [px].
+            places: Column and row in the image without contact (q, 2) [px].
         """
         plain, line = self._basis(places, self._rank)
         return np.asarray(np.concatenate([plain, line], axis=1) @ self._solved, np.float64)
 
     def filled(self, values: Floats, known: Chosen) -> Floats:
-        """Return values (m, k) of which the unknown ones bend the field least.
+        """Fill unknown values (m, k) with those that minimise the bending energy.
 
         Args:
-            values: One row a marker; those of unknown ones are not looked at.
-            known: Which of them are known (m,).
+            values: One row per marker; rows of unknown markers are ignored.
+            known: True for known markers (m,).
         """
         if known.all():
             return values
@@ -164,13 +163,13 @@ class Spline:
         return whole
 
     def surprise(self, values: Floats) -> Floats:
-        """Return how far each value is from what the others say of it (m,) [that of values].
+        """Return the leave-one-out error of each value (m,) [unit of values].
 
-        The error of leaving one out, in closed form: what the spline through all others would give
-        at a knot differs from the value there by (E d)_i / E_ii.
+        In closed form: the spline through all other knots differs from the value at a knot by (E
+        d)_i / E_ii.
 
         Args:
-            values: Of all markers (m, k).
+            values: Values of all markers (m, k).
         """
         own = np.maximum(np.diagonal(self.energy), np.finfo(np.float64).tiny)
         return np.asarray(np.linalg.norm((self.energy @ values) / own[:, None], axis=1))
@@ -187,7 +186,7 @@ class Spline:
 
 
 def pitch(places: Floats) -> float:
-    """Return the median distance of a marker to its nearest neighbour [px]; 0 of a single one."""
+    """Return the median distance of nearest neighbours [px]; 0 for a single marker."""
     if len(places) < 2:
         return 0.0
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
@@ -196,7 +195,7 @@ def pitch(places: Floats) -> float:
 
 
 def _spread(places: Floats) -> bool:
-    """Whether markers spread in two directions, so that a plane through them is one."""
+    """Return True if markers spread in two directions, so that they determine a plane."""
     along = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     return bool(along[-1] > 0.05 * along[0])
 
@@ -204,49 +203,49 @@ def _spread(places: Floats) -> bool:
 Masks = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-# Times that markers are looked for in a frame, at most.
+# Maximum number of matching rounds per frame.
 ROUNDS = 5
-# How far from where it is expected a marker may be found [pitch]: beyond half of it, it could as
+# Maximum distance of a marker from its expected position [pitch]: beyond half of it, it could as
 # well be its neighbour.
 GATE = 0.5
-# Share of the last frame's motion that is expected to go on.
+# Share of the last frame's motion that is expected to continue.
 SPEED = 0.5
-# Patches so many times as large as a marker may be, and larger, are two that grew together.
+# Area, relative to the median marker, above which a patch counts as merged markers.
 MERGED = 1.5
-_CUTS = 6  # rounds of cutting a patch in parts
-_LONE_PITCH = 80.0  # px, of a single marker
+_CUTS = 6  # iterations of dividing a patch
+_LONE_PITCH = 80.0  # px, assumed for a single marker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """The markers of the untouched sensor in one frame."""
+    """The reference's markers in one frame."""
 
     moved: Floats
-    """How far each moved (m, 2) [px]; of lost ones what the spline says."""
+    """Displacement of each marker (m, 2) [px]; predicted by the spline for lost ones."""
     growth: Floats
-    """Logarithm of each one's area over its area untouched (m,); of lost ones likewise."""
+    """Logarithm of each marker's relative area (m,); predicted for lost ones as well."""
     known: Chosen
-    """Which were found (m,)."""
+    """True for markers that were found (m,)."""
 
 
 class Matcher:
-    """Finds the markers of one untouched sensor in frames; remembers the frame before."""
+    """Finds the markers of one reference in frames; remembers the previous frame."""
 
     def __init__(
         self, reference: Masks, *, smoothing: float, smallest_px: int = SMALLEST_PX
     ) -> None:
-        """Name the markers by their order in the reference.
+        """Index the markers by their order in the reference.
 
         Args:
-            reference: The untouched mask (480, 640).
-            smoothing: Of the spline.
-            smallest_px: Patches of fewer pixels are specks.
+            reference: The mask without contact (480, 640).
+            smoothing: Smoothing of the spline.
+            smallest_px: Patches of fewer pixels are ignored.
 
         Raises:
-            LearningError: No mask, or one without markers.
+            LearningError: The input is no mask, or has no markers.
         """
         found = find_centres(reference, smallest_px=smallest_px)
-        # The centre of a marker that the border cuts moves as it is cut: it would mislead.
+        # Markers at the border are excluded, as their visible centre moves with the cut.
         chosen = found.whole if found.whole.any() else np.ones(len(found), np.bool_)
         if not chosen.any():
             raise LearningError(f"reference: found no marker of {smallest_px} px or more")
@@ -259,12 +258,12 @@ class Matcher:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the frame before: the next is expected to look like the reference."""
+        """Forget the previous frame: the next is expected to look like the reference."""
         self._before = np.zeros_like(self.markers)
         self._step = np.zeros_like(self.markers)
 
     def step(self, mask: Masks) -> Match:
-        """Return the markers in the next frame (480, 640)."""
+        """Find the markers in the next frame (480, 640)."""
         seen = find_centres(mask, smallest_px=self._smallest_px)
         start = self._before + SPEED * self._step
         moved, found = self._searched(start, seen)
@@ -280,7 +279,7 @@ class Matcher:
         return Match(moved, self.spline.filled(growth, known)[:, 0], known)
 
     def _searched(self, start: Floats, seen: Centres) -> tuple[Floats, Indices]:
-        """Return how far all markers moved (m, 2), and which of those seen each is (m,) or -1."""
+        """Return the displacement of all markers (m, 2), and the detection of each (m,) or -1."""
         usable = np.flatnonzero(seen.whole | self._all_cut)
         places = seen.place[usable]
         moved, found = start, np.full(len(self.markers), -1)
@@ -297,14 +296,14 @@ class Matcher:
         return moved, np.where(found >= 0, usable[found], -1)
 
     def _nearest(self, expected: Floats, places: Floats, tree: cKDTree) -> Indices:
-        """Return the place that is each marker's nearest, and whose nearest it is (m,), or -1."""
+        """Return the mutual nearest neighbour of each marker (m,) within the gate, or -1."""
         apart, nearest = tree.query(expected)
         _, back = cKDTree(expected).query(places)
         mine = (back[nearest] == np.arange(len(expected))) & (apart <= GATE * self.pitch_px)
         return np.where(mine, nearest, -1)
 
     def _agreed(self, found: Indices, offset: Floats, start: Floats) -> tuple[Indices, Floats]:
-        """Return the matches that agree with each other, and the motion of all markers by them."""
+        """Return the consistent matches, and the motion of all markers that follows from them."""
         found = found.copy()
         while True:
             known = found >= 0
@@ -318,11 +317,11 @@ class Matcher:
     def _completed(self, offset: Floats, known: Chosen, start: Floats) -> Floats:
         if known.all():
             return offset
-        # What is lost goes on as it was expected to, but for what the others did beyond that.
+        # Lost markers move as expected, plus the deviation of the others from their expectation.
         return start + self.spline.filled(offset - start, known)
 
     def _cut(self, mask: Masks, seen: Centres, expected: Floats) -> Centres | None:
-        """Return what is seen with patches cut that several markers are expected in; None: none."""
+        """Return detections with merged patches divided between markers; None if there are none."""
         large = MERGED * float(np.median(self.area))
         if not (seen.area > large).any():
             return None
@@ -357,7 +356,7 @@ class Matcher:
 
 
 def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
-    """Return centres (k, 2) and sizes of the parts of a patch, one about each claim (k-means)."""
+    """Return centres (k, 2) and sizes of the parts of a patch, one for each claim (k-means)."""
     centres = claims.copy()
     for _ in range(_CUTS):
         apart = ((pixels[:, None] - centres[None]) ** 2).sum(axis=-1)
@@ -369,52 +368,52 @@ def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
     return centres[taken], sizes[taken].tolist()
 
 
-# What the markers of a press say of the skin between them: displacement, and growth.
+# Displacement and growth of the skin between the markers of a press.
 #
-# A `FieldReader` belongs to one untouched mask. Its frames become displacement fields on the
-# lattice of marker archives, [px] of the sensor that they are to be used for, or the small maps of
-# displacement and growth that a force model can read in place of images.
+# A `FieldReader` belongs to one reference. It converts frames to displacement fields on the lattice
+# of marker archives, [px] of a target sensor, or to small maps of displacement and growth that a
+# force model can use as inputs instead of images.
 
-# Where displacement fields are kept: as archives keep them.
+# Lattice of displacement fields, the default of archives.
 LATTICE = Lattice()
-# Rows and columns of the maps that a force model reads.
+# Rows and columns of the maps for force models.
 MAP_SIDE = 32
-# Of the spline: centres of patches are a tenth of a pixel off, and so may a field be.
+# Smoothing of the spline: centres of patches are off by a tenth of a pixel, so fields may be too.
 SMOOTHING = 0.02
 
 _MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 
 
 class FieldReader:
-    """Reads the frames of one sensor and reference; keeps what is computed once."""
+    """Computes fields from the frames of one sensor and reference; caches matrices."""
 
     def __init__(self, reference: Masks, *, smoothing: float = SMOOTHING) -> None:
         """Find the markers of the reference.
 
         Args:
-            reference: The untouched mask (480, 640).
-            smoothing: How much the field may miss the markers to bend less (`Spline`).
+            reference: The mask without contact (480, 640).
+            smoothing: Weight of bending against misfit at the markers (`Spline`).
 
         Raises:
-            LearningError: Not bool (480, 640), or without markers.
+            LearningError: The mask is not bool (480, 640), or has no markers.
         """
         self._matcher = Matcher(_required(reference, "reference", 2), smoothing=smoothing)
         self._operators: dict[tuple[float, float], Floats] = {}
 
     @property
     def markers(self) -> Floats:
-        """Column and row of the untouched markers (m, 2) [px]."""
+        """Column and row of the markers without contact (m, 2) [px]."""
         return self._matcher.markers
 
     def matches(self, frames: NDArray[Any], *, ordered: bool) -> list[Match]:
-        """Return where the markers of the reference are in each frame.
+        """Find the markers of the reference in each frame.
 
         Args:
             frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-            ordered: The frames are one press in order of time: markers are followed.
+            ordered: True if the frames are one press in order of time; markers are tracked then.
 
         Raises:
-            LearningError: Frames of another shape or type.
+            LearningError: Frames have another shape or type.
         """
         self._matcher.restart()
         matches = []
@@ -434,18 +433,18 @@ class FieldReader:
     ) -> NDArray[np.float32]:
         """Return the displacement on `LATTICE` (n, 57, 73, 2) [px], components column and row.
 
-        With two views, it is that of the target's image: the same motion in mm at the same place of
-        the contact frame, which both have in the middle of their images. Beyond what the source
-        sees, what its border does.
+        With two views, it is the displacement in the target's image: the same motion in mm at the
+        same place of the contact frame, which is at the centre of both images. Beyond the source's
+        view, the values at its border continue.
 
         Args:
             frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-            ordered: The frames are one press in order of time: markers are followed.
-            source: What the frames show; None: the same as the target's.
-            target: What the target's would.
+            ordered: True if the frames are one press in order of time; markers are tracked then.
+            source: View of the frames; None: the target's.
+            target: View of the target.
 
         Raises:
-            LearningError: Frames of another shape or type.
+            LearningError: Frames have another shape or type.
         """
         scale = _scale(source, target)
         operator = self._operator(scale)
@@ -456,14 +455,14 @@ class FieldReader:
     def maps(self, frames: NDArray[Any], *, ordered: bool) -> NDArray[np.float32]:
         """Return displacement and growth (n, 3, 32, 32): columns [px], rows [px], log of area.
 
-        Each at the middle of a 32nd of the untouched image's width and height.
+        Values are at the centres of 32 x 32 cells of the image without contact.
 
         Args:
             frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-            ordered: The frames are one press in order of time: markers are followed.
+            ordered: True if the frames are one press in order of time; markers are tracked then.
 
         Raises:
-            LearningError: Frames of another shape or type.
+            LearningError: Frames have another shape or type.
         """
         matches = self.matches(frames, ordered=ordered)
         values = np.stack(
@@ -491,7 +490,7 @@ class FieldReader:
 
 
 def _scale(source: SensorView | None, target: SensorView | None) -> Floats:
-    """Return how many pixels of the source one of the target is, along columns and rows (2,)."""
+    """Return the size of the target's pixels in the source's, along columns and rows (2,)."""
     if source is None or target is None:
         return np.ones(2)
     return np.array(
@@ -517,35 +516,35 @@ def _required(masks: NDArray[Any], what: str, dimensions: int) -> Masks:
     return masks
 
 
-# Fields of many presses, by as many processes as there are cores: for whoever warps on a GPU.
+# Fields of many presses, computed by several processes to feed a GPU.
 #
-# Markers are followed on the CPU, a press at a time; presses are independent. A GPU warps thousands
-# of frames a second, so what feeds it has to be spread.
+# Markers are tracked on the CPU, press by press; presses are independent. A GPU warps thousands of
+# frames per second, so the tracking that feeds it must be parallel.
 
 # Fields on the lattice of archives (n, 57, 73, 2), or small maps (n, 3, 32, 32).
 Form = Literal["displacement", "maps"]
 
-_PRESSES = 8  # a process takes so many at once
+_PRESSES = 8  # presses per task
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedPresses:
-    """Presses of one sensor, in packed masks."""
+    """Presses of one sensor, as packed masks."""
 
     packed: NDArray[np.uint8]
-    """All frames (n, 38400), those of a press together, in order of time."""
+    """All frames (n, 38400), press by press, in order of time."""
     starts: NDArray[np.int64]
     """First frame of each press, and the number of frames (p + 1,)."""
     references: NDArray[np.uint8]
-    """Packed untouched masks (k, 38400)."""
+    """Packed masks without contact (k, 38400)."""
     reference: NDArray[np.integer[Any]]
-    """Which of them each frame belongs to (n,); one in all frames of a press."""
+    """Row of `references` for each frame (n,); constant within a press."""
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not fit together.
+        """Validate shapes.
 
         Raises:
-            LearningError: Naming the field.
+            LearningError: Names the field.
         """
         for name in ("packed", "references"):
             found = getattr(self, name)
@@ -577,19 +576,19 @@ def fields_of_presses(
     processes: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.floating[Any]]:
-    """Return the fields of all frames: displacement as float16, maps as float32.
+    """Compute the fields of all frames: displacement as float16, maps as float32.
 
     Args:
         presses: The frames.
-        form: Which fields.
-        source: What the frames show; None: the same as the target's.
-        target: Whose image a displacement is for.
-        processes: How many compute.
-        progress: Called with the frames that are done and those there are.
+        form: Kind of fields.
+        source: View of the frames; None: the target's.
+        target: View of the sensor whose image a displacement is for.
+        processes: Number of processes.
+        progress: Called with the number of frames done and in total.
 
     Raises:
-        LearningError: A reference without markers.
-        WorkerLost: A process was killed, by a lack of memory for example.
+        LearningError: A reference has no markers.
+        WorkerLost: A process was killed, e.g. for lack of memory.
     """
     total = len(presses.packed)
     shape = LATTICE.shape if form == "displacement" else (3, MAP_SIDE, MAP_SIDE)
@@ -603,7 +602,7 @@ def fields_of_presses(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """Some presses, and the references that they need."""
+    """A group of presses, and the references that they need."""
 
     first: int
     presses: PackedPresses
@@ -636,7 +635,7 @@ def _computed(jobs: list[_Job], processes: int) -> Iterator[tuple[int, NDArray[n
         tasks = deque(workers.submit(_fields, job) for job in jobs)
         while tasks:
             workers.done = f"{len(jobs) - len(tasks)} of {len(jobs)} groups of presses"
-            # Taken off: what was given back need not be kept here as well.
+            # Removed from the queue, so that returned fields are not kept in memory.
             yield tasks.popleft().result()
 
 

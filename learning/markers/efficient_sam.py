@@ -1,6 +1,6 @@
-"""Refines markers with EfficientSAM through ONNX Runtime, with the files of its user.
+"""Refinement of marker masks by EfficientSAM through ONNX Runtime; the user provides the models.
 
-The files are those of the model's own export, in two halves:
+The models are those of EfficientSAM's own export, in two files:
 
     encoder  batched_images (1, 3, H, W) float32, RGB from 0 to 1   -> image embeddings
     decoder  image_embeddings, batched_point_coords (1, Q, P, 2) float32 [px],
@@ -8,7 +8,7 @@ The files are those of the model's own export, in two halves:
              -> masks (1, Q, M, H, W) logits, their IoU as predicted (1, Q, M)
 
 A box is two points, labelled 2 (upper left) and 3 (lower right). Each of the Q prompts gets M
-masks, of which the one with the best predicted IoU is taken where its logits are 0 or more.
+masks. The one with the best predicted IoU is used, where its logits are 0 or more.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from recorder.markers import HEIGHT, WIDTH
 
 # Labels of the two corners of a box.
 CORNERS = (2.0, 3.0)
-# Boxes in one call at most: each takes 3.7 MB of logits.
+# Maximum number of boxes in a call: each takes 3.7 MB of logits.
 PROMPTS = 32
 ENCODER_INPUTS = ("batched_images",)
 DECODER_INPUTS = (
@@ -41,11 +41,11 @@ class EfficientSam:
     """An encoder and a decoder, ready to refine masks."""
 
     def __init__(self, encoder: Path, decoder: Path) -> None:
-        """Load both halves.
+        """Load encoder and decoder.
 
         Raises:
-            LearningError: ONNX Runtime is not installed, a file is missing or damaged, or a model
-                that takes other inputs or no boxes.
+            LearningError: ONNX Runtime is not installed, a file is missing or corrupt, or a model
+                takes other inputs or no boxes.
         """
         self._encoder = _loaded(encoder, ENCODER_INPUTS)
         self._decoder = _loaded(decoder, DECODER_INPUTS)
@@ -67,20 +67,20 @@ class EfficientSam:
             "encoder_sha256": _digest(encoder),
             "decoder_sha256": _digest(decoder),
         }
-        """What tells these weights from others."""
+        """SHA-256 of both models."""
 
     def refined(
         self, view: NDArray[np.uint8], mask: NDArray[np.bool_], box_px: int
     ) -> NDArray[np.bool_]:
-        """Return the union of the masks (480, 640) that boxes around markers are answered with.
+        """Return the union (480, 640) of the model's masks for boxes around markers.
 
         Args:
             view: The picture (480, 640, 3), RGB.
-            mask: Markers as they were found roughly.
+            mask: Rough masks of the markers.
             box_px: Half the side of a box around a marker's centre.
 
         Raises:
-            LearningError: The model answers with something else than masks of the picture.
+            LearningError: The model's outputs are not masks of the picture's size.
         """
         centres = find_centres(mask).place
         union = np.zeros((HEIGHT, WIDTH), np.bool_)
@@ -100,7 +100,7 @@ class EfficientSam:
     ) -> NDArray[np.bool_]:
         count = len(boxes)
         if self._fixed and count < self._prompts:
-            # A model for a fixed number of prompts is asked for the last one again.
+            # A model with a fixed number of prompts gets the last one repeatedly.
             last = np.repeat(boxes[-1:], self._prompts - count, axis=0)
             boxes = np.concatenate([boxes, last])
         answers = self._run(
@@ -143,7 +143,7 @@ def _loaded(path: Path, inputs: tuple[str, ...]) -> Any:
     """Return an inference session.
 
     Raises:
-        LearningError: Not there, no model, or one with other inputs.
+        LearningError: The file is missing, is no model, or has other inputs.
     """
     if not path.is_file():
         raise LearningError(f"{path}: no such file; allowed: a model exported to ONNX")

@@ -1,4 +1,4 @@
-"""The frames of one sensor's sessions, made from pictures or taxels whenever they are asked for."""
+"""Frames of one sensor's sessions, computed from pictures or taxels on demand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from learning.markers.segment import CameraPreset, Preset, Segmenter, TaxelPrese
 from recorder.archive import MarkerCount, SensorPlan
 from recorder.markers import HEIGHT, WIDTH, draw_discs, find_blobs, pack
 
-# Marker images of taxels: counts less the untouched ones, drawn as discs.
+# Marker images of taxels: counts minus those without contact, drawn as discs.
 
 _SIDE = 4
 
@@ -29,15 +29,15 @@ def taxel_masks(
     untouched: NDArray[np.floating | np.integer],
     preset: TaxelPreset,
 ) -> NDArray[np.bool_]:
-    """Return the masks (n, 480, 640) of counts.
+    """Draw the masks (n, 480, 640) of counts.
 
     Args:
-        counts: As the device sends them (n, 16, 3) [counts].
-        untouched: Without contact (16, 3), or one for each (n, 16, 3) [counts].
-        preset: How taxels are numbered.
+        counts: Counts in the device's order (n, 16, 3) [counts].
+        untouched: Counts without contact (16, 3), or one set for each (n, 16, 3) [counts].
+        preset: Numbering of the taxels.
 
     Raises:
-        ValueError: Another shape, or counts that are not finite.
+        ValueError: A shape is wrong, or counts are not finite.
     """
     change = np.asarray(counts, np.float64) - np.asarray(untouched, np.float64)
     if preset.rows_from_top:
@@ -50,7 +50,7 @@ Masks = NDArray[np.bool_]
 
 
 class RecordedSensor:
-    """One sensor of an archive, as sessions have it."""
+    """One sensor of an archive, made from sessions."""
 
     def __init__(
         self,
@@ -63,19 +63,19 @@ class RecordedSensor:
         unseen: tuple[str, ...] = UNSEEN,
         sam: EfficientSam | None = None,
     ) -> None:
-        """Prepare to look at its frames.
+        """Prepare the segmentation of its frames.
 
         Args:
             group: Its sessions.
             indenters: Names, by code.
-            preset: How markers are found.
-            preset_name: What the preset is called, for the record.
-            mm_per_px: Size of a pixel [mm]; the preset's when None.
+            preset: Settings of the marker detection.
+            preset_name: Name of the preset, stored in the archive.
+            mm_per_px: Size of a pixel [mm]; None: the preset's.
             unseen: Indenters that models may not be trained on.
-            sam: Refines what the preset finds; None leaves it.
+            sam: Model that refines the masks; None: no refinement.
 
         Raises:
-            LearningError: A preset of another kind of sensor, or no size of a pixel.
+            LearningError: The preset is for another kind of sensor, or the pixel size is unknown.
         """
         if group.kind != preset.KIND:
             raise LearningError(
@@ -95,10 +95,10 @@ class RecordedSensor:
 
     @cached_property
     def plan(self) -> SensorPlan:
-        """What the archive will hold.
+        """Plan of its part of the archive.
 
         Raises:
-            LearningError: A reference in which the preset finds no markers.
+            LearningError: The preset finds no markers in a reference.
         """
         attrs: dict[str, Any] = {
             "made_from": "sessions",
@@ -127,8 +127,8 @@ class RecordedSensor:
         """Make some of the frames.
 
         Raises:
-            LearningError: A picture that the preset does not fit.
-            SessionError: A damaged session.
+            LearningError: The preset does not fit a picture.
+            SessionError: The session is corrupt.
         """
         parts = []
         for index, placed in enumerate(self._group.placed):
@@ -148,7 +148,7 @@ class RecordedSensor:
 
     @cached_property
     def _references(self) -> NDArray[np.uint8]:
-        """Packed masks (K, 38400), recording by recording."""
+        """Packed masks of the references (K, 38400), recording by recording."""
         if isinstance(self.preset, TaxelPreset):
             still = np.zeros((1, 16, 3))
             return pack(taxel_masks(still, np.zeros((16, 3)), self.preset))
@@ -187,7 +187,7 @@ class RecordedSensor:
         return Frames(pack(masks), table, lines)
 
     def _masks(self, recording: Recording, chosen: NDArray[np.int64]) -> Masks:
-        """Return the masks of some rows of a recording; one picture once."""
+        """Return the masks of some rows of a recording; each picture is processed once."""
         if isinstance(self.preset, TaxelPreset):
             counts = recording.column("taxels")[chosen]
             untouched = recording.session.reference["taxels"][recording.references]
@@ -216,7 +216,7 @@ class RecordedSensor:
         position = recording.positions()[rows]
         if not np.isfinite(position[there]).all():
             raise LearningError(f"{recording.name}: found NaN in pose of valid frames")
-        # Rows without a frame say nothing; the format wants numbers there all the same.
+        # The format requires finite positions even in rows without a frame.
         position = np.where(np.isfinite(position), position, 0.0)
         wrench = recording.column("wrench")[rows].copy()
         wrench[~there | ~np.isfinite(wrench).all(axis=1)] = np.nan
@@ -240,7 +240,7 @@ class RecordedSensor:
         }
 
     def _said(self, recording: Recording, rows: slice, invalid: list[str]) -> list[dict[str, Any]]:
-        """Return where each frame comes from, and why it is not there."""
+        """Return the provenance of each frame, and the reason if it is missing."""
         said = []
         run, target = recording.column("run")[rows], recording.column("target")[rows]
         for place, reason in enumerate(invalid):
@@ -256,12 +256,12 @@ class RecordedSensor:
 
 
 def one_thread() -> None:
-    """Let OpenCV use one core: it gains little from more on pictures of this size."""
+    """Limit OpenCV to one core: more gain little on pictures of this size."""
     cv2.setNumThreads(1)
 
 
 def _identity(recording: Recording) -> dict[str, Any]:
-    """Return what tells a session from others, wherever it lies."""
+    """Return the identity of a session, independent of its path."""
     attrs = recording.session.attrs
     return {
         "name": recording.name,

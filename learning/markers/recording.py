@@ -1,4 +1,4 @@
-"""Sessions as rows of an archive: which frames count, what is known of them, who goes together."""
+"""Sessions as rows of an archive: choice of frames, their metadata, and grouping of sessions."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from recorder.spec import PHASES
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
 
-# Plans whose sessions hold presses to learn from.
+# Kinds of plans whose sessions can be trained on.
 KINDS_OF_PLAN = ("press_shear", "force_depth")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """The presses of one session, whose targets were each pressed once."""
+    """The presses of one session, one for each target."""
 
     session: Session
     name: str
@@ -37,13 +37,13 @@ class Recording:
     rows: Integers
     """Rows of `frames` (n,), press by press."""
     number: Integers
-    """Number of each within its target (n,)."""
+    """Number of each frame within its target (n,)."""
     references: Integers
-    """Rows of the session's `reference` that are used (K,)."""
+    """Rows of the session's `reference` in use (K,)."""
     reference: Integers
-    """Which of them belongs to each row (n,)."""
+    """Index into `references` of each row (n,)."""
     left_out: tuple[str, ...]
-    """What of the session is not in `rows`, in words."""
+    """Descriptions of the session's frames that are not in `rows`."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -51,16 +51,16 @@ class Recording:
 
     @property
     def located(self) -> bool:
-        """Whether its targets have a place among those of other sensors: they shear somewhere."""
+        """True if all targets have a shear direction, and so locations common to sensors."""
         return bool((self.session.targets["direction"] >= 0).all())
 
     @property
     def targets(self) -> int:
-        """Number of targets that were planned."""
+        """Number of planned targets."""
         return len(self.session.targets["point"])
 
     def layout(self) -> NDArray[np.int64]:
-        """Return point, level of depth and direction of each target (t, 3): what pairs sensors."""
+        """Return point, depth level and direction of each target (t, 3), which pair sensors."""
         targets = self.session.targets
         level = np.unique(targets["depth"].round(9), return_inverse=True)[1].reshape(-1)
         columns = [targets["point"], level, targets["direction"]]
@@ -71,7 +71,7 @@ class Recording:
         return np.asarray(self.session.frames[name][self.rows])
 
     def invalid(self) -> list[str]:
-        """Return why each row has no frame to show (n,); empty where it has one."""
+        """Return the reason why each row has no frame (n,); empty if it has one."""
         frames = self.session.frames
         wrong = np.array(["" for _ in self.rows], dtype=object)
         wrong[~frames["valid"][self.rows]] = "a stream has no sample near enough"
@@ -83,23 +83,22 @@ class Recording:
         return [str(reason) for reason in wrong]
 
     def positions(self) -> NDArray[np.float64]:
-        """Return where the tool was in the contact frame (n, 3) [m]; NaN where it is unknown."""
+        """Return tool positions in the contact frame (n, 3) [m]; NaN if unknown."""
         frame = np.asarray(self.session.attrs["contact_frame"], np.float64)
         offset = self.column("pose")[:, :3] - frame[:3]
         return np.asarray(offset @ _matrix(frame[3:]), np.float64)
 
 
 def read_recording(path: Path, sensor: str | None = None) -> Recording:
-    """Return the presses of a session.
+    """Read the presses of a session.
 
     Args:
         path: The session.
-        sensor: What its sensor is called; as the session says when None.
+        sensor: Name of its sensor; None: the name in the session.
 
     Raises:
-        LearningError: A session that training cannot use: the message names it and what is
-            missing.
-        SessionError: No session, or a damaged one.
+        LearningError: The session cannot be trained on; the message names it and the missing part.
+        SessionError: There is no session, or it is corrupt.
     """
     session = Session(path)
     name = Path(str(session.path)).name
@@ -139,13 +138,13 @@ def _require_presses(session: Session, name: str) -> None:
     if kind is not None and kind not in KINDS_OF_PLAN:
         raise LearningError(f"{name}: found plan {kind!r}; allowed: {', '.join(KINDS_OF_PLAN)}")
     if not len(session.targets.get("point", ())):
-        raise LearningError(f"{name}: has no targets: it says of no frame which press it is of")
+        raise LearningError(f"{name}: has no targets, so its frames cannot be assigned to presses")
     if "t_ns" not in session.frames:
         raise LearningError(f"{name}: has no frames (python -m recorder recover builds them)")
     frame = session.attrs.get("contact_frame")
     if not isinstance(frame, list) or len(frame) != 6 or "pose" not in session.streams:
         raise LearningError(
-            f"{name}: has no pose or no contact_frame: nobody knows how deep its frames are"
+            f"{name}: has no pose or no contact_frame: the depth of its frames is unknown"
         )
 
 
@@ -157,15 +156,15 @@ def _text(session: Session, key: str, name: str) -> str:
 
 
 def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
-    """Return the rows, each target's of one press, and their numbers within it.
+    """Return the rows of one press per target, and their numbers within it.
 
-    A target that was interrupted was pressed again: the press with the most phases is taken, and
-    of several the last.
+    An interrupted target was pressed again: the press with the most phases is used, and among
+    equals the last.
     """
     frames = session.frames
     target, run, phase = frames["target"], frames["run"], frames["phase"]
     rows = np.flatnonzero((target >= 0) & (phase >= 0))
-    # Another target, another run, or phases from the beginning: another press.
+    # A new press begins with another target, another run, or a return to an earlier phase.
     another = (np.diff(target[rows]) != 0) | (np.diff(run[rows]) != 0)
     another |= np.diff(phase[rows].astype(np.int64)) < 0
     change = np.flatnonzero(another) + 1
@@ -200,10 +199,10 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
 def _references(
     session: Session, rows: Integers, kind: Kind, name: str
 ) -> tuple[Integers, Integers]:
-    """Return the rows of `reference` in use (K,), and which of them is each row's (n,).
+    """Return the rows of `reference` in use (K,), and the index of each row's reference (n,).
 
-    As for the wrench: the latest of the target's point at or before the frame; where there is
-    none, the latest of its run, else the first of all.
+    As for the wrench, it is the latest of the target's point at or before the frame; else the
+    latest of its run; else the first of all.
     """
     reference = session.reference
     if kind == "camera":
@@ -234,7 +233,7 @@ def _presses(target: NDArray[np.integer]) -> Iterator[tuple[int, int]]:
 
 
 def _matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of a rotation vector (3,) [rad], from its frame to the base."""
+    """Return the rotation matrix (3, 3), frame to base, of a rotation vector (3,) [rad]."""
     w, x, y, z = quaternion(vector)
     return np.array(
         [
@@ -245,18 +244,18 @@ def _matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-# Sessions that become one archive: they belong together, or are refused by name.
+# Grouping of sessions into one archive; incompatible sessions are rejected by name.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A recording, and the numbers that its targets have in the archive."""
+    """A recording, and the numbers of its targets in the archive."""
 
     recording: Recording
     first_target: int
     """Number of its first target within the indenter."""
     first_location: int | None
-    """Location of its first target; None: its targets have none."""
+    """Location of its first target; None if its targets have no location."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,19 +281,19 @@ class Group:
 
 
 def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
-    """Return sessions as they belong together.
+    """Group sessions into sensors and indenters.
 
-    Targets of two sensors are paired by their numbers, so all sessions with shear must have been
-    planned alike: as many targets, with the same points, levels of depth and directions. How deep
-    a level is may differ from sensor to sensor, not within one.
+    Targets of two sensors are paired by their numbers, so all sessions with shear must have the
+    same plan: the same number of targets, points, depth levels and directions. The depth of a level
+    may differ between sensors, but not within one.
 
     Args:
         paths: The sessions, in any order.
-        sensor: What all of them are of, in place of what they say.
+        sensor: Name of their sensor, instead of the names in the sessions.
 
     Raises:
-        LearningError: Sessions that do not belong together; both are named.
-        SessionError: No session, or a damaged one.
+        LearningError: Two sessions are incompatible; both are named.
+        SessionError: There is no session, or one is corrupt.
     """
     if not paths:
         raise LearningError("sessions: found none; allowed: one or more")
@@ -336,7 +335,7 @@ def _require_different(recordings: Sequence[Recording]) -> None:
 
 
 def _require_alike(recordings: Sequence[Recording]) -> None:
-    """Refuse targets that cannot be paired, and depths that differ within a sensor."""
+    """Reject targets that cannot be paired, and depths that differ within a sensor."""
     located = [one for one in recordings if one.located]
     for one in located[1:]:
         other = located[0]

@@ -1,7 +1,7 @@
-"""How markers are found in pictures: presets, plain data for a kind of sensor, and what they do.
+"""Detection of markers in pictures, configured by presets.
 
-A picture is cut to its region and brought to 640 x 480; what the detectors find in it is put
-together, cleaned by morphology, and patches of the wrong size are dropped.
+A picture is cropped to its region and resized to 640 x 480. The detectors' results are combined and
+cleaned by morphology, and patches of the wrong size are dropped.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ SHAPES: tuple[Shape, ...] = ("ellipse", "square")
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """The part of the camera's picture that shows markers."""
+    """Region of the camera's picture that shows markers."""
 
     rows: tuple[int, int] | None = None
-    """First row and the one behind the last [px of the camera]; None: all of them."""
+    """First row and last row + 1 [px of the camera]; None: all of them."""
     columns: tuple[int, int] | None = None
-    """The same for columns. What remains is resized to 640 x 480."""
+    """The same for columns. The region is resized to 640 x 480."""
     polygon: tuple[tuple[int, int], ...] = ()
-    """Corners as column and row [px of the 640 x 480]; nothing is found outside. Empty: all."""
+    """Corners as column and row [px of the 640 x 480]; nothing is detected outside. Empty: all."""
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):
@@ -51,18 +51,18 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Darker (or brighter) than midway between the extremes around it (Bernsen's threshold)."""
+    """Darker (or brighter) than midway between the local extremes (Bernsen's threshold)."""
 
     KIND: ClassVar[str] = "contrast"
 
     window_px: int
     """Side of the square around a pixel; wider than a marker, narrower than two."""
     least: int
-    """Where extremes differ less there is no marker [grey levels]."""
+    """Minimum difference of the extremes for a marker [grey levels]."""
     bright: bool = False
-    """Whether markers are brighter than what is around them."""
+    """True if markers are brighter than their surroundings."""
     channel: Channel = "grey"
-    """What is compared: luma, or the brightest or darkest of red, green, blue."""
+    """Compared channel: luma, or the brightest or darkest of red, green, blue."""
 
     def __post_init__(self) -> None:
         _require(self, "window_px", self.window_px, 3, 400)
@@ -81,7 +81,7 @@ class BlurDifference:
     sigma_px: float
     """Its standard deviation."""
     least: int
-    """By so many grey levels at least."""
+    """Minimum difference [grey levels]."""
 
     def __post_init__(self) -> None:
         _require(self, "kernel_px", self.kernel_px, 1, 199)
@@ -106,7 +106,7 @@ class Dark:
 
 @dataclass(frozen=True, slots=True)
 class ColourBelow:
-    """Red, green and blue are each below a limit of their own."""
+    """Red, green and blue are each below a separate limit."""
 
     KIND: ClassVar[str] = "colour_below"
 
@@ -122,7 +122,7 @@ class ColourBelow:
             _require(self, name, getattr(self, name), 1, 256)
 
 
-# A preset's file names one by its `kind`.
+# Presets select one by its `kind`.
 Detector = Contrast | BlurDifference | Dark | ColourBelow
 
 
@@ -131,13 +131,13 @@ class Morphology:
     """One step of cleaning."""
 
     step: Step
-    """What is done."""
+    """Operation."""
     size_px: int
     """Side of the structuring element."""
     times: int = 1
-    """How often: an `open` of 2 erodes twice, then dilates twice."""
+    """Number of repeats: an `open` of 2 erodes twice, then dilates twice."""
     shape: Shape = "ellipse"
-    """Of the element."""
+    """Shape of the element."""
 
     def __post_init__(self) -> None:
         _require(self, "size_px", self.size_px, 1, 99)
@@ -148,35 +148,34 @@ class Morphology:
 
 @dataclass(frozen=True, slots=True)
 class CameraPreset:
-    """How masks are made from the pictures of a camera."""
+    """Settings of marker detection in the pictures of a camera."""
 
     KIND: ClassVar[str] = "camera"
 
     description: str
-    """What it is for, and where its numbers come from."""
+    """Purpose of the preset, and source of its numbers."""
     detectors: tuple[Detector, ...]
-    """A pixel that one of them finds is a marker's."""
+    """Detectors; a pixel belongs to a marker if any detects it."""
     mm_per_px: float | None = None
-    """Size of a pixel of the 640 x 480 on the untouched surface [mm]; None: has to be said."""
+    """Size of a pixel of the 640 x 480 on the surface without contact [mm]; None: must be given."""
     sensors: tuple[str, ...] = ()
-    """Names of sensors in sessions that it is meant for."""
+    """Names of the sensors in sessions that use it by default."""
     region: Region = field(default_factory=Region)
-    """The part of the picture that is looked at."""
+    """Region of the picture in use."""
     equalise: bool = False
-    """Whether the luma of YUV is equalised first."""
+    """True to equalise the luma of YUV first."""
     invert: bool = False
-    """Whether the picture is turned into its negative, after that."""
+    """True to invert the picture, after that."""
     smooth_px: int = 1
-    """Side of a Gaussian that takes off noise, odd; 1: none."""
+    """Side of a Gaussian that reduces noise, odd; 1: none."""
     morphology: tuple[Morphology, ...] = ()
-    """Steps of cleaning, in their order."""
+    """Steps of cleaning, in order."""
     area_px: tuple[int, int] = (12, 640 * 480)
-    """Least and largest number of pixels of a marker; other patches are dropped."""
+    """Minimum and maximum number of pixels of a marker; other patches are dropped."""
     box_px: int = 15
-    """Half the side of the boxes that EfficientSAM is asked for."""
+    """Half the side of the boxes that prompt EfficientSAM."""
     tolerance: int = 0
-    """Markers that may be missing or new before a frame is flagged, beside what the border of the
-    image explains."""
+    """Number of missing or new markers, except at the image border, that flags no frame."""
 
     def __post_init__(self) -> None:
         if not self.detectors:
@@ -194,18 +193,18 @@ class CameraPreset:
 
 @dataclass(frozen=True, slots=True)
 class TaxelPreset:
-    """How masks are drawn from the counts of taxels: `recorder.markers.draw_discs`."""
+    """Settings of masks drawn from the counts of taxels: `recorder.markers.draw_discs`."""
 
     KIND: ClassVar[str] = "taxels"
 
     description: str
-    """What it is for."""
+    """Purpose of the preset."""
     mm_per_px: float | None = None
-    """Size of a pixel on the untouched surface [mm]: 128 columns are a pitch."""
+    """Size of a pixel on the surface without contact [mm]: 128 columns are a pitch."""
     sensors: tuple[str, ...] = ()
-    """Names of sensors in sessions that it is meant for."""
+    """Names of the sensors in sessions that use it by default."""
     rows_from_top: bool = False
-    """Whether taxel 0 lies at the upper left and y counts point down; else lower left and up."""
+    """True if taxel 0 is at the upper left and y counts point down; else lower left and up."""
 
     def __post_init__(self) -> None:
         if self.mm_per_px is not None:
@@ -227,10 +226,10 @@ def _require_known(owner: object, name: str, value: str, known: tuple[str, ...])
         raise LearningError(f"{where}.{name}: found {value!r}; allowed: {', '.join(known)}")
 
 
-# From a picture to the mask of its markers, as a preset says. OpenCV does the work.
+# Segmentation of a picture by a preset, with OpenCV.
 
 Mask = NDArray[np.bool_]
-# Pixels, uint8: OpenCV does not say so of what it returns.
+# Pixels, uint8; OpenCV's type hints do not state the type.
 Picture = np.ndarray[Any, np.dtype[Any]]
 Binary = Picture
 
@@ -240,7 +239,7 @@ _MORPHOLOGY = {
     "dilate": cv2.MORPH_DILATE,
     "erode": cv2.MORPH_ERODE,
 }
-# Extremes around a pixel are looked for at a half of the resolution: they are smooth.
+# Local extremes are computed at half the resolution, as they are smooth.
 _COARSE = 2
 
 
@@ -248,7 +247,7 @@ class Segmenter:
     """Makes masks from the pictures of one camera."""
 
     def __init__(self, preset: CameraPreset) -> None:
-        """Prepare what all pictures share."""
+        """Prepare data shared by all pictures."""
         self.preset = preset
         self._inside = _inside(preset.region)
         shapes = {"ellipse": cv2.MORPH_ELLIPSE, "square": cv2.MORPH_RECT}
@@ -261,15 +260,15 @@ class Segmenter:
         """Return the mask (480, 640) of a picture (h, w, 3), RGB.
 
         Raises:
-            LearningError: No such picture, or one that is smaller than the preset's region.
+            LearningError: The picture is invalid, or smaller than the preset's region.
         """
         return self.mask_of_view(self.view(picture))
 
     def view(self, picture: Picture) -> Picture:
-        """Return what markers are looked for in: the region of a picture as (480, 640, 3).
+        """Return the region of a picture as (480, 640, 3), the input of the detectors.
 
         Raises:
-            LearningError: No such picture, or one that is smaller than the preset's region.
+            LearningError: The picture is invalid, or smaller than the preset's region.
         """
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             raise LearningError(
@@ -291,7 +290,7 @@ class Segmenter:
         return resized
 
     def mask_of_view(self, view: Picture) -> Mask:
-        """Return the mask (480, 640) of what `view` returned."""
+        """Return the mask (480, 640) of a result of `view`."""
         preset = self.preset
         if preset.equalise:
             view = _equalised(view)
@@ -323,7 +322,7 @@ def _equalised(view: Picture) -> Picture:
 
 
 def _found(view: Picture, detector: Detector) -> Binary:
-    """Return what a detector finds (480, 640), 255 where it does."""
+    """Return the pixels that a detector finds (480, 640), 255 if found."""
     if isinstance(detector, Contrast):
         return _contrast(_channel(view, detector.channel), detector)
     if isinstance(detector, BlurDifference):
@@ -343,7 +342,7 @@ def _limits(detector: ColourBelow) -> tuple[int, int, int]:
 
 
 def _contrast(values: Picture, detector: Contrast) -> Binary:
-    """Return where values lie beyond midway between the extremes around them."""
+    """Return the pixels beyond midway between the local extremes."""
     small = cv2.resize(values, (WIDTH // _COARSE, HEIGHT // _COARSE), interpolation=cv2.INTER_AREA)
     side = 2 * (detector.window_px // (2 * _COARSE)) + 1
     element = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
@@ -373,11 +372,11 @@ def _below(values: Picture, limit: int, *, at_least: bool = False) -> Binary:
 
 
 def _of_size(found: Binary, area_px: tuple[int, int]) -> Mask:
-    """Return the patches (connected through sides) whose areas are within limits."""
+    """Return the patches (connected through sides) with areas within limits."""
     mask = np.asarray(found != 0)
     area = find_blobs(mask[None]).area
     if ((area >= area_px[0]) & (area <= area_px[1])).all():
-        # As a rule: labels of all pixels cost ten times the areas alone.
+        # The usual case, as labels of all pixels cost ten times the areas alone.
         return mask
     _, labels, stats, _ = cv2.connectedComponentsWithStats(found, connectivity=4)
     area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
@@ -394,28 +393,28 @@ def _inside(region: Region) -> Binary | None:
     return inside
 
 
-# Presets in YAML: those that are shipped, by name, and files of one's own.
+# Presets in YAML: those of this package, by name, and the user's files.
 
 FOLDER = Path(__file__).parent / "presets"
 
 
 @cache
 def names() -> tuple[str, ...]:
-    """Return the names of the presets that are shipped."""
+    """Return the names of the presets of this package."""
     return preset_names(FOLDER)
 
 
 def preset(name: str) -> Preset:
-    """Return a preset by name, or from a YAML file if the name ends so.
+    """Return a preset by name, or from a file if the name ends in .yaml or .yml.
 
     Raises:
-        LearningError: No such preset, or a file that is none.
+        LearningError: There is no such preset, or the file is invalid.
     """
     return read_preset(preset_path(FOLDER, name))
 
 
 def preset_of_sensor(sensor: str) -> str | None:
-    """Return the name of the preset that is meant for a sensor; None: there is none."""
+    """Return the name of the default preset of a sensor, or None."""
     for name in names():
         if sensor in preset(name).sensors:
             return name
@@ -423,23 +422,23 @@ def preset_of_sensor(sensor: str) -> str | None:
 
 
 def read_preset(path: Path) -> Preset:
-    """Return the preset in a YAML file.
+    """Read a preset from a YAML file.
 
     Raises:
-        LearningError: Not there, not YAML, or a key or value that is not allowed.
+        LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
     made: Preset = build_one_of(get_args(Preset), read_mapping(path), str(path))
     return made
 
 
-# Where markers are, to a small part of a pixel: centroids weighted by how dark each pixel is.
+# Subpixel positions of markers: centroids weighted by the darkness of each pixel.
 #
-# The centre of a binary patch moves in steps as pixels of its rim come and go; the greys of the rim
-# say how much of each pixel the marker covers.
+# The centre of a binary patch moves in steps as pixels at its rim switch; the grey levels of the
+# rim tell how much of each pixel the marker covers.
 
-# A marker's greys are looked at so far beyond its patch; its ground is the ring so wide around.
+# Rim around a patch that is part of the centroid, and ring around it that gives the background.
 _RIM_PX, _RING_PX = 2, 2
-# No label: a picture has fewer markers.
+# Value that is no label, as pictures have fewer markers.
 _NONE = np.iinfo(np.uint16).max
 
 
@@ -452,7 +451,7 @@ class Centres:
     area: NDArray[np.int64]
     """Pixels of the patch (n,)."""
     whole: NDArray[np.bool_]
-    """Whether the image's border cuts nothing off (n,); the centre of a cut one is beside it."""
+    """True if the marker is not cut by the image border (n,); centres of cut ones are biased."""
 
     def __len__(self) -> int:
         """Return the number of markers."""
@@ -462,15 +461,15 @@ class Centres:
 def find_centres(
     mask: NDArray[np.bool_], grey: NDArray[np.uint8] | None = None, smallest_px: int = SMALLEST_PX
 ) -> Centres:
-    """Return the markers of a mask, placed by the greys of the picture if it is given.
+    """Find the markers of a mask, located by the grey levels of the picture if it is given.
 
     Args:
         mask: Markers (h, w).
-        grey: The picture they were found in (h, w); None places them by the mask alone.
-        smallest_px: Patches of fewer pixels are specks.
+        grey: The picture of the mask (h, w); None: use the mask alone.
+        smallest_px: Patches of fewer pixels are ignored.
 
     Raises:
-        LearningError: No mask, or a picture of another size.
+        LearningError: The mask is invalid, or the picture has another size.
     """
     if mask.dtype != np.bool_ or mask.ndim != 2:
         raise LearningError(f"mask: found {mask.dtype} {mask.shape}; allowed: bool (h, w)")
@@ -492,7 +491,7 @@ def find_centres(
 def _weighted(
     labels: NDArray[np.int32], middle: NDArray[np.float64], grey: NDArray[np.uint8]
 ) -> NDArray[np.float64]:
-    """Return centres (n, 2) weighted by the difference to the ground around each marker."""
+    """Return centres (n, 2) weighted by the difference from the background of each marker."""
     count = len(middle)
     near = _grown(labels, _RIM_PX)
     around = _grown(labels, _RIM_PX + _RING_PX)
@@ -502,7 +501,7 @@ def _weighted(
     ink = _mean(labels[inner], values[inner], count)
     row, column = np.nonzero(near)
     of = near[row, column]
-    # A marker without a ring, one in a crowd, keeps the centre of its patch.
+    # A marker without a ring, among dense neighbours, keeps the centre of its patch.
     known = np.isfinite(ground) & np.isfinite(ink) & (np.abs(ground - ink) >= 1.0)
     depth = np.where(known, ink - ground, 1.0)
     share = np.clip((values[row, column] - np.nan_to_num(ground)[of]) / depth[of], 0.0, 1.0)
@@ -516,12 +515,13 @@ def _weighted(
 
 
 def _grown(labels: NDArray[np.int32], by_px: int) -> NDArray[np.int64]:
-    """Return labels (h, w) that reach so far beyond their patches; where two meet, neither is."""
+    """Return labels (h, w) dilated beyond their patches; pixels where two meet get neither."""
     side = 2 * by_px + 1
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     plain = labels.astype(np.uint16)
     most = cv2.dilate(plain, element)
-    # Without the background, the least label that is near is found as the greatest is.
+    # With the background excluded, the erosion gives the least label nearby, as dilation the
+    # greatest.
     plain[labels == 0] = _NONE
     least = cv2.erode(plain, element)
     grown = np.where(most == least, most, 0)

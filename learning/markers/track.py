@@ -1,11 +1,11 @@
-"""Follows markers through a sequence: named by the reference, lost, and found again.
+"""Tracking of markers through a sequence, by the reference's markers; lost ones are recovered.
 
-Each frame, every marker is looked for where it is expected: where it was, moved on at its last
-speed; one that is lost, where its neighbours say. Markers and what was found are assigned to each
-other with the least sum of distances (Kuhn, 1955; Jonker and Volgenant, 1987), none farther than
-the gate. Neighbours then say anew where each should be, and it is done again: a marker that moved
-too far to be recognised alone is recognised by the company that it keeps. In a regular pattern that
-ends at three quarters of a pitch from one frame to the next; a sequence may go on for any length.
+In each frame, a marker is expected at its last position plus its last velocity times a factor; a
+lost marker is expected where its neighbours predict. Markers and detections are assigned with the
+least sum of distances (Kuhn, 1955; Jonker and Volgenant, 1987), none beyond the gate. Then
+neighbours predict each marker again, and the assignment is repeated. So a marker that moved too far
+to be matched alone is matched by its neighbours. In a regular pattern this fails beyond three
+quarters of a pitch between frames; a sequence can have any length.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from learning.errors import LearningError
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Markers around one that are asked where it is.
+# Number of neighbours that predict a marker's position.
 NEIGHBOURS = 8
-# Assignments of a frame, at most.
+# Maximum number of assignments per frame.
 ROUNDS = 4
 _FAR = 1e6
 
@@ -34,15 +34,15 @@ class Track:
     """All markers of the reference in one frame."""
 
     place: Floats
-    """Column and row (m, 2) [px]; NaN where a marker is lost."""
+    """Column and row (m, 2) [px]; NaN if a marker is lost."""
     expected: Floats
-    """Where each was looked for (m, 2) [px], lost ones too."""
+    """Expected position of each marker (m, 2) [px], including lost ones."""
     found: Indices
-    """Which of the centres that were given it is (m,); -1 where it is lost."""
+    """Index of each marker among the given centres (m,); -1 if it is lost."""
 
     @property
     def lost(self) -> NDArray[np.bool_]:
-        """Which markers are lost (m,)."""
+        """True for lost markers (m,)."""
         return self.found < 0
 
 
@@ -50,16 +50,17 @@ class Tracker:
     """Follows the markers of one reference."""
 
     def __init__(self, reference: Floats, *, gate: float = 0.5, speed: float = 0.5) -> None:
-        """Name the markers by their order in the reference.
+        """Index the markers by their order in the reference.
 
         Args:
-            reference: Column and row (m, 2) of the untouched markers [px].
-            gate: How far from where it is expected a marker may be found [pitch]: half the
-                distance to a neighbour, beyond which it could be either.
-            speed: Share of the last frame's motion that is expected to go on, 0 to 1.
+            reference: Column and row (m, 2) of the markers without contact [px].
+            gate: Maximum distance of a marker from its expected position [pitch]: half the distance
+                to a neighbour, beyond which it could be either.
+            speed: Share of the last frame's motion that is expected to continue, 0 to 1.
 
         Raises:
-            LearningError: No markers, places that are not finite, or a gate or speed out of range.
+            LearningError: There are no markers, positions are not finite, or gate or speed is out
+                of range.
         """
         self.reference = np.array(reference, np.float64)
         if self.reference.ndim != 2 or self.reference.shape[1:] != (2,) or not len(self.reference):
@@ -81,7 +82,7 @@ class Tracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the sequence: the next frame is expected to look like the reference."""
+        """Reset the sequence: the next frame is expected to look like the reference."""
         self._moved = np.zeros_like(self.reference)
         self._step = np.zeros_like(self.reference)
         self._fresh = np.ones(len(self.reference), bool)
@@ -90,7 +91,7 @@ class Tracker:
         """Find the markers among the centres (n, 2) of the next frame [px].
 
         Raises:
-            LearningError: Not (n, 2), or places that are not finite.
+            LearningError: The shape is not (n, 2), or positions are not finite.
         """
         centres = np.asarray(centres, np.float64).reshape(-1, 2) if len(centres) == 0 else centres
         if centres.ndim != 2 or centres.shape[1] != 2 or not np.isfinite(centres).all():
@@ -98,7 +99,7 @@ class Tracker:
         before = self._moved
         moved = before + self._speed * np.where(self._fresh[:, None], self._step, 0.0)
         if not self._fresh.all():
-            # Lost markers have no speed of their own: they go where their neighbours go.
+            # Lost markers have no velocity: they move with their neighbours.
             moved = np.where(self._fresh[:, None], moved, self._neighbourly(moved, self._fresh))
         found = self._assigned(moved, centres)
         for _ in range(ROUNDS - 1):
@@ -124,7 +125,7 @@ class Tracker:
         return Track(place, self.reference + moved, found)
 
     def _assigned(self, moved: Floats, centres: Floats) -> Indices:
-        """Return which centre is whose (m,), -1 for none."""
+        """Return the centre assigned to each marker (m,), -1 for none."""
         found = np.full(len(self.reference), -1)
         if not len(centres):
             return found
@@ -137,14 +138,14 @@ class Tracker:
         return found
 
     def _neighbourly(self, moved: Floats, known: NDArray[np.bool_]) -> Floats:
-        """Return how far each moved (m, 2) by the median of those around it that are known."""
+        """Return the displacement of each marker (m, 2) by the median of its known neighbours."""
         values = np.where(known[:, None], moved, np.nan)[self._around]
         some = known[self._around].any(axis=1)
         median = moved.copy()
         if some.any():
             median[some] = np.nanmedian(values[some], axis=1)
         if not some.all() and known.any():
-            # Nobody around is known: the nearest that is.
+            # No neighbour is known: use the nearest known marker.
             lonely = np.flatnonzero(~some)
             known_rows = np.flatnonzero(known)
             _, nearest = cKDTree(self.reference[known_rows]).query(self.reference[lonely])

@@ -1,4 +1,4 @@
-"""What every training needs: run folders, chance without state, schedules, averages, devices."""
+"""Common parts of all trainings: run folders, seeded random choices, schedules, EMA, devices."""
 
 from learning.training.run import (
     METRICS,

@@ -1,6 +1,6 @@
-"""The folder of a trained model: its weights, and what it was made with and from.
+"""The folder of a trained model: its weights, settings and provenance.
 
-    model.safetensors     the weights; other networks of the same training under their own names
+    model.safetensors     the weights; other networks of the training have files of their names
     config.yaml           kind, settings, facts, data, code_version
 
 A finished run is such a folder, and so is each of its checkpoints.
@@ -29,29 +29,29 @@ from learning.errors import LearningError
 from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
 
-# Weights of networks in files: safetensors, and errors that say what does not fit.
+# Network weights in safetensors files.
 
 _SHOWN = 4
 
 
 def save_weights(model: nn.Module | Mapping[str, Tensor], path: Path) -> None:
-    """Write the state of a module, whole or not at all.
+    """Write the state of a module atomically.
 
     Args:
         model: The module, not wrapped by Accelerate, or its state.
         path: The file, `.safetensors`.
     """
     state = model.state_dict() if isinstance(model, nn.Module) else model
-    # Copies: safetensors refuses tensors that share memory, as tied weights do.
+    # Copied, as safetensors rejects tensors that share memory, e.g. tied weights.
     plain = {name: value.detach().cpu().clone().contiguous() for name, value in state.items()}
     replace_file(path, save(plain))
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:
-    """Return the tensors of a file, on the CPU.
+    """Read the tensors of a file, on the CPU.
 
     Raises:
-        LearningError: No such file, or not safetensors.
+        LearningError: The file is missing or is not safetensors.
     """
     try:
         weights: dict[str, Tensor] = load_file(path)
@@ -63,15 +63,15 @@ def read_weights(path: Path) -> dict[str, Tensor]:
 
 
 def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: str = "") -> None:
-    """Give a module the weights of a file, all of them and no others.
+    """Load weights into a module; names and shapes must match exactly.
 
     Args:
         model: The module, not wrapped by Accelerate.
-        weights: The file, or what was read from it.
-        where: Begins the message of an error; the file's path where there is one.
+        weights: The file, or its content.
+        where: Prefix of error messages; replaced by the path if `weights` is a file.
 
     Raises:
-        LearningError: No such file, names that are missing or unknown, or other shapes.
+        LearningError: The file is missing, or names or shapes differ.
     """
     if isinstance(weights, Path):
         where, weights = str(weights), read_weights(weights)
@@ -91,7 +91,7 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
     if wrong:
         raise LearningError(
             f"{where}: not the weights of this network: {'; '.join(wrong)}; allowed: "
-            f"{len(own)} tensors of the settings beside them"
+            f"{len(own)} tensors, as its settings define"
         )
     unsound = [
         name
@@ -107,7 +107,7 @@ def weights_hash(path: Path) -> str:
     """Return the SHA-256 of a file, 64 hexadecimal digits.
 
     Raises:
-        LearningError: No such file.
+        LearningError: The file is missing.
     """
     try:
         with path.open("rb") as file:
@@ -126,34 +126,34 @@ Settings = TypeVar("Settings")
 logger = logging.getLogger(__name__)
 
 CONFIG, MODEL = "config.yaml", "model"
-# What a model may be.
+# Kinds of models.
 KINDS = ("autoencoder", "field", "direct", "marker-vae", "diffusion", "force")
 
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """What a model was made with and from."""
+    """Settings and provenance of a model."""
 
     kind: str
     """One of `KINDS`."""
     settings: Mapping[str, Any]
     """Plain values, as `settings_to_dict` gives them."""
     data: str
-    """Fingerprint of what it was trained on."""
+    """Fingerprint of the training data."""
     code_version: str
-    """Of this package."""
+    """Version of this package."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """What was found and is needed to use it, such as the force range; plain values."""
+    """Values found by training and needed to use the model, e.g. the force range; plain values."""
     step: int | None = None
-    """Steps that it was trained for; None: the run is not finished."""
+    """Number of training steps; None: the run is not finished."""
     score: float | None = None
-    """What it was judged by, less being better; None: it was not."""
+    """Validation score, lower is better; None: not scored."""
 
     def write(self, folder: Path) -> None:
-        """Write it to a folder, whole or not at all.
+        """Write it to a folder, atomically.
 
         Raises:
-            LearningError: Settings or facts that are no plain values.
+            LearningError: Settings or facts are not plain values.
         """
         try:
             text = yaml_text(asdict(self))
@@ -170,26 +170,26 @@ class ModelFolder:
     config: Config
 
     def settings(self, kind: type[Settings]) -> Settings:
-        """Return its settings as the dataclass that they were.
+        """Return its settings as a dataclass.
 
         Raises:
-            LearningError: They are not of that class.
+            LearningError: They do not fit that class.
         """
         return build(kind, dict(self.config.settings), f"{self.path / CONFIG}.settings")
 
     def weights(self, name: str = MODEL) -> dict[str, Tensor]:
-        """Return the weights of one of its networks.
+        """Read the weights of one of its networks.
 
         Raises:
-            LearningError: There are none, or the file is damaged.
+            LearningError: The file is missing or corrupt.
         """
         return read_weights(self.file(name))
 
     def load(self, model: nn.Module, name: str = MODEL) -> None:
-        """Give a network its weights.
+        """Load the weights of one of its networks into a module.
 
         Raises:
-            LearningError: There are none, or they are of another network.
+            LearningError: The file is missing, or its weights belong to another network.
         """
         load_weights(model, self.file(name))
 
@@ -197,7 +197,7 @@ class ModelFolder:
         """Return the SHA-256 of the weights of one of its networks.
 
         Raises:
-            LearningError: There are none.
+            LearningError: The file is missing.
         """
         return weights_hash(self.file(name))
 
@@ -211,10 +211,10 @@ def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
 
     Args:
         path: A finished run, or a checkpoint of one.
-        kind: What it must be; None: any.
+        kind: Required kind; None: any.
 
     Raises:
-        LearningError: No such folder, no finished model, or one of another kind.
+        LearningError: The folder is missing, holds no finished model, or one of another kind.
     """
     config = read_config(path)
     if kind is not None and config.kind != kind:
@@ -228,10 +228,10 @@ def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
 
 
 def read_config(folder: Path) -> Config:
-    """Return what a folder says of its model.
+    """Read the `Config` of a folder.
 
     Raises:
-        LearningError: It says nothing, or something else than models do.
+        LearningError: The file is missing or invalid.
     """
     path = folder / CONFIG
     if not path.is_file():
@@ -249,9 +249,9 @@ def read_config(folder: Path) -> Config:
 
 @cache
 def code_version() -> str:
-    """Return what git calls this code, or the version of the package where there is no git."""
+    """Return the version of this code by `git describe`, or the package version without git."""
     root = Path(__file__).parents[2]
-    # A package that is installed somewhere inside another project's repository is not of it.
+    # A package installed inside another project's repository does not belong to it.
     if (root / ".git").exists():
         try:
             said = subprocess.run(
@@ -264,7 +264,7 @@ def code_version() -> str:
             )
             return said.stdout.strip()
         except (OSError, subprocess.SubprocessError) as error:
-            logger.warning("git does not say which code this is: %s", error)
+            logger.warning("git cannot describe this code: %s", error)
     return _package_version()
 
 

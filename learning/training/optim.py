@@ -1,4 +1,4 @@
-"""Weights averaged over the steps of a training, and learning rates by step."""
+"""Exponential moving average of weights, and learning-rate schedules."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ from learning.errors import LearningError
 
 
 class Ema:
-    """An exponential moving average of a module's parameters; other state is taken as it is.
+    """An exponential moving average of a module's parameters; other state is copied.
 
-    Until it has seen many steps it averages over those that there were: the n-th counts
-    1 - min(decay, (1 + n) / (10 + n)).
+    The decay is reduced in the first steps: after n updates it is min(decay, (1 + n) / (10 + n)).
     """
 
     def __init__(self, module: nn.Module, decay: float = 0.999) -> None:
         """Begin with the module's weights.
 
         Args:
-            module: What is averaged; not wrapped by Accelerate.
-            decay: Share of the average that a step leaves, 0 to less than 1.
+            module: The module to average; not wrapped by Accelerate.
+            decay: Share of the average that an update keeps, 0 to less than 1.
 
         Raises:
-            LearningError: Another decay.
+            LearningError: The decay is out of range.
         """
         if not 0 <= decay < 1:
             raise LearningError(f"ema: found decay {decay}; allowed: 0 to less than 1")
@@ -40,7 +39,7 @@ class Ema:
 
     @torch.no_grad()
     def update(self, module: nn.Module) -> None:
-        """Take in the weights after a step."""
+        """Update the average after a step."""
         self._updates += 1
         left = min(self.decay, (1 + self._updates) / (10 + self._updates))
         for name, value in _state(module).items():
@@ -57,7 +56,7 @@ class Ema:
 
     @contextmanager
     def applied(self, module: nn.Module) -> Iterator[None]:
-        """Let a module have the average while the context is open."""
+        """Give a module the averaged weights while the context is open."""
         own = {name: value.detach().clone() for name, value in _state(module).items()}
         module.load_state_dict(self._average)
         try:
@@ -66,14 +65,14 @@ class Ema:
             module.load_state_dict(own)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what a checkpoint keeps."""
+        """Return the state for a checkpoint."""
         return {"decay": self.decay, "updates": self._updates, "average": self._average}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on with what `state_dict` gave.
+        """Restore the state from `state_dict`.
 
         Raises:
-            LearningError: It is of another module or decay.
+            LearningError: It belongs to another module or decay.
         """
         average = state["average"]
         shapes = {name: tuple(value.shape) for name, value in average.items()}
@@ -91,14 +90,14 @@ def _state(module: nn.Module) -> dict[str, Tensor]:
     return dict(module.state_dict())
 
 
-# Learning rates as pure functions of the step: resuming needs no scheduler's state.
+# Learning rates as pure functions of the step, so that resuming needs no scheduler state.
 #
-# A rate of settings is one of these; `kind` in YAML says which.
+# A learning rate in settings is one of these classes, selected by `kind` in YAML.
 
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """One rate, after it rose from nothing."""
+    """A constant rate after a warm-up from zero."""
 
     KIND: ClassVar[str] = "constant"
 
@@ -116,13 +115,13 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Cosine:
-    """Half a wave of a cosine from the rate to a share of it."""
+    """Half a cosine wave from the rate to a share of it."""
 
     KIND: ClassVar[str] = "cosine"
 
     rate: float
     steps: int
-    """The rate has arrived at its end after so many, and stays there."""
+    """Step at which the rate reaches its final value, and stays there."""
     warm_up: int = 0
     """Steps over which the rate rises; they are the first of `steps`."""
     final: float = 0.0
@@ -147,21 +146,21 @@ class Cosine:
 
 @dataclass(frozen=True, slots=True)
 class Stages:
-    """A rate for some epochs, then the next: 0.1 for 40, 1e-3 for 40 (the paper, Methods)."""
+    """Constant rates for given numbers of epochs: 0.1 for 40, 1e-3 for 40 (the paper, Methods)."""
 
     KIND: ClassVar[str] = "stages"
 
     rates: tuple[float, ...] = (0.1, 1e-3)
     epochs: tuple[int, ...] = (40, 40)
-    """How long each rate lasts; the last one goes on."""
+    """Number of epochs of each rate; the last rate continues."""
 
     def __post_init__(self) -> None:
         for rate in self.rates:
             _require(rate, 0)
         if not self.rates or len(self.rates) != len(self.epochs) or min(self.epochs) < 1:
             raise LearningError(
-                f"stages: found rates {self.rates}, epochs {self.epochs}; allowed: as many of "
-                "each, 1 epoch or more"
+                f"stages: found rates {self.rates}, epochs {self.epochs}; allowed: the same "
+                "number of each, 1 epoch or more"
             )
 
     def at(self, step: int, steps_per_epoch: int = 1) -> float:
@@ -203,7 +202,7 @@ Schedule = Constant | Cosine | Stages | InversePower
 
 
 def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
-    """Let an optimiser, wrapped by Accelerate or not, take its next step at a rate."""
+    """Set the learning rate of an optimiser, wrapped by Accelerate or not."""
     for group in optimiser.param_groups:
         group["lr"] = rate
 

@@ -1,15 +1,15 @@
-"""What a training stands on: its folder, the devices, chance without state, Ctrl-C.
+"""Infrastructure of a training: run folder, devices, stateless random choices, Ctrl-C.
 
-The folder says how far it is, what it measured, and holds its model in the end:
+The folder holds the state of the run, its metrics and, in the end, its model:
 
     config.yaml                     kind, settings, data, code version
-    metrics.jsonl, tensorboard/     what `log` was told
+    metrics.jsonl, tensorboard/     values passed to `log`
     checkpoints/00001000/           model.safetensors, training.pt, config.yaml
-    model.safetensors               once it is finished: the folder is a model then
+    model.safetensors               written last: the folder is a finished model
 
-A checkpoint is written under a temporary name and renamed, so that there are only whole ones. The
-last few are kept, and the best. A run goes on after its newest checkpoint; what was logged later is
-taken off the log again.
+A checkpoint is written under a temporary name and renamed, so that only complete ones exist. The
+last few and the best are kept. A run resumes from its newest checkpoint; later lines are removed
+from the log.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ _RNG = "torch_rng"
 
 
 class RunFolder:
-    """One training's folder; `open` makes it. A context manager that closes the logs."""
+    """The folder of a training, made by `open`. A context manager that closes the logs."""
 
     def __init__(self, path: Path, config: Config, *, keep: int = 2, writes: bool = True) -> None:
-        """Show a folder that `open` has prepared."""
+        """Represent a folder that `open` has prepared."""
         self.path, self.config, self.keep, self.writes = path, config, keep, writes
         self._board: SummaryWriter | None = None
 
@@ -82,21 +82,21 @@ class RunFolder:
         keep: int = 2,
         writes: bool = True,
     ) -> Self:
-        """Begin a run, or go on with it.
+        """Begin or resume a run.
 
         Args:
-            path: Its folder.
+            path: Folder of the run.
             kind: One of `KINDS`.
-            settings: Frozen dataclass that says all about the training.
-            data_fingerprint: Of what is trained on, split included.
-            resume: Whether a run that is there goes on; where there is none it begins.
-            facts: What is known before training and needed to use the model; plain values.
-            keep: Checkpoints that are kept beside the best.
-            writes: Whether this process writes; with several, the main one alone.
+            settings: Frozen dataclass with all settings of the training.
+            data_fingerprint: Fingerprint of the training data, including the split.
+            resume: Continue an existing run; without one, a new run begins.
+            facts: Plain values known before training that are needed to use the model.
+            keep: Number of newest checkpoints to keep, in addition to the best.
+            writes: True if this process writes; of several, only the main one does.
 
         Raises:
-            LearningError: A run is there and `resume` is not asked for, it was begun with other
-                settings or data, or something else lies there.
+            LearningError: A run exists and `resume` is False, it was begun with other settings or
+                data, or the folder holds something else.
         """
         folder = Path(path)
         if kind not in KINDS:
@@ -121,15 +121,15 @@ class RunFolder:
 
     @property
     def finished(self) -> bool:
-        """Whether the model is there."""
+        """True if the model is written."""
         return (self.path / f"{MODEL}.safetensors").is_file()
 
     def log(self, step: int, values: Mapping[str, float | str]) -> None:
-        """Add what was measured after a step to the log and to TensorBoard.
+        """Add measured values to the log and to TensorBoard.
 
         Args:
             step: Number of steps done.
-            values: Numbers by name (`train/loss`); what is not finite is stored as null.
+            values: Numbers by name (`train/loss`); numbers that are not finite are stored as null.
         """
         if not self.writes:
             return
@@ -137,7 +137,7 @@ class RunFolder:
         with (self.path / METRICS).open("a", encoding="utf-8") as file:
             file.write(json.dumps({"step": step, **plain}) + "\n")
         if self._board is None:
-            # Seconds to import: not for whoever only reads a folder.
+            # Imported here, as it takes seconds and readers of a folder do not need it.
             from torch.utils.tensorboard import SummaryWriter
 
             self._board = SummaryWriter(str(self.path / _TENSORBOARD), purge_step=step)
@@ -153,17 +153,17 @@ class RunFolder:
         *,
         score: float | None = None,
     ) -> Path:
-        """Write a checkpoint, then drop those that are not to be kept.
+        """Write a checkpoint, then delete those that are not kept.
 
         Args:
             step: Number of steps done.
-            models: Networks by name, not wrapped by Accelerate; `model` is the one to be used.
-            training: What else is needed to go on, by name: optimisers and whatever else has a
-                `state_dict`, or plain values. Torch's generators are kept as well.
-            score: What the model is judged by, less being better; None: it was not.
+            models: Networks by name, not wrapped by Accelerate; `model` is the one to use.
+            training: Other state needed to resume, by name: objects with a `state_dict`, such as
+                optimisers, or plain values. Torch's generators are saved as well.
+            score: Validation score, lower is better; None: not scored.
 
         Raises:
-            LearningError: Something among `training` that cannot be read back safely.
+            LearningError: A value in `training` cannot be read back safely.
         """
         folder = self.path / CHECKPOINTS / f"{step:08d}"
         if not self.writes:
@@ -193,7 +193,7 @@ class RunFolder:
         return found[-1] if found else None
 
     def best(self) -> Path | None:
-        """Return the checkpoint with the least score, the older of equal ones; None without."""
+        """Return the checkpoint with the lowest score, the older if equal; None if unscored."""
         scored = [(read_config(path).score, path) for path in self._checkpoints()]
         known = [(score, path) for score, path in scored if score is not None]
         return min(known)[1] if known else None
@@ -209,11 +209,11 @@ class RunFolder:
 
         Args:
             models: Networks by the names that they were saved under, not wrapped by Accelerate.
-            training: What has a `load_state_dict`, by name; what has none is left as it is.
-            checkpoint: Which one; None: the newest. Where there is none, nothing changes: 0 steps.
+            training: Objects to restore by `load_state_dict`, by name; others are ignored.
+            checkpoint: Path; None: the newest. Without any, nothing changes and 0 is returned.
 
         Raises:
-            LearningError: Weights or states that are missing or of another network.
+            LearningError: Weights or states are missing or belong to another network.
         """
         folder = checkpoint or self.latest()
         if folder is None:
@@ -237,10 +237,10 @@ class RunFolder:
         return step
 
     def training_values(self, checkpoint: Path | None = None) -> dict[str, Any]:
-        """Return what a checkpoint keeps beside networks, by name; empty where there is none.
+        """Return a checkpoint's training state, by name; empty if there is no checkpoint.
 
         Raises:
-            LearningError: It is damaged.
+            LearningError: The file is corrupt.
         """
         folder = checkpoint or self.latest()
         return {} if folder is None else _read_training(folder / TRAINING)
@@ -253,25 +253,25 @@ class RunFolder:
         facts: Mapping[str, Any] | None = None,
         score: float | None = None,
     ) -> None:
-        """Write the model: the folder is one that can be used from now on.
+        """Write the model, which marks the run as finished.
 
         Args:
             step: Number of steps done.
-            models: Networks by name; `model` is the one to be used.
-            facts: What else was found and belongs to the model; plain values.
-            score: What the model is judged by.
+            models: Networks by name; `model` is the one to use.
+            facts: Further plain values that belong to the model.
+            score: Validation score.
         """
         if not self.writes:
             return
         facts = {**self.config.facts, **(facts or {})}
         self.config = replace(self.config, step=step, score=score, facts=facts)
         self.config.write(self.path)
-        # The one that makes the run finished comes last.
+        # `model` is written last, as it marks the run as finished.
         for name in sorted(models, key=lambda name: name == MODEL):
             save_weights(models[name], self.path / f"{name}.safetensors")
 
     def close(self) -> None:
-        """End the logs. Safe twice."""
+        """Close the logs. Can be called twice."""
         if self._board is not None:
             self._board.close()
             self._board = None
@@ -288,7 +288,7 @@ class RunFolder:
         self.close()
 
     def _checkpoints(self) -> list[Path]:
-        """Return whole checkpoints, oldest first."""
+        """Return complete checkpoints, oldest first."""
         folder = self.path / CHECKPOINTS
         found = [path for path in folder.glob("*") if path.name.isdecimal()]
         return sorted(path for path in found if (path / CONFIG).is_file())
@@ -303,7 +303,7 @@ class RunFolder:
                 shutil.rmtree(left)
 
     def _forget_later(self) -> None:
-        """Take off the log what was measured after the newest checkpoint, or cut short."""
+        """Remove truncated lines, and lines after the newest checkpoint, from the log."""
         log = self.path / METRICS
         if self.finished or not log.exists():
             return
@@ -377,7 +377,7 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-# The devices that a training runs on: one process as it is, or as many as `torchrun` starts.
+# Devices of a training: one process, or the number that `torchrun` starts.
 #
 # python -m learning train-force ...                              # one GPU, or the CPU
 # torchrun --nproc-per-node 4 -m learning train-force ...         # four GPUs of one host
@@ -387,21 +387,21 @@ Precision = Literal["no", "bf16", "fp16"]
 
 @dataclass(frozen=True, slots=True)
 class LaunchSettings:
-    """Where a training runs, and in what precision."""
+    """Device and precision of a training."""
 
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """`auto` is a GPU where there is one."""
+    """`auto` selects a GPU if there is one."""
     mixed_precision: Precision = "no"
-    """Numbers that networks are evaluated in; weights stay float32."""
+    """Precision in which networks are evaluated; weights stay float32."""
     deterministic: bool = False
-    """Whether kernels that sum in no fixed order are avoided where there are others."""
+    """True to avoid kernels that sum in varying order, where alternatives exist."""
 
 
 def accelerator(settings: LaunchSettings) -> Accelerator:
-    """Return what wraps models and optimisers, on the device that was asked for.
+    """Return the Accelerator for the requested device and precision.
 
     Raises:
-        LearningError: No such device, or one that cannot compute in that precision.
+        LearningError: The device does not exist, or does not support the precision.
     """
     from accelerate import Accelerator
     from accelerate.state import AcceleratorState, PartialState
@@ -418,13 +418,13 @@ def accelerator(settings: LaunchSettings) -> Accelerator:
     if settings.deterministic:
         torch.use_deterministic_algorithms(True, warn_only=True)
     if PartialState._shared_state and PartialState().num_processes == 1:
-        # Accelerate keeps what a process first asked for; another training may want otherwise.
+        # Accelerate keeps the options of the first training in a process; this one may differ.
         AcceleratorState._reset_state(reset_partial_state=True)
     return Accelerator(cpu=on_cpu, mixed_precision=settings.mixed_precision)
 
 
 def described(launched: Accelerator) -> str:
-    """Return in a line what a training runs on."""
+    """Return a one-line description of device and precision."""
     device = launched.device
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
     threads = "" if device.type == "cuda" else f", {torch.get_num_threads()} threads"
@@ -433,47 +433,47 @@ def described(launched: Accelerator) -> str:
     return f"{processes}{device} ({name}){threads}, mixed precision {launched.mixed_precision}"
 
 
-# Chance as a pure function of seed and step: what resumes needs to remember nothing.
+# Random choices as pure functions of seed and step, so that resuming needs no stored state.
 #
-# Every choice has a generator of its own, made from the seed and words that say what is chosen, on
-# which step, by which process. So a training that was stopped goes on with the same choices, and
-# two choices that were put in another order stay what they were.
+# Every choice has its own generator, made from the seed and words that name the choice, the step
+# and the process. So a resumed training makes the same choices, and reordering two choices in the
+# code does not change them.
 
 
 def generator(seed: int, *words: str | int) -> np.random.Generator:
     """Return the generator of a choice.
 
     Args:
-        seed: Of the whole training.
-        words: What is chosen: names, and numbers such as step and rank.
+        seed: Seed of the training.
+        words: Identity of the choice: names, and numbers such as step and rank.
     """
     return np.random.default_rng(np.random.SeedSequence(_entropy(seed, words)))
 
 
 def seed_torch(seed: int, *words: str | int) -> None:
-    """Seed what networks draw themselves, dropout for instance; call it at the start of a step."""
+    """Seed the draws of networks, such as dropout; call it at the start of a step."""
     torch.manual_seed(_entropy(seed, words) % 2**63)
 
 
 def batch(
     seed: int, step: int, size: int, count: int, *, rank: int = 0, ranks: int = 1, what: str = ""
 ) -> NDArray[np.int64]:
-    """Return which of `count` things a process sees on a step (size,): passes without repeats.
+    """Return the items of `count` that a process sees in a step (size,), without repeats in a pass.
 
-    All are seen once, in an order of its own, before the next pass begins; a batch may reach from
-    one pass into the next. The processes of one step see different parts of the same order.
+    Each pass covers all items, in its own order, before the next begins; a batch may span two
+    passes. The processes of one step see different parts of the same order.
 
     Args:
-        seed: Of the whole training.
-        step: From 0.
-        size: Of the batch of one process.
-        count: How many things there are.
+        seed: Seed of the training.
+        step: Number of the step, from 0.
+        size: Batch size of one process.
+        count: Number of items.
         rank: Number of the process.
-        ranks: How many processes there are.
-        what: Name of the choice, where there are several.
+        ranks: Number of processes.
+        what: Name of the choice, if there are several.
 
     Raises:
-        LearningError: Nothing to choose from.
+        LearningError: `size` or `count` is less than 1.
     """
     if count < 1 or size < 1:
         raise LearningError(f"batch: found {size} of {count}; allowed: 1 and more of 1 and more")
@@ -497,40 +497,40 @@ def _order(seed: int, what: str, number: int, count: int) -> NDArray[np.int64]:
 
 def _entropy(seed: int, words: tuple[str | int, ...]) -> int:
     """Return 128 bits that depend on every word and on their order."""
-    # Words are told apart by their kind and length, so that ("a", 1) is not ("a1",).
+    # Type and length are hashed with each word, so that ("a", 1) differs from ("a1",).
     text = "".join(f"{type(word).__name__} {len(str(word))} {word} " for word in (seed, *words))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:16], "little")
 
 
-# Ctrl-C while a model is trained: once ends after the step in hand, twice ends at once.
+# Ctrl-C during a training: the first ends it after the current step, a second ends it at once.
 #
-# SIGTERM, which queues of clusters send before they take a machine back, asks as Ctrl-C does.
+# SIGTERM, which cluster schedulers send before they reclaim a machine, has the same effect.
 
-# Exit code of a training that was asked to stop and did.
+# Exit code of a training that stopped on request.
 EXIT_INTERRUPTED = 130
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-# A signal so soon after the first [s] is the same one: torchrun passes on what all have got.
+# A signal within this time [s] of the first is a duplicate: torchrun forwards signals that all get.
 _ECHO = 1.0
 
 
 class Stop:
-    """Takes signals while it is open: a context manager, of the main thread alone."""
+    """A context manager that handles stop signals; active in the main thread only."""
 
     def __init__(
         self,
         say: Callable[[str], None] = lambda line: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Call `say` once when the step in hand is waited for."""
+        """Set `say`, which is called once when a stop is requested."""
         self._say, self._clock = say, clock
         self._before: dict[signal.Signals, Any] = {}
         self._since = 0.0
         self.asked = False
-        """Whether no step should begin any more."""
+        """True if no further step should begin."""
 
     def agreed(self, launched: Accelerator) -> bool:
-        """Return whether any process was asked: all of them must end after the same step."""
+        """Return True if any process was asked to stop: all must end after the same step."""
         if launched.num_processes == 1:
             return self.asked
         asked = torch.tensor(float(self.asked), device=launched.device)
@@ -556,6 +556,6 @@ class Stop:
         now = self._clock()
         if not self.asked:
             self.asked, self._since = True, now
-            self._say("stopping: the step in hand is finished and saved; again stops at once")
+            self._say("stopping: finishing and saving the current step; again stops at once")
         elif now - self._since > _ECHO:
             raise KeyboardInterrupt

@@ -1,8 +1,8 @@
-"""Marker-to-marker translation: what another sensor would have shown of the same press.
+"""Marker-to-marker translation: predict the frames another sensor would show for the same press.
 
-Four translators behind one interface (`translator`): `flow` is classical and needs no training,
-`field`, `direct` and `diffusion` are trained. `loading` opens one, `archive` translates whole
-archives.
+Four translators share one interface (`translator`): `flow` is classical and needs no training,
+`field`, `direct` and `diffusion` are trained. `loading` opens a translator, `archive` translates
+whole archives.
 """
 
 from learning.translation.loading import LEARNED, load_translator

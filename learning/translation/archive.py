@@ -1,8 +1,8 @@
-"""Translated archives: the frames of a sensor as others would have shown them, labels and all.
+"""Translated archives: a sensor's frames as other sensors would have shown them, with labels.
 
-The sensor `A-to-B` has the frames of A translated, the references and the scale of B, and the table
-of A: what was pressed where, and how hard. Frames are translated press by press, each whole, so
-that markers can be followed; a run that was stopped goes on where it was.
+The sensor `A-to-B` has the translated frames of A, the references and scale of B, and the table of
+A (indenter, location, depth, wrench). Whole presses are translated at a time so that markers
+can be tracked. An interrupted run continues where it stopped.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 
 Rows = NDArray[np.int64]
 
-# What is said of a sensor that is true of its translated frames as well.
+# Attributes of the target that also hold for frames translated to it.
 _OF_TARGET = ("pattern", "camera", "preset", "sensor")
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """From which sensor to which."""
+    """Source and target sensor of a translation."""
 
     source: str
-    """Whose frames are translated."""
+    """Sensor whose frames are translated."""
     target: str
-    """What they are translated to."""
+    """Sensor that they are translated to."""
 
     @property
     def name(self) -> str:
@@ -55,23 +55,23 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A translator, and what is written down of it."""
+    """A translator and its recorded identity."""
 
     translator: Translator
-    """The translator itself, not yet aimed at a pair."""
+    """The translator, not yet specialised for a pair."""
     name: str
-    """`flow`, or the name of the folder it was loaded from."""
+    """`flow`, or the name of the folder that it was loaded from."""
     sha256: str
-    """Of its weights; of its name, where it has none."""
+    """SHA-256 of its weights; of its name if it has none."""
     device: str = "cpu"
-    """Where frames are to be when it gets them."""
+    """Device on which it takes frames."""
 
 
 def hash_of(name_or_folder: str | Path) -> str:
-    """Return the SHA-256 of the weights of a model; of its name, where it has no folder.
+    """Return the SHA-256 of a model's weights; of its name if it has no folder.
 
     Raises:
-        LearningError: A folder without weights.
+        LearningError: The folder has no weights.
     """
     if str(name_or_folder) == FLOW:
         return hashlib.sha256(FLOW.encode()).hexdigest()
@@ -88,20 +88,20 @@ def translate_archive(
     roles: Sequence[Role] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
-    """Make the translated archive of some pairs, or go on with it; return the frames made now.
+    """Translate an archive for some pairs, or resume; return the number of frames written now.
 
     Args:
-        archive: Whose sensors are translated.
-        out: Where the translated archive is, or is to be.
-        pairs: From which sensors to which.
-        model: What translates.
-        split: With `roles`, only these parts are translated.
+        archive: Archive whose sensors are translated.
+        out: Path of the translated archive, new or unfinished.
+        pairs: Source and target sensors.
+        model: The translator.
+        split: Translate only the parts of this split that have one of `roles`.
         roles: Names of roles of the split.
-        progress: Called with the frames that are there and those there will be.
+        progress: Called with the number of frames done and the total.
 
     Raises:
-        LearningError: Sensors or references that are not there, or a part without frames.
-        SessionError: A damaged archive, or another one at `out`.
+        LearningError: Sensors or references are missing, or a part has no frames.
+        SessionError: The archive is damaged, or a different one exists at `out`.
         OSError: The disk is full, or not writable.
     """
     if archive.warning is not None:
@@ -123,20 +123,20 @@ def translate_archive(
 
 
 class TranslatedSensor:
-    """Frames of one sensor, made into those of another when they are asked for."""
+    """Frames of one sensor, translated to another sensor on demand."""
 
     def __init__(self, archive: MarkerArchive, pair: Pair, model: Model, rows: Rows) -> None:
-        """Look at both sensors; translate nothing yet.
+        """Prepare both sensors; nothing is translated yet.
 
         Args:
-            archive: That has them.
-            pair: Which two.
-            model: What translates.
-            rows: Of the source, that are wanted.
+            archive: Archive with both sensors.
+            pair: Source and target.
+            model: The translator.
+            rows: Rows of the source to translate.
 
         Raises:
-            LearningError: A sensor that is not there, or a reference without markers.
-            SessionError: A damaged archive.
+            LearningError: A sensor is missing, or a reference has no markers.
+            SessionError: The archive is damaged.
         """
         self._source, self._target = _sensor(archive, pair.source), _sensor(archive, pair.target)
         self._table = self._source.table
@@ -165,10 +165,10 @@ class TranslatedSensor:
         )
 
     def read(self, rows: slice) -> Frames:
-        """Translate some of its frames.
+        """Translate some frames.
 
         Raises:
-            LearningError: The translator cannot.
+            LearningError: The translator rejects the frames.
             SessionError: A chunk of the archive is missing or damaged.
         """
         wanted = self._rows[rows]
@@ -188,8 +188,7 @@ class TranslatedSensor:
     def _press(self, press: tuple[int, ...]) -> tuple[Rows, NDArray[np.uint8]]:
         """Return rows of the source (n,), ascending, and their translated masks (n, 38400).
 
-        The press that was translated last is kept: it may go on behind the rows that were asked
-        for.
+        The last translated press is cached, since it may extend beyond the requested rows.
         """
         if self._made is None or self._made[0] != press:
             of = (self._presses == np.array(press)).all(axis=1)
@@ -222,7 +221,7 @@ def _sensor(archive: MarkerArchive, name: str) -> ArchivedSensor:
     empty = np.flatnonzero(~sensor.references.any(axis=1))
     if len(empty):
         raise LearningError(
-            f"{archive.name}: reference {empty[0]} of {name} is without a marker; allowed: a mask "
+            f"{archive.name}: reference {empty[0]} of {name} has no marker; allowed: a mask "
             "of the untouched sensor"
         )
     return sensor
@@ -243,20 +242,20 @@ def _rows_of(
 
 
 def _press_of(table: Mapping[str, np.ndarray[Any, Any]]) -> NDArray[np.int64]:
-    """Return indenter, target and reference of each row (n, 3): equal in the rows of a press."""
+    """Return indenter, target and reference of each row (n, 3): equal for all rows of a press."""
     return np.stack([table[name] for name in ("indenter", "target", "reference")], axis=1).astype(
         np.int64
     )
 
 
 def _in_order(presses: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the different presses (p, 3) in the order in which they first appear."""
+    """Return the distinct presses (p, 3) in order of first appearance."""
     different, first = np.unique(presses, axis=0, return_index=True)
     return np.asarray(different[np.argsort(first)])
 
 
 def _by_press(table: Mapping[str, np.ndarray[Any, Any]], rows: Rows) -> Rows:
-    """Return rows with those of a press together and in order of time, presses as they come."""
+    """Return rows grouped by press, in time order; presses in order of first appearance."""
     _, first, of = np.unique(_press_of(table)[rows], axis=0, return_index=True, return_inverse=True)
     return np.asarray(rows[np.lexsort((table["frame"][rows], first[of.reshape(-1)]))])
 
@@ -264,10 +263,10 @@ def _by_press(table: Mapping[str, np.ndarray[Any, Any]], rows: Rows) -> Rows:
 def target_references(
     locations: NDArray[np.integer[Any]], target: Mapping[str, np.ndarray[Any, Any]]
 ) -> NDArray[np.int16]:
-    """Return which reference of the target belongs to each location of a source (n,).
+    """Return the target's reference for each location of a source (n,).
 
-    A target that drifts has one for each contact point: that of the same location. Where it was not
-    pressed there, its first.
+    A drifting target has one reference per contact point, and that of the same location is used.
+    If the target was not pressed there, its first reference is used.
     """
     known = np.flatnonzero((target["location"] >= 0) & target["valid"])
     location, first = np.unique(target["location"][known], return_index=True)
@@ -284,41 +283,40 @@ def _marker_count(sensor: ArchivedSensor) -> MarkerCount | None:
     return None if found is None else MarkerCount(**found)
 
 
-# A contact sheet of a translated archive: source, translated, the true target, what differs.
+# A contact sheet of a translated archive: source, translation, true target, difference.
 
 Masks = NDArray[np.bool_]
 
-# Size of a picture, the space around it, the height of what stands above and below [px].
+# Size of a picture, the space around it, the heights of its title and caption [px].
 TILE, GAP, HEAD, CAPTION = (256, 192), 8, 30, 20
-# Presses of a pair that are shown.
+# Presses shown for each pair.
 FRAMES = 3
-# Colours of markers and ground, and of what is a marker in the translated frame or the true one
-# alone.
+# Colours of markers, of background, and of markers in only the translated or only the true frame.
 MARKER, GROUND, ONLY_MADE, ONLY_TRUE = (240, 240, 236), (22, 26, 34), (255, 150, 30), (70, 150, 255)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """One row of the sheet."""
+    """One row of the contact sheet."""
 
     title: str
     source: Masks
     made: Masks
     true: Masks | None
-    """What the target really showed at the same place, if it was pressed there."""
+    """Frame of the real target at the same place, if it was pressed there."""
 
 
 def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> None:
-    """Write a PNG: for each pair some presses, evenly over those there are.
+    """Write a PNG contact sheet with evenly spaced presses of each pair.
 
     Args:
-        archive: What was translated.
-        translated: What was made of it.
-        out: Where the picture goes.
+        archive: The original archive.
+        translated: The archive translated from it.
+        out: Path of the picture.
 
     Raises:
-        LearningError: An archive of something else.
-        SessionError: A damaged archive.
+        LearningError: `translated` was not made from `archive`.
+        SessionError: An archive is damaged.
         OSError: Not writable.
     """
     rows = [row for sensor in translated.values() for row in _chosen(archive, sensor)]
@@ -332,7 +330,7 @@ def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> 
 
 
 def dice(one: Masks, other: Masks) -> float:
-    """Return 2 |A and B| / (|A| + |B|) of two masks; 1 where both are empty."""
+    """Return the Dice coefficient 2 |A and B| / (|A| + |B|) of two masks; 1 if both are empty."""
     total = int(np.count_nonzero(one)) + int(np.count_nonzero(other))
     return 2 * int(np.count_nonzero(one & other)) / total if total else 1.0
 
@@ -361,7 +359,7 @@ def _chosen(archive: MarkerArchive, made: ArchivedSensor) -> Iterator[Shown]:
 
 
 def _row_of(source: ArchivedSensor, made: ArchivedSensor, row: int) -> int:
-    """Return the row of the source that a translated frame was made from."""
+    """Return the source row of a translated frame."""
     same = np.ones(len(source), np.bool_)
     for name in ("indenter", "target", "location", "frame"):
         same &= source.table[name] == made.table[name][row]

@@ -1,4 +1,4 @@
-"""The classical translator: the target's untouched mask, moved as the source's markers moved."""
+"""The classical translator: warps the target's untouched mask by the source's marker motion."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from learning.markers.displacement import LATTICE, SMOOTHING, FieldReader, edge_
 from learning.translation.translator import FLOW, SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
 
-# Masks warped by displacement fields, many at once, on any device.
+# Batched warping of masks by displacement fields, on any device.
 
-# Frames warped at once: 64 take some 0.5 GB.
+# Frames warped at once: 64 take about 0.5 GB.
 _TOGETHER = 64
 
 
 def warp_masks(reference: torch.Tensor, fields: torch.Tensor) -> torch.Tensor:
-    """Return a reference as it is seen after displacements, bool (n, 480, 640).
+    """Warp a reference by displacement fields; return masks, bool (n, 480, 640).
 
     Args:
-        reference: The untouched mask, bool (480, 640), anywhere.
-        fields: Displacement on the lattice of archives (n, 57, 73, 2) [px], components column, row;
-            where they are, it is warped.
+        reference: The untouched mask, bool (480, 640), on any device.
+        fields: Displacement on the lattice of archives (n, 57, 73, 2) [px], components column, row.
+            The warp runs on their device.
     """
     level = torch.tensor(edge_level(reference.cpu().numpy()), device=fields.device)
     parts = []
@@ -35,31 +35,31 @@ def warp_masks(reference: torch.Tensor, fields: torch.Tensor) -> torch.Tensor:
     return torch.cat(parts)
 
 
-_REFERENCES = 64  # readers that are kept: a sensor that drifts has one reference a contact point
+_REFERENCES = 64  # cached readers: a drifting sensor has one reference per contact point
 
 
 @dataclass(frozen=True, slots=True)
 class FlowTranslator:
-    """Follows the source's markers, and warps the target's reference by what they did.
+    """Tracks the source's markers and warps the target's reference by their displacement.
 
-    A frame without a single marker says nothing: along a press it repeats the frame before, alone
-    it gives the target's reference. Markers that are lost do what their neighbours do.
+    A frame without any marker has no information: within an ordered press it repeats the previous
+    frame, otherwise it yields the target's reference. Lost markers follow their neighbours.
     """
 
     source: SensorView | None = None
-    """What the source's frames show; None: the same as the target's."""
+    """View of the source; None: the same as the target's."""
     target: SensorView | None = None
-    """What the target's would show."""
+    """View of the target."""
     smoothing: float = SMOOTHING
-    """How much the field may miss the markers to bend less (`Spline`)."""
+    """Smoothing of the field: how far it may deviate from the markers to bend less (`Spline`)."""
 
     @property
     def name(self) -> str:
-        """How it is called in reports."""
+        """Name in reports."""
         return FLOW
 
     def between(self, source: SensorView, target: SensorView) -> FlowTranslator:
-        """Return the translator of two sensors whose pixels differ in size."""
+        """Return the translator for two sensors whose pixels differ in size."""
         return FlowTranslator(source, target, self.smoothing)
 
     def translate(
@@ -72,18 +72,18 @@ class FlowTranslator:
     ) -> torch.Tensor:
         """Return the frames as the target would have shown them, bool (n, 480, 640).
 
-        Markers are followed on the CPU, one thread; the warp is done where the frames are.
+        Markers are tracked on the CPU in one thread; the warp runs on the device of the frames.
 
         Args:
-            source: Masks of the source, bool (n, 480, 640), on any device; the result is on it too.
+            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
             target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640); None takes the first frame of
-                an ordered press for it.
-            ordered: The frames are one press in order of time, which begins untouched.
+            source_reference: The untouched source, bool (480, 640); None: the first frame of an
+                ordered press.
+            ordered: True if the frames are one press in time order that begins untouched.
 
         Raises:
-            LearningError: Wrong shapes or types, a reference that is needed and not there, or one
-                without markers.
+            LearningError: Wrong shapes or types, a required reference is missing, or a reference
+                has no markers.
         """
         require_masks(source, target_reference, source_reference)
         if not len(source):

@@ -1,4 +1,4 @@
-"""The translator that a name or a folder stands for."""
+"""Open a translator by name or from the folder of a training run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from learning.translation.translator import FLOW, Translator
 if TYPE_CHECKING:
     import torch
 
-# Kinds of translators that are trained, as the folders of their runs name them.
+# Kinds of trained translators, as named in the folders of their runs.
 LEARNED = ("field", "direct", "diffusion")
 
 
@@ -20,10 +20,10 @@ def load_translator(name_or_folder: str | Path, device: torch.device | str = "cp
 
     Args:
         name_or_folder: `flow`, or the folder of a finished training run.
-        device: Where a learned one computes.
+        device: Device on which a trained translator computes.
 
     Raises:
-        LearningError: No such folder, or one of something else than a translator.
+        LearningError: The folder does not exist or holds no translator.
     """
     if str(name_or_folder) == FLOW:
         from learning.translation.flow import FlowTranslator
@@ -33,7 +33,7 @@ def load_translator(name_or_folder: str | Path, device: torch.device | str = "cp
 
     folder = Path(name_or_folder)
     kind = read_config(folder).kind
-    # Each where it is needed: diffusion wants libraries that the others do without.
+    # Imported on demand: diffusion needs libraries that the others do not.
     if kind == "field":
         from learning.translation import field
 

@@ -1,4 +1,4 @@
-"""What every translator does, and what it is given."""
+"""Interface of all translators, and their inputs."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
 
     from recorder.archive import ArchivedSensor
 
-# Name of the translator that needs no training, and so no folder.
+# Name of the translator that needs no training and therefore has no folder.
 FLOW = "flow"
 
-_SAME_DISCS_PX = 3.0  # a disc of an untouched uSkin lies within this of where it is drawn
+_SAME_DISCS_PX = 3.0  # an untouched uSkin's disc lies within this distance of its drawn position
 
 
 @dataclass(frozen=True, slots=True)
 class SensorView:
-    """What the image of a sensor shows of its surface."""
+    """Scale of a sensor's image on its surface."""
 
     name: str
-    """Of the sensor."""
+    """Name of the sensor."""
     mm_per_column: float
-    """From the middle of a pixel to that of its neighbour in a row [mm]."""
+    """Distance between the centres of neighbouring pixels in a row [mm]."""
     mm_per_row: float
-    """From the middle of a pixel to that of the one below [mm]."""
+    """Distance between the centres of neighbouring pixels in a column [mm]."""
 
     @classmethod
     def of(cls, sensor: ArchivedSensor) -> Self:
         """Return the view of an archived sensor.
 
-        The image of a uSkin stretches a square to 640 x 480: along rows a pixel is 4/3 as large.
+        A uSkin's square surface is stretched to 640 x 480: `mm_per_row` is 4/3 of `mm_per_column`.
 
         Raises:
             SessionError: The references cannot be read.
@@ -46,7 +46,7 @@ class SensorView:
 
 
 def shows_discs(reference: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
-    """Return whether an untouched mask (480, 640) is that of a uSkin: its discs in their places."""
+    """Return True if an untouched mask (480, 640) shows a uSkin: discs at their drawn positions."""
     found = marker_centres(reference)
     if len(found) != TAXELS:
         return False
@@ -56,11 +56,11 @@ def shows_discs(reference: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
 
 
 class Translator(Protocol):
-    """Makes of a sensor's frames what another sensor would have shown."""
+    """Converts one sensor's frames to those another sensor would have shown."""
 
     @property
     def name(self) -> str:
-        """How it is called in reports: its kind, and what tells it from others of that kind."""
+        """Name in reports: its kind, and a suffix that identifies it within that kind."""
         ...
 
     def translate(
@@ -74,33 +74,33 @@ class Translator(Protocol):
         """Return the frames as the target would have shown them, bool (n, 480, 640).
 
         Args:
-            source: Masks of the source, bool (n, 480, 640), on any device; the result is on it too.
+            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
             target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640). Without it the first frame of
-                an ordered press is taken where one is needed.
-            ordered: The frames are one press in order of time. Without a source reference it begins
-                untouched.
+            source_reference: The untouched source, bool (480, 640). If it is needed and missing,
+                the first frame of an ordered press is used.
+            ordered: True if the frames are one press in time order. Without a source reference
+                the press must begin untouched.
 
         Raises:
-            LearningError: Wrong shapes or types, or a reference that is needed and not there.
+            LearningError: Wrong shapes or types, or a required reference is missing.
         """
         ...
 
 
 @runtime_checkable
 class PairTranslator(Protocol):
-    """A translator that has to know which two sensors it goes between, for instance their scales.
+    """A translator that depends on its two sensors, for instance on their scales.
 
-    Called without, it takes them to be of the same scale.
+    If `between` is not called, it assumes equal scales.
     """
 
     def between(self, source: SensorView, target: SensorView) -> Translator:
-        """Return the translator of this pair."""
+        """Return the translator for this pair."""
         ...
 
 
 def aimed(translator: Translator, source: SensorView, target: SensorView) -> Translator:
-    """Return a translator for a pair of sensors; itself, where it needs not know them."""
+    """Return a translator for a pair of sensors; unchanged if it does not depend on them."""
     if isinstance(translator, PairTranslator):
         return translator.between(source, target)
     return translator
@@ -109,10 +109,10 @@ def aimed(translator: Translator, source: SensorView, target: SensorView) -> Tra
 def require_masks(
     source: torch.Tensor, target_reference: torch.Tensor, source_reference: torch.Tensor | None
 ) -> None:
-    """Refuse what no translator takes.
+    """Reject inputs that are not masks.
 
     Raises:
-        LearningError: Not bool, or not of the size of a mask.
+        LearningError: Not bool, or not the shape of a mask.
     """
     import torch
 
@@ -132,10 +132,10 @@ def require_masks(
 def untouched_source(
     source: torch.Tensor, source_reference: torch.Tensor | None, *, ordered: bool
 ) -> torch.Tensor:
-    """Return the untouched source, bool (480, 640): what is given, or how an ordered press begins.
+    """Return the untouched source, bool (480, 640): given, or an ordered press's first frame.
 
     Raises:
-        LearningError: Neither is known.
+        LearningError: No reference, and the frames are not ordered.
     """
     if source_reference is not None:
         return source_reference

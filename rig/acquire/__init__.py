@@ -1,1 +1,1 @@
-"""Collect a whole session: preflight, the plan move by move, an orderly end whatever happens."""
+"""Collection of a session: preflight, the plan move by move, an orderly end after any error."""

@@ -1,4 +1,4 @@
-"""A campaign file: what to record today, in which order."""
+"""Campaigns: files that list the sessions to record, and the runner that records them in order."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class Entry:
     sensor: str
     """Name of a bench file."""
     indenter: str
-    """What the technician mounts."""
+    """Indenter for the technician to mount."""
     plan: Literal["press_shear", "force_depth"] = "press_shear"
     """The bench's trajectory, or its force_depth."""
     targets: int | None = None
-    """Only the first so many targets; None for all."""
+    """Press only this many targets; None for all."""
 
     def __post_init__(self) -> None:
-        """Refuse names that are no file names, and a number of targets that makes no sense."""
+        """Reject names that are not valid file names, and an invalid number of targets."""
         for key in ("sensor", "indenter"):
             value = getattr(self, key)
             if not _NAME.fullmatch(value):
@@ -47,7 +47,7 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """Of its session, unique in a campaign."""
+        """Name of its session, unique in a campaign."""
         targets = "" if self.targets is None else f"-{self.targets}"
         return f"{self.sensor}-{self.indenter}-{self.plan.replace('_', '-')}{targets}"
 
@@ -61,9 +61,9 @@ class Item:
     bench: Bench
     plan: Plan
     total: int
-    """Targets wanted."""
+    """Number of targets to press."""
     duration: float
-    """Moving time the plan foretells [s]; preflight and pauses come on top."""
+    """Predicted moving time [s], without preflight and pauses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,19 +74,19 @@ class Campaign:
     items: tuple[Item, ...]
     operator: str
     out: Path
-    """Folder of its sessions: they are also its memory of what is done."""
+    """Folder of its sessions, from which progress is read."""
 
 
 def load_campaign(path: Path, benches: Path) -> Campaign:
-    """Read a campaign file and every bench it names.
+    """Read a campaign file and every bench in it.
 
     Args:
         path: YAML with `out`, `operator` (both optional) and `sessions`, a list of entries; or the
             name of the packaged one, `campaigns/day.yaml`.
-        benches: Folder of bench files; packaged ones are known without.
+        benches: Folder of bench files; packaged ones are found without it.
 
     Raises:
-        ConfigError: Something in it, or in a bench it names, cannot be used.
+        ConfigError: The file, or a bench in it, is invalid.
     """
     content = read_yaml(packaged(path, CAMPAIGNS))
     if unknown := sorted(set(content) - {"out", "operator", "sessions"}):
@@ -127,36 +127,36 @@ def _item(entry: Entry, where: str, benches: Path) -> Item:
     return Item(entry, bench_path, bench, plan, total, walked.duration * total / len(plan))
 
 
-# How far a campaign is. Its sessions are the only memory it has.
+# Progress of a campaign, read from its sessions only.
 
+# Time for preflight, tare, sealing and a smooth swap of the indenter [s].
 _OVERHEAD = 20.0
-# Preflight, tare, sealing and the swap of an indenter that does not go wrong [s].
 
 State = Literal["done", "to resume", "open", "unreadable"]
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """One session of a campaign, as it is on disk."""
+    """State of one session of a campaign on disk."""
 
     item: Item
     session: Path
     state: State
     done: int
-    """Targets behind it."""
+    """Number of finished targets."""
     note: str = ""
-    """Why it was stopped, or cannot be read."""
+    """Reason why it was stopped or cannot be read."""
 
     @property
     def left(self) -> float:
-        """Time it still takes, about [s]."""
+        """Estimated remaining time [s]."""
         if self.state == "done":
             return 0.0
         return _OVERHEAD + self.item.duration * (1 - self.done / self.item.total)
 
 
 def progress_of(campaign: Campaign) -> list[Progress]:
-    """Look at the session of every entry, in order."""
+    """Return the state of every entry's session, in order."""
     return [_look(item, campaign.out / f"{item.entry.name}.zarr") for item in campaign.items]
 
 
@@ -180,7 +180,7 @@ def _look(item: Item, path: Path) -> Progress:
 
 
 def table(found: list[Progress]) -> list[str]:
-    """What is done and what is left, one line an entry, and the time it takes."""
+    """Return a table of finished and open entries with the remaining time, as lines."""
     lines = [f"{'':<3}{'sensor':<18}{'indenter':<14}{'plan':<13}{'targets':>10}  state"]
     for number, progress in enumerate(found, 1):
         entry = progress.item.entry
@@ -197,7 +197,7 @@ def table(found: list[Progress]) -> list[str]:
     return lines
 
 
-# Runs what is left of a campaign: asks for the swap, records, goes on.
+# Runner of a campaign's remaining sessions: requests the swap, records, continues.
 
 # Shows a question and waits; False ends the campaign.
 Ask = Callable[[str], bool]
@@ -208,18 +208,18 @@ Swap = Callable[[Item], None]
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How a campaign is run."""
+    """Settings of a campaign run."""
 
     benches: Path
     """Folder of bench files."""
     calibrations: Path
     """Folder of calibrations."""
     keep_going: bool = False
-    """After a device or safety stop go on with the next entry."""
+    """Continue with the next entry after a lost device or a safety stop."""
 
 
 def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
-    """Arguments of `python -m rig` that record, or go on with, one entry."""
+    """Return the arguments of `python -m rig` that record or resume one entry."""
     entry, bench = progress.item.entry, str(progress.item.bench_path)
     kept = ["--calibrations", str(settings.calibrations)]
     if progress.state == "to resume":
@@ -235,13 +235,14 @@ def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[
 def run_campaign(
     campaign: Campaign, settings: Settings, ask: Ask, say: Say, swap: Swap | None = None
 ) -> int:
-    """Record everything that is not done; the exit code.
+    """Record all unfinished sessions and return the exit code.
 
-    A technician is asked to mount each sensor and indenter. Where the bench has a gripper and
-    `swap` is given, the indenter is not asked for: the gripper notices it.
+    A technician is asked to mount each sensor and indenter. With `swap` and a gripper on the bench
+    there is no question about the indenter: the gripper detects it.
 
-    0: all is done. Otherwise that of the session that ended it, or with `keep_going` of the first
-    one that failed. Ctrl-C ends the session under way in order and the campaign with it.
+    Exit code 0: all is done. Otherwise it is that of the session that ended the campaign, or with
+    `keep_going` of the first session that failed. Ctrl-C ends the current session in order, and the
+    campaign.
     """
     campaign.out.mkdir(parents=True, exist_ok=True)
     failed = EXIT_DONE
@@ -267,7 +268,7 @@ def run_campaign(
         code = _record(command(progress, campaign, settings))
         if code == EXIT_DONE:
             if progress.state == "to resume" and entry.plan == "force_depth":
-                # A resumed one went through `collect`, which knows no curve.
+                # It was resumed by `collect`, which draws no curve.
                 show_curve(progress.session)
             continue
         say(f"{entry.name}: ended with exit code {code}")
@@ -278,14 +279,14 @@ def run_campaign(
     for line in table(found):
         say(line)
     if any(progress.state != "done" for progress in found):
-        say("the same command goes on from here")
+        say("run the same command again to continue")
     return failed
 
 
 def _mount(
     item: Item, place: str, before: tuple[str, str] | None, ask: Ask, swap: Swap | None
 ) -> bool:
-    """Have an item's sensor and indenter mounted; False when the technician ends it."""
+    """Have an item's sensor and indenter mounted; return False if the technician stops."""
     entry, bench = item.entry, item.bench
     gripped = swap is not None and bench.gripper is not None and not bench.mock
     if not gripped or before is None or before[0] != entry.sensor:
@@ -302,11 +303,11 @@ def _mount(
 
 
 def _record(arguments: list[str]) -> int:
-    """Run one session in a process of its own; its exit code.
+    """Run one session in its own process and return its exit code.
 
-    Ctrl-C reaches that process as well: it ends its session in order, and is waited for.
+    Ctrl-C reaches that process as well; this one waits until its session has ended in order.
     """
-    # Its output is the terminal's: nothing of ours may stand in a buffer behind it.
+    # The process writes to the same terminal, so the buffer is flushed first.
     sys.stdout.flush()
     with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
         interrupted = False

@@ -1,4 +1,4 @@
-"""One run of a collection, from the first probe to the last printed line."""
+"""Collection of one session, from the first device check to the final summary."""
 
 from __future__ import annotations
 
@@ -42,27 +42,27 @@ from trajectories import Plan, plan_to_json
 
 logger = logging.getLogger(__name__)
 
-# What may end a walk in progress, and the exit code of each.
+# Errors that may end a run, and their exit codes.
 _EXIT_CODES: dict[type[BaseException], int] = {
     Interrupted: EXIT_INTERRUPTED,
     KeyboardInterrupt: EXIT_INTERRUPTED,
     SafetyStop: EXIT_SAFETY_STOP,
     DeviceLost: EXIT_DEVICE_LOST,
-    # The disk is a device too: full or failing, the session ends the same way.
+    # A full or failing disk ends the session like a lost device.
     SessionError: EXIT_DEVICE_LOST,
     OSError: EXIT_DEVICE_LOST,
 }
 
 
 class Collector:
-    """Collects one session, or the rest of one.
+    """Collects one session, or resumes one.
 
     Args:
         bench: The bench, with addresses filled in.
-        content: Its file as read, for the session.
+        content: Content of its file, stored in the session.
         folder: Run folder for shared records.
-        watch: Raises when what is behind the devices is gone, as a mock bench's World.
-        page: Shown how far it is; None when nobody asked for a page.
+        watch: Raises if a backend of the devices is gone, such as a mock bench's World.
+        page: Monitoring page that displays the progress; None: no page.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class Collector:
         self._bias = np.zeros(6)
 
     def run(self, order: Order, plan: Plan, total: int) -> int:
-        """Collect; the exit code. Whatever ends it, what was recorded is closed and readable.
+        """Collect and return the exit code; recorded data is closed and readable however it ends.
 
         Args:
-            order: What the operator asked for.
-            plan: What to press.
-            total: How many of its targets.
+            order: Request of the operator.
+            plan: Targets to press.
+            total: Number of the plan's targets to press.
 
         Raises:
             ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
@@ -132,7 +132,7 @@ class Collector:
                     handle.record(writer.stream_path(handle.name))
                 walk.press(plan, first, total)
             except BaseException as error:
-                # Whatever it is: the arm leaves and the session is closed before anything else.
+                # On any error, the arm retracts and the session is closed before anything else.
                 stop = error
                 logger.error("stopping: %s", str(error) or type(error).__name__)
             interrupt.ignore()
@@ -179,7 +179,7 @@ class Collector:
         return arm
 
     def _rise(self, arm: Arm, streams: Streams, sentinels: Sentinels) -> None:
-        """To the safe height where it stands, tool upright: tare and travel happen up there."""
+        """Move up to the safe height with the tool upright; tare and travel happen there."""
 
         def look() -> None:
             sentinels.check()
@@ -206,7 +206,7 @@ class Collector:
         found: Found,
         tare: Tare,
     ) -> tuple[SessionWriter, int, int]:
-        """The session to write, the first target to press and the number of this run."""
+        """Return the session's writer, the first target to press and the number of this run."""
         anchor = asdict(ClockAnchor.take())
         entry = {
             **anchor,
@@ -221,8 +221,8 @@ class Collector:
             previous = Session(order.path)
             first = first_open_target(plan, previous.segments, total)
             run = len(previous.runs)
-            # One bias for the whole stream, so that raw = value + bias holds in every run; what
-            # the zero has moved by since is in this run's tare and in its references.
+            # The whole stream has one bias, so that raw = value + bias holds in every run. Drift of
+            # the zero since then is recorded in this run's tare and references.
             self._bias = np.array(previous.streams["force"].attrs["bias"])
         else:
             self._bias = tare.mean
@@ -269,7 +269,7 @@ class Collector:
         }
 
     def _retract(self, arm: Arm) -> bool:
-        """Up and clear; True when the arm is known to be there."""
+        """Retract the arm; return True if it is known to be clear."""
         try:
             if not arm.alive:
                 return arm.recover_and_retract()
@@ -324,7 +324,7 @@ class Collector:
 
 
 def _stream_attrs(name: str, order: Order, tare: Tare) -> dict[str, Any]:
-    """What a stream's attributes hold beyond the facts of its device."""
+    """Return a stream's attributes other than the facts of its device."""
     if name == "force":
         return {"bias": tare.mean.tolist()}
     attrs = order.calibration.stream_attrs(name)
@@ -334,7 +334,7 @@ def _stream_attrs(name: str, order: Order, tare: Tare) -> dict[str, Any]:
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
-    """The `targets` of a session: point, depth [m], direction, planned place in the base [m]."""
+    """Return a session's `targets`: point, depth [m], direction, planned place in the base [m]."""
     targets = [target for target in plan.targets() if target.index < total]
     planned = transform(bench.contact_frame, np.array([target.sheared for target in targets]))
     return {
@@ -346,7 +346,7 @@ def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
 
 
 def software() -> dict[str, str]:
-    """Versions that matter when somebody asks, years later, what wrote this."""
+    """Return the versions of the software that writes the session, for its metadata."""
     names = ("tactile-rig", "numpy", "zarr", "ur-rtde", "opencv-contrib-python-headless")
     versions = {"python": platform.python_version(), "system": platform.platform()}
     for name in names:

@@ -1,4 +1,4 @@
-"""What the operator wants of a running collection, whoever passes it on: pedal, page, keyboard."""
+"""Operator requests to a running collection, from pedal, page or keyboard."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Any, Protocol
 
 logger = logging.getLogger(__name__)
 
-# Ctrl-C as a wish, not an exception: the row in progress is finished, then the arm retracts.
+# Ctrl-C is a request, not an exception: the current row is finished, then the arm retracts.
 
 
 class Interrupted(Exception):
-    """The operator asked to stop."""
+    """The operator requested a stop."""
 
 
 class InterruptFlag:
-    """Catches SIGINT and SIGTERM while active, as a context manager.
+    """Context manager that catches SIGINT and SIGTERM.
 
-    The first sets `requested`; a second raises KeyboardInterrupt at once, for whoever cannot wait,
-    until `ignore` is called.
+    The first signal sets `requested`; a second raises KeyboardInterrupt immediately, until `ignore`
+    is called.
     """
 
     def __init__(self) -> None:
@@ -46,20 +46,20 @@ class InterruptFlag:
         self.requested = True
 
     def ignore(self) -> None:
-        """From now on nothing interrupts: the arm retracts, the session is being closed."""
+        """Ignore further signals: the arm is retracting and the session is being closed."""
         self._ignored = True
 
     def check(self) -> None:
-        """Raise `Interrupted` when a stop was asked for."""
+        """Raise `Interrupted` if a stop was requested."""
         if self.requested:
             raise Interrupted("interrupted by the operator")
 
 
 class Control:
-    """Pause, resume and abort. Any thread may ask; the thread that walks the plan obeys.
+    """Pause, resume and abort: requested by any thread, executed by the thread that runs the plan.
 
-    A pause takes effect before the next target, with the tip clear of the surface; an abort ends
-    the collection as Ctrl-C does: the phase in progress is finished, the arm retracts, all is kept.
+    A pause takes effect before the next target, with the tip clear of the surface. An abort ends
+    the collection like Ctrl-C: the current phase is finished, the arm retracts, all data is kept.
     """
 
     def __init__(self) -> None:
@@ -68,41 +68,41 @@ class Control:
         self._aborted_by: str | None = None
 
     def pause(self, who: str) -> None:
-        """Ask to wait before the next target."""
+        """Request a pause before the next target."""
         with self._lock:
             if who not in self._paused_by:
-                logger.info("pause asked for by the %s", who)
+                logger.info("pause requested by the %s", who)
             self._paused_by.add(who)
 
     def resume(self, who: str) -> None:
-        """Withdraw the pause that `who` asked for; others' pauses stay."""
+        """Withdraw the pause requested by `who`; pauses of others remain."""
         with self._lock:
             if who in self._paused_by:
                 logger.info("resumed by the %s", who)
             self._paused_by.discard(who)
 
     def abort(self, who: str) -> None:
-        """Ask to end the collection; cannot be withdrawn."""
+        """Request the end of the collection; cannot be withdrawn."""
         with self._lock:
             if self._aborted_by is None:
-                logger.info("abort asked for by the %s", who)
+                logger.info("abort requested by the %s", who)
                 self._aborted_by = who
 
     @property
     def paused_by(self) -> tuple[str, ...]:
-        """Who wants a pause, in alphabetical order; empty: go on."""
+        """Sources of the current pause requests, in alphabetical order; empty: not paused."""
         with self._lock:
             return tuple(sorted(self._paused_by))
 
     def check(self) -> None:
-        """Raise `Interrupted` when an abort was asked for."""
+        """Raise `Interrupted` if an abort was requested."""
         with self._lock:
             if self._aborted_by is not None:
                 raise Interrupted(f"aborted by the {self._aborted_by}")
 
 
 class Onlooker(Protocol):
-    """Who is shown a running collection and may ask to pause or end it, as the page to watch on."""
+    """Display of a running collection that may pause or end it, such as the monitoring page."""
 
     def begin(
         self,
@@ -111,12 +111,12 @@ class Onlooker(Protocol):
         session: Path,
         first: int,
     ) -> None:
-        """Show a collection in progress.
+        """Show a running collection.
 
         Args:
-            control: Gets what the onlooker asks for.
-            progress: Tells how far it is; may be called in any thread.
-            session: Its session.
+            control: Receives the requests.
+            progress: Returns the progress; may be called in any thread.
+            session: Path of its session.
             first: First target of this run.
         """
 

@@ -1,7 +1,7 @@
-"""What watches beside the streams: the gripper that holds the indenter, and the foot pedal.
+"""Interlocks that do not record: the gripper that holds the indenter, and the foot pedal.
 
-They record nothing. Each has a thread of its own that notices; the walk, told by `wake` at once,
-asks `check` and acts. What they were is in the session's run entry, under `devices`.
+Each is watched by its own thread. `wake` notifies the plan runner, which then calls `check` and
+acts. Their facts are in the session's run entry, under `devices`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rig.devices.gripper.robotiq import GripWatch
     from rig.devices.hid.pedal import DeadMan, PedalState, PedalWatch
 
-# Who pauses, when the pedal does.
+# Source of the pauses that the pedal requests.
 PEDAL = "foot pedal"
 
 
@@ -29,7 +29,7 @@ class Released(Exception):
 
 
 class Sentinels:
-    """The gripper and the pedal of a bench, as far as it has them; a context manager.
+    """Interlocks of a bench, its gripper and its pedal, if any; a context manager.
 
     Args:
         bench: The bench, with addresses filled in.
@@ -41,14 +41,14 @@ class Sentinels:
         self._timeout = bench.preflight.timeout
         self._control = control
         self._waker, self.wake = socket.socketpair()
-        """`wake` can be read from when there is something to `check`."""
+        """Socket that becomes readable when `check` should be called."""
         for end in (self._waker, self.wake):
             end.setblocking(False)
         self._grip: GripWatch | None = None
         self._pedal: PedalWatch | None = None
         self._dead_man: DeadMan | None = None
         self._config: PedalConfig | None = bench.pedal
-        # Imported here, so that a bench without them needs no library of theirs.
+        # Imported here, so that a bench without them does not need their libraries.
         if bench.gripper is not None:
             from rig.devices.gripper.robotiq import GripWatch
 
@@ -69,10 +69,10 @@ class Sentinels:
         self.close()
 
     def open(self) -> dict[str, dict[str, Any]]:
-        """Reach them all and start to watch; their facts by device.
+        """Connect to all devices, start watching, and return their facts by device.
 
         Raises:
-            DeviceLost: One is not there, or the gripper holds nothing.
+            DeviceLost: A device is missing, or the gripper holds nothing.
         """
         facts = {}
         if self._grip is not None:
@@ -82,15 +82,15 @@ class Sentinels:
         return facts
 
     def check(self, *, pressing: bool = False) -> None:
-        """See whether one of them has something against going on.
+        """Raise if an interlock forbids continuing.
 
         Args:
-            pressing: Whether the arm presses, or is about to: a dead-man pedal must be held.
+            pressing: True if the arm presses, or is about to: a dead-man pedal must be held.
 
         Raises:
             SafetyStop: The grip is lost.
-            DeviceLost: The pedal has been out for too long.
-            Released: The dead-man pedal is not held, or was let go of since `armed` said it was.
+            DeviceLost: The pedal was unplugged for too long.
+            Released: The dead-man pedal is not held, or was released since `armed` was True.
         """
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):
@@ -105,21 +105,21 @@ class Sentinels:
                 raise Released(f"the foot pedal was {done}")
 
     def armed(self) -> bool:
-        """Whether the arm may press: without a dead-man pedal always, with one once it is pressed.
+        """Return True if the arm may press: no dead-man pedal, or a pedal that is pressed.
 
-        The press must come after the last release, and after the last `disarm`.
+        The pedal must have been pressed after its last release, and after the last `disarm`.
         """
         dead_man, pedal = self._dead_man, self._pedal
         return dead_man is None or pedal is None or dead_man.armed(pedal.state)
 
     def disarm(self) -> None:
-        """Ask for a fresh press: one that came while the arm was still leaving does not count."""
+        """Require a new press; one made while the arm was still leaving does not count."""
         if self._dead_man is not None and self._pedal is not None:
             self._dead_man.disarm(self._pedal.state)
 
     @property
     def wish(self) -> str:
-        """What the operator has to do to arm a dead-man pedal, for the live line."""
+        """Instruction to the operator for arming a dead-man pedal, for the progress line."""
         if self._pedal is None or self._config is None:
             return ""
         if self._pedal.state.out_since_ns is not None:
@@ -130,7 +130,7 @@ class Sentinels:
         return "press and hold the foot pedal"
 
     def close(self) -> None:
-        """Stop watching; safe twice."""
+        """Stop watching; may be called twice."""
         for watch in (self._grip, self._pedal):
             if watch is not None:
                 watch.close()
@@ -150,7 +150,7 @@ class Sentinels:
     def _on_pedal(self, before: PedalState, after: PedalState) -> None:
         if self._dead_man is None:
             if after.out_since_ns is not None:
-                # Whoever trusts to it must not find out when it is needed.
+                # A user who relies on the pedal must not find it missing when it is needed.
                 self._control.pause(PEDAL)
             elif after.presses > before.presses:
                 if PEDAL in self._control.paused_by:
@@ -161,5 +161,5 @@ class Sentinels:
 
     def _tell(self) -> None:
         with contextlib.suppress(OSError):
-            # Full: nobody has looked yet, and one byte is as good as many.
+            # Full: nothing has been read yet, and one byte suffices.
             self._waker.send(b"!")

@@ -1,9 +1,9 @@
-"""Moves the arm by hand with a SpaceMouse, to where the origin of the contact frame shall be.
+"""Move the arm by hand with a SpaceMouse, to the intended origin of the contact frame.
 
-Only the tip's place changes, never the tool's orientation. The arm gets short straight moves under
-the guard: inside the bench's box, never faster than the bench file allows, ended by a halt as soon
-as the cap points elsewhere, is let go of, or falls silent. If this process hangs, the arm comes to
-rest at the end of the move under way, at most `REACH` seconds later.
+Only the tip's position changes, never the tool's orientation. The arm makes short straight moves
+under the guard: inside the bench's box, never faster than the bench file allows, halted as soon as
+the cap's direction changes or the cap is released or falls silent. If this process hangs, the arm
+stops at the end of the current move, at most `REACH` seconds later.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from trajectories import Point
 
 logger = logging.getLogger(__name__)
 
-# A move is as long as the tip comes in this time at the speed the cap asks for [s].
+# Duration of a move at the speed set by the cap [s].
 REACH = 1.0
-# Number of the button that takes the origin.
+# Number of the button that sets the origin.
 TAKE = 0
 
+# Change of the cap's deflection, relative to full deflection, that ends the move.
 _CHANGED = 0.15
-# The cap may wander by so much of its full deflection before the move is broken off.
+# Shortest move [m]; the arm takes a shorter one as already completed.
 _SHORTEST = 2e-4
-# A move below the arm's own idea of having arrived is none [m].
 _SHOW_NS = {True: SECOND_NS // 5, False: 5 * SECOND_NS}
 
 
 def planned(
     shift: Axes, tip: Point, box: tuple[Point, Point], speed_max: float
 ) -> tuple[Point, float] | None:
-    """Where the cap sends the tip next, and how fast; None: it stays.
+    """Return the next goal and speed of the tip for a cap position; None: it stays.
 
     Args:
-        shift: Of the cap, -1 to 1 in x, y, z of the contact frame.
-        tip: Where it is in the contact frame [m].
-        box: Lower and upper corner of where it may be [m].
-        speed_max: At full deflection in any direction [m/s].
+        shift: Deflection of the cap, -1 to 1 in x, y, z of the contact frame.
+        tip: Position of the tip in the contact frame [m].
+        box: Lower and upper corner of its allowed positions [m].
+        speed_max: Speed at full deflection in any direction [m/s].
 
     Returns:
         Goal in the contact frame [m] and speed [m/s].
@@ -69,33 +69,33 @@ def planned(
 
 
 def origin_text(bench: Bench, tip: Point) -> str:
-    """The origin at `tip` (in the present contact frame [m]), as it stands in a bench file."""
+    """Return the origin at `tip` (in the current contact frame [m]) as text for a bench file."""
     pose = compose(bench.contact_frame, (*tip, 0.0, 0.0, 0.0))
     place = ", ".join(f"{from_si(float(value), 'mm'):.3f}" for value in pose[:3])
     turn = ", ".join(f"{from_si(value, 'deg'):.3f}" for value in bench.contact_frame[3:])
     moved = ", ".join(f"{from_si(value, 'mm'):+.3f}" for value in tip)
     return (
-        f"origin taken, [{moved}] mm from the one in the bench file; to keep it, write there:\n"
+        f"origin set, [{moved}] mm from the one in the bench file; to keep it, write there:\n"
         f"contact_frame:\n  position_mm: [{place}]\n  rotation_deg: [{turn}]\n"
-        f"then let the force find the surface: make home SENSOR={bench.sensor}"
+        f"then find the surface by force: make home SENSOR={bench.sensor}"
     )
 
 
 class _CapChanged(Exception):
-    """The cap wants something else than the move under way."""
+    """The cap's deflection no longer matches the current move."""
 
 
 class Jog:
-    """One arm under one hand.
+    """Moves the arm as the SpaceMouse directs.
 
     Args:
         bench: The bench.
-        arm: Started.
+        arm: The arm, started.
         streams: Running, the F/T sensor tared.
         mouse: Open.
-        asked: Raises when the operator asked to end.
+        asked: Raises if the operator requested the end.
         clock: Clock.
-        out: Where the line of places goes.
+        out: Output of the position line.
     """
 
     def __init__(
@@ -123,12 +123,12 @@ class Jog:
         self._loaded = False
 
     def run(self) -> Point:
-        """Follow the cap until a button takes the origin; the tip in the contact frame [m].
+        """Follow the cap until a button sets the origin; return the tip in the contact frame [m].
 
         Raises:
-            SafetyStop: The hard force limit, or a safety stop of the controller.
+            SafetyStop: The hard force limit was reached, or the controller made a safety stop.
             DeviceLost: Arm, SpaceMouse or a stream is gone; the arm stands still.
-            Interrupted: The operator asked to end.
+            Interrupted: The operator requested the end.
         """
         box = self._bench.guard_limits.box
         while True:
@@ -154,7 +154,7 @@ class Jog:
                 pose,
                 speed=speed,
                 acceleration=self._bench.arm.acceleration,
-                # Away from a loaded surface the arm must get, soft limit or not.
+                # The arm must be able to leave a loaded surface, even beyond the soft limit.
                 mode="retreat" if self._loaded else "guarded",
                 on_wait=lambda: self._follow(cap),
             )
@@ -175,7 +175,7 @@ class Jog:
         self._loaded = result.outcome == "force_limited"
 
     def _follow(self, begun: Cap) -> None:
-        """Break the move off when the cap points elsewhere than when it began."""
+        """Interrupt the move if the cap's deflection has changed since it began."""
         cap = self._look(0.0)
         worst = max(abs(a - b) for a, b in zip(cap.shift, begun.shift, strict=True))
         if worst > _CHANGED or not any(cap.shift) or self._pressed:
@@ -208,7 +208,7 @@ class Jog:
 
 
 def retract(arm: Arm) -> bool:
-    """Up and clear after an origin was taken or a limit reached; False when the arm cannot."""
+    """Retract after an origin was set or a limit reached; return False if the arm cannot."""
     try:
         return arm.retract()
     except (SafetyStop, DeviceLost) as error:

@@ -1,4 +1,4 @@
-"""The arm through the plan, phase by phase, each one a row of `segments`."""
+"""Moves the arm through the plan, phase by phase; each phase is a row of `segments`."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from trajectories import Move, Plan, Point, Target
 
 logger = logging.getLogger(__name__)
 
+# Interval between checks of a pause.
 _LOOK_NS = SECOND_NS // 20
-# Between two looks at whether a pause is over.
 
 
 def require_arrival(result: MoveResult, *, pressing: bool) -> None:
-    """Let a move pass that arrived, or a press that the soft force limit ended.
+    """Accept a move that arrived, or a press ended by the soft force limit.
 
     Raises:
-        DeviceLost: The arm stopped short of its target on its own.
-        SafetyStop: It felt a force where nothing should be.
+        DeviceLost: The arm stopped before its target by itself.
+        SafetyStop: The arm met a force where no contact was expected.
     """
     if result.outcome == "stopped":
         raise DeviceLost(f"arm: {result.reason}")
@@ -42,20 +42,20 @@ def require_arrival(result: MoveResult, *, pressing: bool) -> None:
 
 
 class Walk:
-    """Presses the targets of a plan from a given one on.
+    """Presses the targets of a plan, starting at a given one.
 
     Args:
         bench: The bench.
-        arm: Started, its tip anywhere clear of the surface inside the box.
+        arm: The arm, started, its tip inside the box and clear of the surface.
         streams: Recording.
         writer: The session.
         live: The progress line.
-        interrupt: Looked at after every row.
+        interrupt: Checked after every row.
         control: Likewise, and for pauses before every target.
-        sentinels: Watching; asked while the arm moves.
+        sentinels: Interlocks, checked while the arm moves.
         clock: Clock.
         run: Number of this run.
-        zero: What the untouched F/T sensor shows after the tare was taken (6,) [N, N m].
+        zero: Reading of the untouched F/T sensor after the tare (6,) [N, N m].
     """
 
     def __init__(
@@ -84,19 +84,19 @@ class Walk:
         self._clock = clock
         self._run = run
         self._zero = zero
+        # Contact point at whose p0 the tip is; None: at none.
         self._point: int | None = None
-        # The contact point whose p0 the tip was brought to; None: none, or it has left.
         self.done = 0
-        """Targets that were pressed to their end."""
+        """Targets pressed to their end."""
         self.limited = 0
-        """Targets of those that ended at the soft force limit."""
+        """Targets among those that ended at the soft force limit."""
 
     def press(self, plan: Plan, first: int, total: int) -> None:
         """Press targets `first` to `total` - 1.
 
         Raises:
-            SafetyStop, DeviceLost, SessionError: What stopped it; the arm stands still.
-            Interrupted: The operator asked to.
+            SafetyStop, DeviceLost, SessionError: The run was stopped; the arm stands still.
+            Interrupted: The operator requested a stop.
         """
         for target in plan.targets():
             if not first <= target.index < total:
@@ -109,7 +109,7 @@ class Walk:
             self._live.ended(target, "limited" if self.limited > limited else "done")
 
     def _attempt(self, plan: Plan, target: Target) -> bool:
-        """Press a target from its start; False when the dead-man pedal was let go of meanwhile."""
+        """Press a target from its start; return False if the dead-man pedal was released."""
         self._hold()
         try:
             if target.point != self._point:
@@ -127,12 +127,12 @@ class Walk:
         return True
 
     def _hold(self) -> None:
-        """Wait while anybody wants a pause, or the dead-man pedal is not held."""
+        """Wait while a pause is requested or the dead-man pedal is not held."""
         self._asked()
         began_ns = now_ns = self._clock.now_ns()
         while (why := self._reason_to_wait()) is not None:
             self._wait()
-            # What the guard finds while nothing moves, a protective stop for one, must come out.
+            # Raises errors that the guard detects at standstill, such as a protective stop.
             self._arm.check()
             self._live.waiting(why)
             self._clock.sleep_until(now_ns + _LOOK_NS)
@@ -140,7 +140,7 @@ class Walk:
             self._asked()
         if now_ns > began_ns:
             self._live.waited(now_ns - began_ns)
-            logger.info("going on after a pause of %.1f s", (now_ns - began_ns) / SECOND_NS)
+            logger.info("continuing after a pause of %.1f s", (now_ns - began_ns) / SECOND_NS)
 
     def _reason_to_wait(self) -> str | None:
         paused_by = self._control.paused_by
@@ -149,18 +149,18 @@ class Walk:
         return None if self._sentinels.armed() else f"waiting: {self._sentinels.wish}"
 
     def _asked(self) -> None:
-        """Raise Interrupted when the operator asked to end, in whatever way."""
+        """Raise Interrupted if the operator requested the end, by signal or abort."""
         self._interrupt.check()
         self._control.check()
 
     def _rise(self, target: Target) -> None:
-        """From wherever a press was broken off straight up, clear of the surface and higher."""
+        """Move straight up from an interrupted press, clear of the surface, to retract height."""
         x, y, z = tip_position(self._bench, self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         self._move((x, y, max(z, self._bench.arm.retract)), mode="travel")
 
     def _go_to_point(self, target: Target) -> None:
-        """Straight up, over to the point at a safe height, down to p0, and its reference."""
+        """Move up, to the point at a safe height, down to p0, and take the point's reference."""
         x, y, clearance = target.origin
         approach = max(self._bench.approach, clearance)
         height = max(self._bench.arm.retract, approach)
@@ -214,7 +214,7 @@ class Walk:
             self._asked()
 
     def _leave(self, target: Target) -> None:
-        """Straight up from a press that reached the soft limit, then on to p0 for the next one."""
+        """Move straight up from a press at the soft limit, then to p0 for the next one."""
         x, y, z = tip_position(self._bench, self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         self._move(target.origin, mode="guarded")
@@ -238,7 +238,7 @@ class Walk:
         except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt, Released) as error:
             ended_ns = self._clock.now_ns()
             released = isinstance(error, Released)
-            # A halt that fails says more than a pedal does; any other error came first.
+            # A failed halt outweighs a released pedal; any other error came first.
             with contextlib.suppress(*(() if released else (SafetyStop, DeviceLost))):
                 self._arm.halt()
             if record is not None:
@@ -251,7 +251,7 @@ class Walk:
         return result
 
     def _wait(self, *, pressing: bool = False) -> None:
-        # The sentinels first: what they found has to stop the arm soonest.
+        # The interlocks first: they have to stop the arm soonest.
         self._sentinels.check(pressing=pressing)
         self._streams.check()
         self._live.tick()

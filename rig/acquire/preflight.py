@@ -1,4 +1,4 @@
-"""Before anything is recorded: every device answers, at its rate; the tip is clear; the tare."""
+"""Checks before recording: every device answers at its rate, the tip is clear; takes the tare."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What the preflight found of the devices."""
+    """Facts and rates of the devices, found by the preflight."""
 
     facts: dict[str, dict[str, Any]]
     """`Driver.describe()` by stream."""
@@ -32,19 +32,19 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Tare:
-    """The untouched F/T sensor."""
+    """Zero of the untouched F/T sensor."""
 
     mean: np.ndarray
     """Mean wrench (6,) [N, N m]."""
     std: np.ndarray
-    """Its spread (6,) [N, N m]."""
+    """Standard deviation (6,) [N, N m]."""
 
 
 def check_devices(bench: Bench, streams: Streams) -> Found:
     """Open every device and measure its rate.
 
     Raises:
-        ConfigError, DeviceLost: A device that refuses, does not answer, or sends far too slowly.
+        ConfigError, DeviceLost: A device rejects its settings, is silent or far too slow.
     """
     facts = streams.wait_opened()
     rates: dict[str, float] = {}
@@ -69,7 +69,7 @@ def check_devices(bench: Bench, streams: Streams) -> Found:
 
 
 def tip_position(bench: Bench, streams: Streams) -> Point:
-    """Where the tip is in the contact frame [m].
+    """Return the position of the tip in the contact frame [m].
 
     Raises:
         DeviceLost: No pose has arrived yet.
@@ -82,10 +82,10 @@ def tip_position(bench: Bench, streams: Streams) -> Point:
 
 
 def check_clear(bench: Bench, streams: Streams) -> None:
-    """Refuse to start with the tip at or below the surface, or outside the box.
+    """Reject a tip at or below the surface, or outside the box.
 
     Raises:
-        SafetyStop: It is.
+        SafetyStop: The tip is in such a place.
     """
     x, y, z = tip_position(bench, streams)
     limits = bench.limits
@@ -102,10 +102,10 @@ def check_clear(bench: Bench, streams: Streams) -> None:
 
 
 def take_tare(bench: Bench, streams: Streams) -> Tare:
-    """The zero of the F/T sensor, which nothing may be touching.
+    """Measure the zero of the F/T sensor, which must not be touched.
 
     Raises:
-        DeviceLost: No samples, or a spread that says it is not still.
+        DeviceLost: There are no samples, or their spread shows motion or contact.
     """
     found = streams.measure(bench.preflight.tare_window, "force")["force"]
     if "mean" not in found:
@@ -126,15 +126,15 @@ def take_tare(bench: Bench, streams: Streams) -> Tare:
 
 
 def check_untouched(bench: Bench, force: np.ndarray, point: int) -> None:
-    """Contact must not be made above a contact point.
+    """Check that there is no contact above a contact point.
 
     Args:
         bench: The bench.
-        force: Mean wrench (6,) there, less the tare [N, N m].
+        force: Mean tared wrench (6,) there [N, N m].
         point: Number of the contact point.
 
     Raises:
-        SafetyStop: It is made.
+        SafetyStop: There is contact.
     """
     worst = int(np.abs(force[:3]).argmax())
     if abs(force[worst]) > bench.preflight.contact_free:

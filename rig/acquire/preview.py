@@ -1,4 +1,4 @@
-"""A picture of what a plan would do, before anything moves."""
+"""Draws a plan before anything moves."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
 def preview(bench: Bench, picture: Path) -> int:
-    """Write a PNG of the targets and the path, print counts, duration and limits.
+    """Write a PNG of the targets and the path; print counts, duration and limits.
 
     Returns:
-        Exit code: that of wrong input when the plan breaks a limit, else 0.
+        Exit code of wrong input if the plan breaks a limit, else 0.
     """
     plan, arm = bench.trajectory, bench.arm
     walked = rehearse(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
@@ -40,7 +40,7 @@ def preview(bench: Bench, picture: Path) -> int:
 
 
 def summary(bench: Bench, walked: Rehearsal) -> list[str]:
-    """Counts, duration and limits, a line each."""
+    """Return counts, duration and limits as lines."""
     limits = bench.limits
     settling = walked.moves * bench.arm.settle
     frames = walked.recorded * bench.rate_hz / walked.targets
@@ -61,7 +61,7 @@ def summary(bench: Bench, walked: Rehearsal) -> list[str]:
 
 
 def draw(bench: Bench, targets: list[Target], lines: list[str], broken: bool) -> Image.Image:
-    """The picture: seen from above, from the side, and in words."""
+    """Draw the plan from above and from the side, with its summary."""
     image = Image.new("RGB", _SIZE, _PAPER)
     canvas = ImageDraw.Draw(image)
     title = ImageFont.load_default(24)
@@ -131,7 +131,7 @@ def _draw_top(
         _INK,
         font=font,
     )
-    # Deep presses first, so that the arrows of shallow ones stay visible on top, and thinner.
+    # Deep presses first, so that the arrows of shallow ones stay visible on top.
     for target in sorted(targets, key=lambda target: -target.depth):
         start, end = at(*target.bottom[:2]), at(*target.sheared[:2])
         colour = colours[target.depth]
@@ -165,7 +165,7 @@ def _draw_side(
     for depth, colour in colours.items():
         target = next(target for target in targets if target.depth == depth)
         shear = math.dist(target.bottom, target.sheared)
-        # Each depth a little to the right, or their way down would be one line.
+        # Each depth is shifted to the right, so that the paths down do not coincide.
         aside = 0.06 * reach * list(colours).index(depth)
         path = [origin, (aside, origin[1]), (aside, -depth), (aside + shear, -depth)]
         canvas.line([at(*place) for place in path], fill=colour, width=3)

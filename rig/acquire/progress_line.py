@@ -1,4 +1,4 @@
-"""The line a technician watches: rewritten in place on a terminal, else logged now and then."""
+"""Progress line of a collection: rewritten in place on a terminal, else logged periodically."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CLEAR = "\x1b[K"
 
 
 def minutes(seconds: float) -> str:
-    """`seconds` as m:ss."""
+    """Format `seconds` as m:ss."""
     whole = max(round(seconds), 0)
     return f"{whole // 60}:{whole % 60:02d}"
 
@@ -27,10 +27,10 @@ class LiveLine:
     """Progress of a collection.
 
     Args:
-        streams: Whose rates are shown.
+        streams: Streams whose rates are shown.
         total: Number of targets of the session.
         clock: Clock.
-        out: Where to write.
+        out: Output.
     """
 
     def __init__(
@@ -50,27 +50,27 @@ class LiveLine:
         self._waiting = ""
 
     def at(self, target: Target, move: Move | None) -> None:
-        """Say which target and move is under way."""
+        """Set the current target and move."""
         if self._first is None:
             self._first, self._start_ns = target.index, self._clock.now_ns()
         self._target, self._move = target, move
 
     def waiting(self, why: str) -> None:
-        """Say in place of the phase that nothing moves, and why; a new reason is shown at once."""
+        """Show why nothing moves in place of the phase; a new reason is shown immediately."""
         if why != self._waiting:
             self._waiting, self._due_ns = why, 0
 
     def waited(self, duration_ns: int) -> None:
-        """Go on; a pause of `duration_ns` does not count for the time left."""
+        """Continue; exclude a pause of `duration_ns` from the remaining time."""
         self._waiting, self._due_ns = "", 0
         self._start_ns += duration_ns
 
     def ended(self, target: Target, outcome: str) -> None:
-        """Say how a target ended: done or limited."""
+        """Record the outcome of a target: done or limited."""
         self._ended[target.index] = outcome
 
     def progress(self) -> dict[str, Any]:
-        """What a page to watch on shows: `Snapshot` fields, `ended`, `waiting`; from any thread."""
+        """Return the monitoring page's data: `Snapshot` fields, `ended`, `waiting`; thread-safe."""
         target, move = self._target, self._move
         if target is None:
             return {}
@@ -83,7 +83,7 @@ class LiveLine:
         }
 
     def tick(self) -> None:
-        """Write the line when it is time to."""
+        """Write the line if it is due."""
         now_ns = self._clock.now_ns()
         if now_ns < self._due_ns or self._target is None:
             return
@@ -96,7 +96,7 @@ class LiveLine:
             logger.info("%s", text)
 
     def end(self) -> None:
-        """Leave the last line standing."""
+        """End the line and leave it on the terminal."""
         if self._terminal and self._target is not None:
             self._out.write("\n")
             self._out.flush()

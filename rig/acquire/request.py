@@ -1,4 +1,4 @@
-"""What the operator asked for, checked before anything is started."""
+"""The operator's request, checked before anything is started."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from trajectories import Plan, plan_from_json, rehearse
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What the operator asked for."""
+    """Request of the operator."""
 
     path: Path
-    """The session, new or (with `resume`) stopped before."""
+    """The session: a new one, or with `resume` a stopped one."""
     resume: bool = False
-    """Continue with the first target that is not complete."""
+    """Continue with the first incomplete target."""
     targets: int | None = None
-    """Press only so many targets of the plan; None for all."""
+    """Press only this many targets of the plan; None for all."""
     operator: str = ""
-    """Who; the login name when empty."""
+    """Name of the operator; empty: the login name."""
     mock_facts: dict[str, Any] | None = None
-    """What stands behind a mock bench's emulators, for the session's attributes."""
+    """Recordings that a mock bench's emulators play, for the session's attributes."""
     calibration: Calibration = field(default_factory=Calibration)
-    """What was measured of the bench before, and holds for this session."""
+    """Earlier calibration that applies to this session."""
 
 
 def plan_of(order: Order, bench: Bench, plan: Plan | None = None) -> tuple[Plan, int]:
-    """The plan and how many of its targets are wanted: the bench's, or the resumed session's.
+    """Return the plan and its number of targets: the bench's, or the resumed session's.
 
     Args:
-        order: What the operator asked for.
-        bench: Whose limits hold.
-        plan: Taken in place of the bench's trajectory.
+        order: Request of the operator.
+        bench: Bench with its limits.
+        plan: Replaces the bench's trajectory.
 
     Raises:
-        ConfigError: Another sensor's session, too many targets, or a plan that breaks a limit.
+        ConfigError: Another sensor's session, an invalid `targets`, or a plan that breaks a limit.
         SessionError: The session to resume cannot be read.
     """
     plan = bench.trajectory if plan is None else plan
@@ -67,23 +67,23 @@ def plan_of(order: Order, bench: Bench, plan: Plan | None = None) -> tuple[Plan,
     return plan, total
 
 
-# Which targets a session has behind it: what `--resume` continues from.
+# Targets that a session has completed, from which `--resume` continues.
 
 _COMPLETE = OUTCOMES.index("complete")
 _FORCE_LIMITED = OUTCOMES.index("force_limited")
 
 
 def first_open_target(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> int:
-    """Index of the first of `total` targets that is not done; `total` when all are.
+    """Return the index of the first of `total` targets that is not done; `total` if all are.
 
-    A target is done when each of its phases was completed in one and the same attempt, or when it
-    ended at the force limit (pressing it again would end there again). A run may hold several
-    attempts at a target: each begins with a phase it has behind it, or after one that broke off.
+    A target is done when all its phases were completed in the same attempt, or when it ended at the
+    force limit (pressing it again would end there again). A run may hold several attempts at a
+    target: a new one begins with a phase already completed in the last, or after an interruption.
 
     Args:
         plan: The session's plan.
         segments: Its `segments`: target, phase, outcome, run.
-        total: How many of the plan's targets the session wants.
+        total: Number of the plan's targets in the session.
     """
     complete: dict[tuple[int, int], set[int]] = {}
     attempts: dict[int, list[set[int]]] = {}

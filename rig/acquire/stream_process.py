@@ -1,8 +1,8 @@
-"""The process of one stream: driver to shard log, nothing in between.
+"""Process of one stream: appends the driver's samples directly to the shard log.
 
-It is told what to do through a pipe and answers there; everybody may look at its newest sample and
-its counters in shared memory. When the pipe closes, whoever started it is gone: it seals what it
-has and ends.
+It receives commands through a pipe and answers there. Its newest sample and its counters are
+readable in shared memory. When the pipe closes, the parent is gone; the process then seals its
+data and ends.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from rig.core.shared_memory import LatestRecord
 
 logger = logging.getLogger(__name__)
 
-# Last arrival [ns], samples since opening, rows stored by this run, samples the device sent that
-# never came, rate over the last second [Hz], longest gap between stored samples [s].
+# Last arrival [ns], samples since opening, rows stored by this run, samples sent by the device but
+# not received, rate over the last second [Hz], longest gap between stored samples [s].
 COUNTERS = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -41,25 +41,25 @@ COUNTERS = np.dtype(
     ]
 )
 
+# Longest delay of a command from the parent while the device is silent [s].
 _READ_TIMEOUT = 0.05
-# How long a command from the parent may wait for a silent device [s].
 _COUNTERS_EVERY_NS = SECOND_NS // 20
 
 
 @dataclass(frozen=True, slots=True)
 class StreamJob:
-    """What the process of one stream needs."""
+    """Arguments of a stream's process."""
 
     name: str
     """Name of the stream, a key of `KINDS`."""
     bench: Bench
     """The bench, with addresses filled in."""
     folder: Path
-    """Where `<name>.latest` and `<name>.counters` were made."""
+    """Folder that holds `<name>.latest` and `<name>.counters`."""
 
 
 class _Measurement:
-    """Samples of a window: rate, mean, spread."""
+    """Samples of a time window: rate, mean, spread."""
 
     def __init__(self, kind: StreamKind, start_ns: int, seconds: float) -> None:
         self._averaged = kind.averaged
@@ -75,7 +75,7 @@ class _Measurement:
                 self._values.append(sample["value"])
 
     def result(self) -> dict[str, Any]:
-        """`n`, `rate_hz`, `longest_gap` [s] and, where averaged, `mean` and `std` of the values."""
+        """Return `n`, `rate_hz`, `longest_gap` [s]; if averaged, `mean` and `std` of the values."""
         times = np.array([self._start_ns, *self._times, self.end_ns], dtype=np.int64)
         inner = times[1:-1]
         span = (inner[-1] - inner[0]) / SECOND_NS if len(inner) > 1 else 0.0
@@ -117,7 +117,7 @@ class _StreamLoop:
         self._longest_gap = 0.0
 
     def run(self) -> None:
-        """Until told to close, or until the parent's end of the pipe is gone."""
+        """Run until a close command, or until the parent's end of the pipe is gone."""
         while True:
             while self._pipe.poll():
                 command, argument = self._pipe.recv()
@@ -177,7 +177,7 @@ class _StreamLoop:
         self._sweeper.sweep(now_ns)
 
     def close(self) -> dict[str, Any]:
-        """Seal what was recorded; the summary of it."""
+        """Seal the recorded data and return its summary."""
         self._show(self._clock.now_ns())
         summary = {
             "rows": self._rows,
@@ -195,8 +195,8 @@ class _StreamLoop:
 
 
 def run_stream(job: StreamJob, pipe: Connection) -> None:
-    """Body of the process; `pipe` is its end."""
-    # Ctrl-C and a closed terminal belong to the parent, which closes every stream in order.
+    """Run the process; `pipe` is its end of the connection."""
+    # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     granted = be_punctual()
@@ -229,4 +229,4 @@ def _report(pipe: Connection, name: str, error: Exception) -> None:
     try:
         pipe.send(("failed", (kind, f"{name}: {error}")))
     except OSError:
-        logger.warning("%s: %s (and nobody left to tell)", name, error)
+        logger.warning("%s: %s (the parent process is gone)", name, error)

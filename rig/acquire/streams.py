@@ -1,4 +1,4 @@
-"""All streams of a session together: start, measure, record, end."""
+"""All streams of a session: start, measure, record, end."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.shared_memory import LatestRecord
 
-# The collecting process's end of one stream.
+# Side of the collecting process.
 
 _ERRORS = {error.__name__: error for error in (ConfigError, DeviceLost, SessionError)}
-_START_TIMEOUT = 20.0
 # Starting an interpreter and importing OpenCV takes a second here, more on a busy machine [s].
+_START_TIMEOUT = 20.0
+# Sealing syncs up to 64 images; a slow disk may need the time, and killing it would lose the seal.
 _CLOSE_TIMEOUT = 30.0
-# Sealing syncs up to 64 images; a slow disk may take its time, and killing it would lose the seal.
 
 
 class StreamHandle:
-    """Starts, asks, and ends the process of one stream.
+    """Starts, queries and ends the process of one stream.
 
     Args:
         name: A key of `KINDS`.
@@ -57,20 +57,20 @@ class StreamHandle:
         return self._process.pid or 0
 
     def wait_opened(self) -> dict[str, Any]:
-        """Facts of the device once its driver is open.
+        """Wait until the driver is open and return the facts of its device.
 
         Raises:
-            ConfigError, DeviceLost: What the driver found.
+            ConfigError, DeviceLost: The driver failed.
         """
         facts: dict[str, Any] = self._answer("opened", self._bench.preflight.timeout)
         return facts
 
     def start_measuring(self, seconds: float) -> None:
-        """Begin a window over which rate, mean and spread are taken."""
+        """Begin a time window for measuring rate, mean and spread."""
         self._send("measure", seconds)
 
     def measured(self, seconds: float) -> dict[str, Any]:
-        """The result of the window that `start_measuring(seconds)` began; see `_Measurement`."""
+        """Return the result of the window of `start_measuring(seconds)`; see `_Measurement`."""
         found: dict[str, Any] = self._answer("measured", seconds)
         return found
 
@@ -80,24 +80,24 @@ class StreamHandle:
         self._answer("biased", 1.0)
 
     def record(self, path: Path) -> int:
-        """Append to the stream group at `path` from now on; the rows it had."""
+        """Append to the stream group at `path` from now on; return its number of rows."""
         self._send("record", path)
         rows: int = self._answer("recording", 5.0)
         return rows
 
     def latest(self) -> np.void | None:
-        """The newest sample, as `KINDS[name].latest`."""
+        """Return the newest sample as a `KINDS[name].latest` record."""
         return self._latest.read()
 
     def counters(self) -> np.void | None:
-        """COUNTERS as of the last twentieth of a second."""
+        """Return the COUNTERS, updated 20 times per second."""
         return self._counters.read()
 
     def check(self) -> None:
-        """Notice a failure.
+        """Raise if the stream has failed.
 
         Raises:
-            ConfigError, DeviceLost, SessionError: What ended the stream.
+            ConfigError, DeviceLost, SessionError: The stream failed with this error.
         """
         if self._failure is not None:
             raise self._failure
@@ -108,7 +108,7 @@ class StreamHandle:
             self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
 
     def close(self) -> dict[str, Any] | None:
-        """Seal and end; the summary, or None when the process is gone already. Safe twice."""
+        """Seal and end; return the summary, None if the process is gone. May be called twice."""
         if self._closed:
             return None
         self._closed = True
@@ -117,7 +117,7 @@ class StreamHandle:
             self._send("close", None)
             summary = self._answer("closed", _CLOSE_TIMEOUT)
         except (DeviceLost, ConfigError, SessionError):
-            # `check` reports whatever ended the stream; here only the end counts.
+            # `check` reports the error that ended the stream; closing ignores it.
             summary = None
         self._process.join(_CLOSE_TIMEOUT)
         if self._process.is_alive():
@@ -133,8 +133,8 @@ class StreamHandle:
             self._pipe.send((command, argument))
             return
         except OSError:
-            # Nothing is raised in here: as the context of an error that is kept, this one would
-            # keep the pickling buffer of `send` in a cycle, which Python 3.12 crashes on.
+            # Nothing is raised in here: as the context of a stored error, this one would keep the
+            # pickling buffer of `send` in a cycle, on which Python 3.12 crashes.
             pass
         self.check()
         self._fail(DeviceLost(f"{self.name}: its process ended (code {self._exit_code()})"))
@@ -167,22 +167,22 @@ class StreamHandle:
         return self._process.exitcode
 
 
+# A signal (camera, taxels) without a new sample for this time is lost [s]; force and pose have
+# their own, shorter limits in the guard.
 SILENT = 2.0
-# A signal (camera, taxels) that shows no new sample for so long is lost; force and pose have their
-# own, shorter limits in the guard [s].
+# A stream below this fraction of its rate (also the preflight's limit) for this time [s] is too
+# sparse to record the press.
 SLOW_FRACTION, SLOW = 0.5, 3.0
-# A stream that comes at less than this part of its rate (what the preflight refuses too) for so
-# long [s] is no recording of what happens.
 
 
 class Streams:
-    """The streams of one bench, as a context manager.
+    """Context manager of the streams of one bench.
 
     Args:
         bench: The bench, with addresses filled in.
         folder: Run folder for shared records.
         clock: Clock.
-        watch: Raises when what is behind the devices is gone, as a mock bench's World.
+        watch: Raises if a backend of the devices is gone, such as a mock bench's World.
     """
 
     def __init__(
@@ -212,28 +212,28 @@ class Streams:
         return name in self._handles
 
     def wait_opened(self) -> dict[str, dict[str, Any]]:
-        """Facts of every device, by stream.
+        """Wait until all drivers are open and return the facts of their devices by stream.
 
         Raises:
-            ConfigError, DeviceLost: What the first driver to fail found.
+            ConfigError, DeviceLost: A driver failed; the first failure is raised.
         """
         return {handle.name: handle.wait_opened() for handle in self}
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
-        """Rate, mean and spread over the same window of the named streams (all when none)."""
+        """Measure rate, mean and spread of the named streams (default: all) in one time window."""
         chosen = [handle for handle in self if not names or handle.name in names]
         for handle in chosen:
             handle.start_measuring(seconds)
         return {handle.name: handle.measured(seconds) for handle in chosen}
 
     def check(self) -> None:
-        """Notice a stream that failed, or a signal that went silent.
+        """Raise if a stream failed or a signal went silent.
 
         Raises:
-            ConfigError, DeviceLost, SessionError: What ended it.
+            ConfigError, DeviceLost, SessionError: A stream failed with this error.
         """
         now_ns = self._clock.now_ns()
-        # The streams first: of a device that is gone, its driver knows more than its process.
+        # Stream errors first: the driver of a lost device knows more than `watch`.
         for handle in self:
             handle.check()
             latest = handle.latest()
@@ -256,16 +256,16 @@ class Streams:
         if now_ns - since_ns > SLOW * SECOND_NS:
             raise DeviceLost(
                 f"{handle.name}: {counters['rate_hz']:.0f} Hz for {SLOW:.0f} s; expected "
-                f"{expected:.0f} Hz; is its line overloaded, or its lighting too dim?"
+                f"{expected:.0f} Hz; is its connection overloaded, or its lighting too dim?"
             )
 
     def counters(self) -> dict[str, np.void]:
-        """COUNTERS of every stream that has shown some."""
+        """Return the COUNTERS of every stream that has published some."""
         found = {handle.name: handle.counters() for handle in self}
         return {name: counters for name, counters in found.items() if counters is not None}
 
     def close(self) -> dict[str, Any]:
-        """Seal and end every stream; their summaries by name. Safe twice."""
+        """Seal and end every stream; return their summaries by name. May be called twice."""
         if not self._closed:
             self._closed = True
             for handle in self:

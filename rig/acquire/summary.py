@@ -1,4 +1,4 @@
-"""What is printed at the end: did every stream keep its pace, and what was recorded."""
+"""Summary printed at the end: rates and gaps of the streams, and the recorded targets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.bench.stream_kinds import expected_rate
 
 
 def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
-    """The table of streams: expected and measured rate, longest gap, dropped, worst skew."""
+    """Return a table of the streams: expected and measured rate, longest gap, dropped, skew."""
     lines = [f"{'stream':<8}{'expected':>10}{'measured':>10}{'longest gap':>13}{'dropped':>9}"]
     for name, stream in session.streams.items():
         times = stream.t_ns
@@ -43,13 +43,13 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
 
 
 def left_out(refused: Mapping[str, int]) -> str:
-    """What came and was not stored, in words; empty when there was none."""
+    """Return the counts of samples that were received but not stored, as text; empty if none."""
     found = [f"{count} {reason}" for reason, count in refused.items() if count]
     return f"  left out: {', '.join(found)}" if found else ""
 
 
 def frames_per_target(session: Session) -> str:
-    """Frames per target beside the paper's 20 to 60."""
+    """Return the frames per target, next to the paper's 20 to 60, as text."""
     targets = np.asarray(session.frames["target"])
     counts = np.bincount(targets[targets >= 0])
     counts = counts[counts > 0]
@@ -67,15 +67,15 @@ def frames_per_target(session: Session) -> str:
 def last_line(
     status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
 ) -> str:
-    """One line: how it ended, how far it came, where it lies.
+    """Return one line with the status, the number of targets and the path.
 
     Args:
-        status: Of the session.
+        status: Status of the session.
         reason: Why it was stopped, or empty.
         path: The session.
-        done: Targets behind it.
-        limited: Those of this run that ended at the soft force limit.
-        total: Targets wanted.
+        done: Number of finished targets.
+        limited: Targets of this run that ended at the soft force limit.
+        total: Number of targets to press.
         seconds: Wall time of this run [s].
     """
     why = f" ({reason})" if reason else ""
@@ -85,11 +85,11 @@ def last_line(
     )
 
 
-# What is shown of a session of force-depth presses once it is recorded.
+# Display of a force-depth session after it is recorded.
 
 
 def show_curve(path: Path) -> None:
-    """Print the table of a session of presses and write its curve beside it."""
+    """Print the table of a session of presses and write its curve to a PNG."""
     try:
         session = Session(path)
         curves = press_curves(session)

@@ -1,1 +1,1 @@
-"""The bench file: which devices at which addresses, which sensor, limits and plan."""
+"""Bench files: devices and addresses, sensor, limits and plan."""

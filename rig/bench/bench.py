@@ -1,4 +1,4 @@
-"""A bench, read from YAML: which devices at which addresses, which sensor, limits and plan."""
+"""Settings of a bench, read from YAML: devices and addresses, sensor, limits and plan."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
 from trajectories import ForceDepth, Limits, PressShear
 
-# Stands for the address the emulators are started on.
+# Placeholder for the address that the emulators are started on.
 LOOPBACK = "loopback"
-# Stands for the folder where emulators of serial devices put links to their ptys.
+# Placeholder for the folder where emulators of serial devices put links to their ptys.
 RUN_FOLDER = "runfolder"
 
 
 @dataclass(frozen=True, slots=True)
 class BenchLimits:
-    """What sensor, gauge and lab allow."""
+    """Limits of sensor, gauge and lab."""
 
     box_x: tuple[float, float] = field(metadata={"unit": "mm"})
     """Allowed x of the tip in the contact frame [m]."""
@@ -42,23 +42,23 @@ class BenchLimits:
     torque_rating: tuple[float, float, float] = field(metadata={"unit": "n_mm"})
     """Rated torque per axis [N m]."""
     stiffness: float = field(metadata={"unit": "n_per_mm"})
-    """Expected normal stiffness [N/m]; only foretells the force of a plan."""
+    """Expected normal stiffness [N/m]; used only to predict the force of a plan."""
     duration_max: float = field(metadata={"unit": "min"})
     """Longest session [s]."""
     soft_fraction: float = 0.85
-    """Part of the rating that ends a target as force_limited."""
+    """Share of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
-    """Part of the rating that stops the session."""
+    """Share of the rating that stops the session."""
     horizon: float = field(default=0.02, metadata={"unit": "ms"})
-    """How far ahead the guard extrapolates the force [s]."""
+    """Extrapolation time of the guard's force prediction [s]."""
     stale_force: float = field(default=0.05, metadata={"unit": "ms"})
-    """Without a force sample for so long the session stops [s]."""
+    """Age of the newest force sample that stops the session [s]."""
     stale_pose: float = field(default=0.1, metadata={"unit": "ms"})
-    """The same for poses [s]."""
+    """Age of the newest pose sample that stops the session [s]."""
 
     @property
     def plan(self) -> Limits:
-        """What a plan is held against before anything moves."""
+        """Limits that a plan is checked against before anything moves."""
         return Limits(
             box_x=self.box_x,
             box_y=self.box_y,
@@ -72,33 +72,33 @@ class BenchLimits:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What is checked, and how long, before anything is recorded."""
+    """Durations and tolerances of the checks before recording."""
 
     rate_window: float = 1.0
-    """How long rates are measured [s]."""
+    """Time over which rates are measured [s]."""
     rate_tolerance: float = 0.15
-    """Relative deviation from the expected rate that stops the preflight."""
+    """Relative deviation from the expected rate that fails the preflight."""
     tare_window: float = 0.5
-    """How long the tare is averaged [s]."""
+    """Time over which the tare is averaged [s]."""
     tare_spread: float = field(default=0.1, metadata={"unit": "n"})
     """Largest standard deviation of a force axis over the tare [N]."""
     point_window: float = 0.25
-    """How long the reference of a contact point is averaged [s]."""
+    """Time over which the reference of a contact point is averaged [s]."""
     contact_free: float = field(default=0.3, metadata={"unit": "n"})
-    """Largest force, less the tare, above a contact point: more means contact is made [N]."""
+    """Largest tared force above a contact point; more means there is contact [N]."""
     timeout: float = 5.0
-    """How long a device may take to answer [s]."""
+    """Longest time for a device to answer [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Everything `collect` needs to know."""
+    """Complete settings of a bench."""
 
     sensor: str
-    """Name of the sensor: the name of its bench file, and in the session's."""
+    """Name of the sensor, of its bench file and in session names."""
     description: str
     mock: bool
-    """Whether the devices are emulators; written into every session."""
+    """True if the devices are emulators; written into every session."""
     rate_hz: float
     """Rate of the synchronised view."""
     contact_frame: tuple[float, ...] = field(metadata={"pose": True})
@@ -111,7 +111,7 @@ class Bench:
     trajectory: PressShear | ForceDepth
     preflight: Preflight = Preflight()
     approach: float = field(default=0.003, metadata={"unit": "mm"})
-    """Height above the surface from which the tip comes down at contact speed [m]."""
+    """Height above the surface at which the tip slows down to contact speed [m]."""
     indenter: str = "cylinder"
     """Name of the indenter on the arm."""
     camera: CameraConfig | None = None
@@ -120,18 +120,18 @@ class Bench:
     """Holds the indenter; watched while the arm moves."""
     pedal: PedalConfig | None = None
     jog: SpaceMouseConfig | None = None
-    """Moves the arm by hand, for `make jog` only."""
+    """SpaceMouse for moving the arm by hand; only for `make jog`."""
     force_depth: ForceDepth | None = None
-    """The press that `force-depth` records; None where the sensor has none."""
+    """The press that `force-depth` records; None if the sensor has none."""
     world: AnalyticSpec | SimulatedSpec | None = None
-    """What presses what, on a mock bench; None on a lab bench."""
+    """Sensor and contact of a mock bench; None on a lab bench."""
     simulated: SimulatedSpec | None = None
-    """What WORLD=sim puts in the place of `world`."""
+    """Replaces `world` with WORLD=sim."""
     world_frame: tuple[float, ...] | None = field(default=None, metadata={"pose": True})
-    """Where a mock's surface really is, (6,) in the base frame [m, rad]; None: at contact_frame."""
+    """True pose (6,) of a mock's surface in the base frame [m, rad]; None: at contact_frame."""
 
     def __post_init__(self) -> None:
-        """Refuse a bench without a signal, or whose mock flag and World disagree."""
+        """Reject a bench without a signal, or with a mock flag that contradicts its World."""
         if self.camera is None and self.taxels is None:
             raise ValueError("camera, taxels: both missing; allowed: at least one")
         if self.mock != (self.world is not None):
@@ -144,7 +144,7 @@ class Bench:
 
     @property
     def guard_limits(self) -> GuardLimits:
-        """What the guard watches while the arm moves."""
+        """Limits of the guard while the arm moves."""
         limits = self.limits
         return GuardLimits(
             force_rating=(*limits.force_rating, *limits.torque_rating),
@@ -162,11 +162,11 @@ class Bench:
 
 
 def find_bench(sensor: str, folder: Path) -> Path:
-    """The lab's bench file of `sensor` if there is one, else the mock bench.
+    """Return the lab's bench file of `sensor` if it exists, else the mock bench's.
 
     Args:
-        sensor: Name of the file, less `.yaml`.
-        folder: Looked into first: its `lab/`, then itself; then come the packaged mock benches.
+        sensor: Name of the file without `.yaml`.
+        folder: Searched first: its `lab/`, then itself; then the packaged mock benches.
 
     Raises:
         ConfigError: None of them exists.
@@ -183,10 +183,10 @@ def find_bench(sensor: str, folder: Path) -> Path:
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """`content` with what its `simulated` says in the place of `world`.
+    """Return `content` with `world` replaced by its `simulated`.
 
     Raises:
-        ConfigError: It has none, or is no mock bench's.
+        ConfigError: `simulated` is missing, or this is no mock bench.
     """
     if not content.get("mock") or not isinstance(content.get("simulated"), dict):
         raise ConfigError(
@@ -197,7 +197,7 @@ def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 def bench_from(content: dict[str, Any], where: str) -> Bench:
-    """The bench that a mapping (as read from YAML) describes.
+    """Build a bench from a mapping as read from YAML.
 
     Raises:
         ConfigError: See `rig.core.config.build`.
@@ -206,9 +206,9 @@ def bench_from(content: dict[str, Any], where: str) -> Bench:
 
 
 def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:
-    """A bench file, checked, and its content as read (stored in the session).
+    """Load a bench file; return the bench and its content as read (stored in the session).
 
-    Its `extends` may name a packaged bench, as if that lay in `benches/`.
+    Its `extends` may name a packaged bench as if it were in `benches/`.
 
     Raises:
         ConfigError: See `rig.core.config`.
@@ -218,7 +218,7 @@ def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:
 
 
 def addressed(content: dict[str, Any], host: str, folder: Path) -> dict[str, Any]:
-    """`content` with `loopback` replaced by `host`, `runfolder` by `folder`, in every string."""
+    """Replace `loopback` by `host` and `runfolder` by `folder` in every string of `content`."""
 
     def replace(value: Any) -> Any:
         if isinstance(value, str):

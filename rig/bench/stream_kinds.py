@@ -1,4 +1,4 @@
-"""What each kind of stream is: its driver, its columns on disk, its newest sample in memory."""
+"""Kinds of streams: their drivers, columns on disk, and records of the newest sample."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class StreamKind:
     name: str
     """Name of the stream, on disk and on screen."""
     latest: np.dtype[Any]
-    """What is shown of its newest sample."""
+    """Dtype of its newest sample in shared memory."""
     record: Callable[[dict[str, Any], int], tuple[Any, ...]]
-    """That record from a sample's columns and its row (-1 while nothing is recorded)."""
+    """Builds that record from a sample's columns and row (-1 while nothing is recorded)."""
     columns: tuple[str, ...]
-    """Columns that are stored; a driver may give more, for the guard."""
+    """Columns to store; a driver may return more, for the guard."""
     averaged: bool
-    """Whether a mean of its values means something (a tare, a reference)."""
+    """True if a mean of its values is meaningful (a tare, a reference)."""
 
 
 KINDS = {
@@ -76,13 +76,13 @@ KINDS = {
 
 
 def stream_names(bench: Bench) -> tuple[str, ...]:
-    """The streams a bench records, in the order they are shown."""
+    """Return the streams that a bench records, in display order."""
     optional = (("camera", bench.camera), ("taxels", bench.taxels))
     return ("force", "pose", *(name for name, config in optional if config is not None))
 
 
 def expected_rate(bench: Bench, name: str) -> float:
-    """The rate the bench file states for a stream [Hz]."""
+    """Return the rate that the bench file states for a stream [Hz]."""
     configs: dict[str, Any] = {
         "force": bench.force,
         "pose": bench.arm,
@@ -93,7 +93,7 @@ def expected_rate(bench: Bench, name: str) -> float:
 
 
 def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
-    """The driver of one stream. Its vendor library is imported here and nowhere else.
+    """Create the driver of one stream; its vendor library is imported only here.
 
     Raises:
         ConfigError: The library is not installed.
@@ -138,14 +138,14 @@ def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
 def stream_spec(
     bench: Bench, name: str, facts: dict[str, Any], rate_hz: float, **attrs: Any
 ) -> StreamSpec:
-    """How a stream is stored, from what its opened driver said of the device.
+    """Return the storage spec of a stream, given the facts of its opened driver.
 
     Args:
         bench: The bench.
-        name: The stream.
+        name: Name of the stream.
         facts: `Driver.describe()`.
-        rate_hz: Its measured rate.
-        **attrs: What else its attributes shall hold.
+        rate_hz: Measured rate.
+        **attrs: Further attributes.
     """
     if name == "force":
         return force_spec(rate_hz, device=facts, **attrs)

@@ -1,8 +1,8 @@
-"""Settings of a mock bench's World: what presses on what, and what its sensors show.
+"""Settings of a mock bench's World: sensor, indenter, and the signals of the sensor.
 
-The closed-form contact of the analytic World stands here as well, as its settings are checked by
-the range of its formulas: a flat circular punch by Hayes' table, a sphere by Dimitriadis' series;
-a rigid disc on a layer over rock for shear. Nothing here has a state or knows time.
+The closed-form contact of the analytic World is here too, because its settings are checked against
+the range of its formulas: Hayes' table for a flat circular punch, Dimitriadis' series for a sphere,
+and for shear a rigid disc on a layer over rock. Nothing here has a state or depends on time.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     from rig.mock.world.picture import Surface
 
 
+# Stiffening of a bonded layer under a flat punch, rows a/h, columns Poisson's ratio (Hayes et al.
+# 1972, recomputed from the integral equation; a/h = 0 is the half-space).
 _HAYES_RATIO = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.0])
-
-
 _HAYES_POISSON = np.array([0.30, 0.40, 0.45, 0.49, 0.50])
-
-
 _HAYES = np.array(
     [
         [1.0, 1.0, 1.0, 1.0, 1.0],
@@ -35,16 +33,14 @@ _HAYES = np.array(
         [4.3532, 5.2985, 6.4206, 8.3370, 9.1494],
     ]
 )
-# Stiffening of a bonded layer under a flat punch, rows a/h, columns Poisson's ratio (Hayes et al.
-# 1972, recomputed from the integral equation; a/h = 0 is the half-space).
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A soft layer, glued to a rigid base.
+    """Soft layer bonded to a rigid base.
 
     Raises:
-        ValueError: A value outside the range of the formulas.
+        ValueError: A value is outside the range of the formulas.
     """
 
     modulus: float = field(metadata={"unit": "kpa"})
@@ -55,7 +51,7 @@ class Layer:
     """Poisson's ratio, 0.30 to 0.50."""
 
     def __post_init__(self) -> None:
-        """Refuse what the formulas do not cover."""
+        """Reject values outside the range of the formulas."""
         if not self.modulus > 0 or not self.thickness > 0:
             raise ValueError("modulus and thickness: allowed: above 0")
         if not 0.30 <= self.poisson <= 0.50:
@@ -67,10 +63,10 @@ class Layer:
         return self.modulus / (2 * (1 + self.poisson))
 
     def disc_shear_stiffness(self, radius: float) -> float:
-        """Force per sideways displacement of a disc stuck to the surface [N/m].
+        """Return the force per tangential displacement of a disc stuck to the surface [N/m].
 
         8 G a / (2 - nu) on a half-space (Johnson 1985, 3.7), times 1 + a / (2 h) for a layer over
-        rock (Gazetas 1983); good for a / h below about 0.5, a few per cent above.
+        rock (Gazetas 1983); accurate for a / h below about 0.5, a few per cent off above.
         """
         return (
             8
@@ -83,7 +79,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Punch:
-    """A flat-ended circular punch."""
+    """Flat-ended circular punch."""
 
     KIND: ClassVar[str] = "punch"
 
@@ -91,13 +87,13 @@ class Punch:
     """Radius [m]."""
 
     def contact_radius(self, layer: Layer, depth: float) -> float:
-        """Radius of the contact [m]: that of the punch."""
+        """Return the radius of the contact [m], equal to that of the punch."""
         return self.radius
 
     def force(self, layer: Layer, depth: float) -> float:
-        """Normal force at `depth` [N]: 2 E a d kappa / (1 - nu^2), kappa from Hayes' table.
+        """Return the normal force at `depth` [N]: 2 E a d kappa / (1 - nu^2).
 
-        Beyond a/h = 2, where the table ends, kappa is held.
+        kappa is from Hayes' table, and constant beyond its end at a/h = 2.
         """
         if depth <= 0:
             return 0.0
@@ -119,14 +115,14 @@ class Sphere:
     """Radius [m]."""
 
     def contact_radius(self, layer: Layer, depth: float) -> float:
-        """Hertz: sqrt(R d) [m]."""
+        """Return the contact radius by Hertz: sqrt(R d) [m]."""
         return math.sqrt(self.radius * max(depth, 0.0))
 
     def force(self, layer: Layer, depth: float) -> float:
-        """Normal force at `depth` [N], Hertz times Dimitriadis' series for a bonded layer.
+        """Return the normal force at `depth` [N]: Hertz times Dimitriadis' series.
 
-        Dimitriadis et al. 2002; against the exact solution 3 % low at sqrt(R d) / h = 0.35, 9 % low
-        at 0.6.
+        The series is for a bonded layer (Dimitriadis et al. 2002). Compared with the exact solution
+        it is 3 % low at sqrt(R d) / h = 0.35 and 9 % low at 0.6.
         """
         if depth <= 0:
             return 0.0
@@ -150,17 +146,17 @@ Indenter = Punch | Sphere
 
 @dataclass(frozen=True, slots=True)
 class Hysteresis:
-    """One Maxwell branch beside the elastic response: loading lies above unloading."""
+    """Maxwell branch parallel to the elastic response: loading forces exceed unloading forces."""
 
     fraction: float
-    """Force of the branch after an instant press, as a part of the elastic force."""
+    """Force of the branch after an instant press, relative to the elastic force."""
     relaxation: float = field(metadata={"unit": "ms"})
     """Time constant of its decay [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of the instruments, added where they are served, never to the World's truth."""
+    """Noise of the instruments, added to their output, never to the World's truth."""
 
     force: float = field(default=0.0, metadata={"unit": "n"})
     """Standard deviation of each force axis [N]."""
@@ -172,16 +168,16 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class MarkerView:
-    """A marker pattern and the camera that looks at it along -z, x to the right, y up."""
+    """Marker pattern and the camera that views it along -z, x to the right, y up."""
 
     layout: Literal["grid", "hexagon"]
     """Rows and columns, or rings of a hexagonal packing (rings 6 make 127 pins)."""
     pitch: float = field(metadata={"unit": "mm"})
-    """Distance of neighbouring markers [m]."""
+    """Distance between neighbouring markers [m]."""
     radius: float = field(metadata={"unit": "mm"})
     """Radius of a marker [m]."""
     pixel: float = field(metadata={"unit": "mm"})
-    """Size of a pixel on the surface [m]."""
+    """Pixel size on the surface [m]."""
     rows: int = 7
     """Rows of a grid."""
     columns: int = 9
@@ -193,10 +189,10 @@ class MarkerView:
     ink: tuple[int, int, int] = (28, 26, 30)
     """Colour of the markers, RGB."""
     delay: float = field(default=0.0, metadata={"unit": "ms"})
-    """How late the emulated camera delivers what it saw [s]."""
+    """Latency of the emulated camera [s]."""
 
     def points(self) -> np.ndarray:
-        """Untouched markers (n, 2) in the contact frame [m]."""
+        """Return the marker positions (n, 2) without contact, in the contact frame [m]."""
         if self.layout == "grid":
             x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch
             y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch
@@ -207,36 +203,34 @@ class MarkerView:
         return np.array([(self.pitch * (q + r / 2), self.pitch * r * 3**0.5 / 2) for q, r in axial])
 
 
+# Middle of the uint16 range, and a spread between taxels as real pads have.
 _REST = 32768
-# Middle of the uint16 range; a spread from taxel to taxel as real pads show.
-
-
 _SPREAD = 37
 
 
 @dataclass(frozen=True, slots=True)
 class TaxelField:
-    """A 4 x 4 grid of three-axis taxels, counts linear in motion.
+    """A 4 x 4 grid of three-axis taxels, counts linear in displacement.
 
     Taxel i lies at column i % 4 and row i // 4 of the contact frame, x to the right and y up, as
-    discs are drawn (`recorder.markers`) and as the simulator has them.
+    in `recorder.markers` and in the simulator.
     """
 
     pitch: float = field(default=4.7e-3, metadata={"unit": "mm"})
-    """Distance of neighbouring taxels [m]."""
+    """Distance between neighbouring taxels [m]."""
     counts_per_mm_shear: float = 3000.0
-    """Counts of x and y per mm of sideways motion."""
+    """Counts of x and y per mm of tangential displacement."""
     counts_per_mm_normal: float = 20000.0
     """Counts of z per mm of compression."""
 
     def positions(self) -> np.ndarray:
-        """Taxel centres (16, 2) in the contact frame [m]."""
+        """Return the taxel centres (16, 2) in the contact frame [m]."""
         steps = (np.arange(4) - 1.5) * self.pitch
         x, y = np.meshgrid(steps, steps)
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
     def counts(self, surface: Surface) -> np.ndarray:
-        """Raw counts (16, 3), before noise and rounding."""
+        """Return raw counts (16, 3), before noise and rounding."""
         rest = _REST + _SPREAD * (np.arange(48).reshape(16, 3) % 11)
         moved = surface.displacement(self.positions())
         gain = 1e3 * np.array(
@@ -248,60 +242,60 @@ class TaxelField:
 
 @dataclass(frozen=True, slots=True)
 class AnalyticSpec:
-    """A mock sensor and what presses on it."""
+    """Mock sensor and its indenter, with closed-form contact."""
 
     KIND: ClassVar[str] = "analytic"
 
     layer: Layer
     indenter: Punch | Sphere
     markers: MarkerView | None = None
-    """What the camera sees; None for a sensor without one."""
+    """View of the camera; None for a sensor without one."""
     taxels: TaxelField | None = None
-    """What the taxels feel; None for a sensor without any."""
+    """Response of the taxels; None for a sensor without any."""
     gauge_depth: float = field(default=0.02, metadata={"unit": "mm"})
     """Depth of the F/T sensor's origin below the untouched surface [m]."""
     friction: float | None = None
-    """Coulomb's coefficient; None is a frictionless contact: no shear at all."""
+    """Coulomb's coefficient; None: frictionless contact without any shear."""
     hysteresis: Hysteresis | None = None
-    """Absent: forces depend on where the tip is, not on how it came there."""
+    """None: forces depend on the tip's position only, not on its path."""
     noise: Noise | None = None
-    """Absent: instruments without noise."""
+    """None: instruments without noise."""
 
     @property
     def camera_delay(self) -> float:
-        """How late the emulated camera delivers what it saw [s]."""
+        """Latency of the emulated camera [s]."""
         return 0.0 if self.markers is None else self.markers.delay
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSpec:
-    """A simulated sensor; the bench's `indenter` presses on it.
+    """Simulated sensor, pressed by the bench's `indenter`.
 
     Raises:
-        ValueError: A rate or a grid that cannot be.
+        ValueError: The rate or the grid is out of range.
     """
 
     KIND: ClassVar[str] = "simulated"
 
     sensor: str
-    """A row of `sim.sensors` by name, or the path of a YAML file of one's own."""
+    """Name of a row of `sim.sensors`, or the path of a user's YAML file."""
     gauge_depth: float = field(default=0.02, metadata={"unit": "mm"})
     """Depth of the F/T sensor's origin below the untouched surface [m]."""
     rate_hz: float = 60.0
-    """Solutions a second that the solver tries for."""
+    """Solutions per second that the solver aims for."""
     grid: int = 96
     """Pixels of the solver along the body's longer side."""
     behind: float = field(default=0.15, metadata={"unit": "ms"})
-    """Without a solution for so long while it touches, the World gives up [s]: a machine that is
-    too slow or too busy shall not pass for a gel."""
+    """Longest time without a solution during contact [s]. Beyond it the World fails, so that a
+    slow or busy machine is not mistaken for the gel's behaviour."""
     background: tuple[int, int, int] = (150, 138, 120)
     """Colour of the gel, RGB."""
     ink: tuple[int, int, int] = (28, 26, 30)
     """Colour of the markers, RGB."""
     delay: float = field(default=0.0, metadata={"unit": "ms"})
-    """How late the emulated camera delivers what it saw [s]."""
+    """Latency of the emulated camera [s]."""
     noise: Noise | None = None
-    """Absent: instruments without noise."""
+    """None: instruments without noise."""
 
     def __post_init__(self) -> None:
         if not 0 < self.rate_hz <= 500:
@@ -311,5 +305,5 @@ class SimulatedSpec:
 
     @property
     def camera_delay(self) -> float:
-        """How late the emulated camera delivers what it saw [s]."""
+        """Latency of the emulated camera [s]."""
         return self.delay

@@ -1,1 +1,1 @@
-"""The verbs of `python -m rig`, one a file: its options, and what it runs."""
+"""The verbs of `python -m rig`: one module each, with options and entry point."""

@@ -1,4 +1,4 @@
-"""`python -m rig calibrate-latency`: tap, and see how late the camera shows it."""
+"""`python -m rig calibrate-latency`: measure the signal's latency by light taps."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "calibrate-latency",
         parents=[bench_options()],
-        help="tap lightly and keep how late the camera (or the taxels) shows it",
+        help="measure and store the latency of the camera (or the taxels) by light taps",
     )
     parser.add_argument("--indenter", help="name of the indenter on the arm")
-    parser.add_argument("--taps", type=int, default=16, help="how many (%(default)s)")
+    parser.add_argument("--taps", type=int, default=16, help="number of taps (%(default)s)")
     parser.add_argument(
-        "--depth-mm", type=float, help="deepest tap [mm] (as deep as 1 N goes, 1.0 at most)"
+        "--depth-mm", type=float, help="deepest tap [mm] (default: the depth of 1 N, at most 1.0)"
     )
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
-    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Tap, correlate, store; the exit code.
+    """Tap, correlate and store the result; return the exit code.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     print(banner(bench.mock, path), flush=True)
     indenter = options.indenter or bench.indenter
     content = {**content, "indenter": indenter}
-    # The surface as measured, the signal as it comes: its old latency must not hide in the new.
+    # Apply the surface calibration only: an old latency correction would bias the new measurement.
     home = Calibration(calibration_of(options, bench, indenter).home)
     depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
     plan = latency.plan_for(bench, depth=depth, count=options.taps)

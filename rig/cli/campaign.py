@@ -1,4 +1,4 @@
-"""`python -m rig campaign`: a day of sensors and indenters, resumed whenever it stops."""
+"""`python -m rig campaign`: a day of sensors and indenters, resumable after any interruption."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
-    parser = verbs.add_parser("campaign", help="record what is left of a campaign file")
-    parser.add_argument("--file", type=Path, required=True, help="YAML, as campaigns/day.yaml")
+    """Add the verb and its options."""
+    parser = verbs.add_parser("campaign", help="record the remaining sessions of a campaign file")
+    parser.add_argument("--file", type=Path, required=True, help="YAML like campaigns/day.yaml")
     parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
     parser.add_argument("--out", type=Path, help="folder of the sessions (default: the file's)")
-    parser.add_argument("--list", action="store_true", help="only print what is done and left")
+    parser.add_argument("--list", action="store_true", help="only list finished and open sessions")
     parser.add_argument("--yes", action="store_true", help="mock benches: do not ask for swaps")
     parser.add_argument(
         "--keep-going",
         action="store_true",
-        help="after a lost device or a safety stop go on with the next session",
+        help="continue with the next session after a lost device or a safety stop",
     )
     calibration_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """List, or record; the exit code.
+    """List or record; return the exit code.
 
     Raises:
-        ConfigError: A campaign that cannot be run as it is.
+        ConfigError: The campaign cannot be run.
     """
     import dataclasses
 
@@ -80,9 +80,9 @@ def _agree(question: str) -> bool:
 
 
 def _ask(question: str) -> bool:
-    """Wait for Enter; False for q, at the end of the input and at Ctrl-C."""
+    """Wait for Enter; return False for q, end of input or Ctrl-C."""
     if not sys.stdin.isatty():
-        raise ConfigError("campaign: no terminal to ask on; on mock benches --yes does not ask")
+        raise ConfigError("campaign: no terminal to ask on; on mock benches use --yes")
     try:
         answer = input(f"{question}; Enter when it is mounted, q to stop: ")
     except (EOFError, KeyboardInterrupt):

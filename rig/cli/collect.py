@@ -1,4 +1,4 @@
-"""`python -m rig collect`: record one session, or the rest of one."""
+"""`python -m rig collect`: record one session, or resume one."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "collect",
         parents=[bench_options(), source_options()],
-        help="record one session along the bench's plan",
+        help="record one session with the bench's plan",
     )
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
     parser.add_argument(
-        "--resume", type=Path, help="continue this stopped session (its sensor is known)"
+        "--resume", type=Path, help="continue this stopped session (which names its sensor)"
     )
     parser.add_argument("--targets", type=int, help="press only the first N targets")
     parser.add_argument("--indenter", help="name of the indenter on the arm")
-    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     parser.add_argument("--truth", type=Path, help="mock bench: log the World's truth here")
     watch_options(parser)
     calibration_options(parser)
@@ -46,7 +46,7 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Collect; the exit code.
+    """Collect; return the exit code.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         content = {**content, "indenter": options.indenter}
     sources = sources_of(options)
     if not bench.mock and (sources.facts() or options.truth):
-        raise ConfigError(f"{path}: CAMERA, TAXELS and truth are for a mock bench; mock: false")
+        raise ConfigError(f"{path}: CAMERA, TAXELS and truth need a mock bench; mock: false")
     if options.resume and (options.out or options.targets):
         raise ConfigError("--resume: neither --out nor --targets go with it: the session has both")
     session = options.resume or options.out

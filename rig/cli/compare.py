@@ -1,4 +1,4 @@
-"""`python -m rig compare`: a mock session beside the World's truth."""
+"""`python -m rig compare`: compare a mock session with the World's truth."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
-    parser = verbs.add_parser("compare", help="hold a mock session against the World's truth")
+    """Add the verb and its options."""
+    parser = verbs.add_parser("compare", help="compare a mock session with the World's truth")
     parser.add_argument("--session", type=Path, required=True, help="a session")
-    parser.add_argument("--truth", type=Path, required=True, help="what collect --truth wrote")
+    parser.add_argument("--truth", type=Path, required=True, help="file from collect --truth")
     parser.set_defaults(run=run)
 
 

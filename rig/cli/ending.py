@@ -1,4 +1,4 @@
-"""How a verb of the rig ends: its errors in words, and the exit code that says which they are."""
+"""Reports a verb's errors and maps them to exit codes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rig.core.errors import (
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    """Run the verb in `argv`; print an error and return its exit code."""
     options = parser.parse_args(argv)
     try:
         return int(options.run(options))

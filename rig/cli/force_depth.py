@@ -1,4 +1,4 @@
-"""`python -m rig force-depth`: press straight down and up again, a few times; table and curve."""
+"""`python -m rig force-depth`: press straight down and up again; print a table and a curve."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "force-depth",
         parents=[bench_options()],
-        help="record loading and unloading along the bench's force_depth, draw the curve",
+        help="record loading and unloading along the bench's force_depth and draw the curve",
     )
     parser.add_argument(
         "--indenter", default="prism", help="name of the indenter on the arm (%(default)s)"
     )
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
-    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, print, draw; the exit code.
+    """Press, print and draw; return the exit code.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.

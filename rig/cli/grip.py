@@ -18,16 +18,16 @@ _OPENING = 5.0
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "grip", parents=[bench_options()], help="open the gripper, then close it on the indenter"
     )
-    parser.add_argument("--open", action="store_true", help="open only; what it holds falls")
+    parser.add_argument("--open", action="store_true", help="only open; a held indenter falls")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Activate, open or close; the exit code.
+    """Activate the gripper, open or close it; return the exit code.
 
     Raises:
         ConfigError: The bench has no gripper, or is a mock bench.

@@ -1,4 +1,4 @@
-"""`python -m rig home`: find the surface by touch, and keep where it is."""
+"""`python -m rig home`: find the surface by touch and store its position."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "home",
         parents=[bench_options()],
-        help="find the surface by touch (1 mm/s) and keep where it is",
+        help="find the surface by touch (1 mm/s) and store its position",
     )
     parser.add_argument("--indenter", help="name of the indenter on the arm")
-    parser.add_argument("--repeats", type=int, default=4, help="approaches a point (%(default)s)")
+    parser.add_argument("--repeats", type=int, default=4, help="approaches per point (%(default)s)")
     parser.add_argument(
         "--force-n", type=float, default=0.3, help="back off at this force [N] (%(default)s)"
     )
     parser.add_argument(
         "--travel-mm",
         type=float,
-        help="how far below the supposed surface to go [mm] (1.0, or the bench's depth limit)",
+        help="distance to go below the assumed surface [mm] (1.0, or the bench's depth limit)",
     )
     parser.add_argument(
         "--width-mm",
         type=float,
         default=0.05,
-        help="refuse a 95 %% interval wider than this [mm] (%(default)s)",
+        help="reject a 95 %% interval wider than this [mm] (%(default)s)",
     )
-    parser.add_argument("--corners", action="store_true", help="touch four corners too, for tilt")
+    parser.add_argument("--corners", action="store_true", help="also touch four corners, for tilt")
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
-    parser.add_argument("--operator", default="", help="who records (default: the login name)")
+    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Touch, fit, store; the exit code.
+    """Touch, fit and store the result; return the exit code.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     touching = home.touching_bench(bench, options.force_n)
     session = options.out or home.default_path(bench.sensor, file_stamp())
     order = Order(path=session, operator=options.operator)
-    # Held against the bench's own limits: the soft one is what ends each approach.
+    # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     plan_of(order, bench, plan)
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))

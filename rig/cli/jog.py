@@ -1,4 +1,4 @@
-"""`python -m rig jog`: move the arm by a SpaceMouse and take the origin of the contact frame."""
+"""`python -m rig jog`: move the arm with a SpaceMouse and set the contact frame's origin."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ logger = logging.getLogger(__name__)
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "jog",
         parents=[bench_options()],
-        help="move the arm by a SpaceMouse; its first button takes the contact origin [mm]",
+        help="move the arm with a SpaceMouse; its first button sets the contact origin [mm]",
     )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Follow the SpaceMouse until its first button takes the origin; the exit code.
+    """Follow the SpaceMouse until its first button sets the origin; return the exit code.
 
     Raises:
         ConfigError: The bench has no `jog`.
-        DeviceLost, SafetyStop, Interrupted: What ended it; the arm stands still.
+        DeviceLost, SafetyStop, Interrupted: Jogging was ended; the arm has stopped.
     """
     path, bench, content = chosen_bench(options)
     if bench.jog is None:

@@ -1,4 +1,4 @@
-"""`python -m rig live`: forces while the sensor is touched, by a trained model."""
+"""`python -m rig live`: predict forces with a trained model while the sensor is touched."""
 
 from __future__ import annotations
 
@@ -23,44 +23,44 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "live",
         parents=[bench_options()],
-        help="forces of the sensor as it is touched, by a trained model; moves nothing",
-        description="Reads the sensor and says Fx, Fy, Fz for every frame; then how late forces "
-        "were. No arm moves; on a mock bench an emulated finger presses along its trajectory. "
+        help="predict the sensor's forces with a trained model as it is touched; moves nothing",
+        description="Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
+        "No arm moves; on a mock bench an emulated finger presses along its trajectory. "
         "Start with the sensor untouched: its first frames are the reference.",
     )
     parser.add_argument(
         "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"
     )
-    parser.add_argument("--session", type=Path, help="replay this session in place of a bench")
-    parser.add_argument("--seconds", type=float, help="how long [s] (default: until Ctrl-C)")
+    parser.add_argument("--session", type=Path, help="replay this session instead of a bench")
+    parser.add_argument("--seconds", type=float, help="duration [s] (default: until Ctrl-C)")
     parser.add_argument(
-        "--rate-hz", type=float, help="mock bench: frames a second (the bench file's)"
+        "--rate-hz", type=float, help="mock bench: frames per second (default: the bench file's)"
     )
     parser.add_argument(
         "--runtime",
         choices=("onnx", "openvino", "openvino-bf16", "torch"),
         default="onnx",
-        help="what steps the model (%(default)s, which like openvino takes the exported one: "
-        "python -m learning export-onnx; openvino-bf16 is the fastest on CPUs that have it)",
+        help="runtime of the model (%(default)s; onnx and openvino need the exported model: "
+        "python -m learning export-onnx; openvino-bf16 is the fastest on CPUs that support it)",
     )
     parser.add_argument(
-        "--threads", type=int, default=0, help="of the model (default: what its runtime likes)"
+        "--threads", type=int, default=0, help="model threads (default: the runtime's choice)"
     )
     parser.add_argument(
-        "--preset", metavar="NAME", help="how markers are found (what is meant for the sensor)"
+        "--preset", metavar="NAME", help="marker detection preset (default: that of the sensor)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="CSV", help="write every force here; a new file"
+        "--out", type=Path, metavar="CSV", help="write every force to this new file"
     )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Watch, print, summarise; the exit code.
+    """Predict, print and summarise; return the exit code.
 
     Raises:
         ConfigError, DeviceLost, SessionError: Before the first force.
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         stop = stack.enter_context(InterruptFlag())
-        # The model first: an emulator that waits for it would be late.
+        # Load the model first: an emulator would be late if it had to wait for it.
         sensor = _sensor(options)
         predictor = open_predictor(
             options.model,
@@ -127,7 +127,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _sensor(options: argparse.Namespace) -> str:
-    """Name of the sensor that will be watched."""
+    """Return the name of the sensor to watch."""
     from recorder import Session
 
     if options.session is not None:
@@ -137,7 +137,7 @@ def _sensor(options: argparse.Namespace) -> str:
 
 @contextlib.contextmanager
 def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator[Watched]:
-    """The sensor that was asked for, and a first line that says which."""
+    """Open the requested sensor and print a first line that identifies it."""
     from rig.monitor.watched import lab_bench, mock_bench, replayed
 
     if options.session is not None:

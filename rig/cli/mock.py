@@ -1,4 +1,4 @@
-"""`python -m rig mock`: only the emulators of a bench, to talk to with tools of one's own."""
+"""`python -m rig mock`: run only the emulators of a bench, for use with other tools."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "mock", parents=[bench_options(), source_options()], help="run the emulators until Ctrl-C"
     )

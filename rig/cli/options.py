@@ -1,4 +1,4 @@
-"""Options that several verbs have, and what they mean."""
+"""Options shared by several verbs, and the objects made from them."""
 
 from __future__ import annotations
 
@@ -26,42 +26,42 @@ if TYPE_CHECKING:
 
 
 def bench_options() -> argparse.ArgumentParser:
-    """Which bench: --sensor or --bench, and --benches."""
+    """Return a parser of the options that select a bench: --sensor or --bench, and --benches."""
     parser = argparse.ArgumentParser(add_help=False)
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--sensor", help="name of a bench file: benches/lab/, benches/, packaged")
     chosen.add_argument("--bench", type=Path, help="path of a bench file")
-    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of them")
+    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
     parser.add_argument(
         "--world",
         choices=("sim",),
-        help="mock bench: what the simulator says, in place of the bench file's world",
+        help="mock bench: use the simulator in place of the bench file's world",
     )
     return parser
 
 
 def source_options() -> argparse.ArgumentParser:
-    """Real recordings for a mock bench to serve."""
+    """Return a parser of the options for real recordings that a mock bench plays."""
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument(
         "--camera",
         type=Path,
-        help="mock bench: serve this folder of images or video file in place of the World's view",
+        help="mock bench: play this folder of images or video file in place of the World's view",
     )
     parser.add_argument(
         "--still",
         action="store_true",
         help="declare --camera a still scene: each image is held for seconds",
     )
-    parser.add_argument("--taxels", type=Path, help="mock bench: serve this (T,48) .npy of counts")
+    parser.add_argument("--taxels", type=Path, help="mock bench: play this (T,48) .npy of counts")
     return parser
 
 
 def bench_path(options: argparse.Namespace) -> Path:
-    """The bench file that --bench or --sensor names, or that a session to resume was made with.
+    """Return the bench file of --bench or --sensor, or that of the session to resume.
 
     Raises:
-        ConfigError: None is named, or the named one does not exist.
+        ConfigError: Neither option is given, or the file does not exist.
         SessionError: The session to resume cannot be read.
     """
     if options.bench is not None:
@@ -76,12 +76,12 @@ def bench_path(options: argparse.Namespace) -> Path:
 
 
 def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, Any]]:
-    """File, bench and content of what `bench_path` finds, with the world that --world names.
+    """Return file, bench and content of the selected bench, with the world of --world applied.
 
-    A session to resume goes on in the world that it began in.
+    A resumed session continues in the world in which it began.
 
     Raises:
-        ConfigError: See `rig.core.config`; or a bench that has no such world.
+        ConfigError: See `rig.core.config`; or the bench has no simulated world.
         SessionError: The session to resume cannot be read.
     """
     path = bench_path(options)
@@ -99,17 +99,17 @@ def _began_simulated(session: Path) -> bool:
 
 
 def sources_of(options: argparse.Namespace) -> Sources:
-    """What --camera, --still and --taxels say.
+    """Return the recordings of --camera, --still and --taxels.
 
     Raises:
-        ConfigError: A path that is not there.
+        ConfigError: A path does not exist.
     """
     motion = "still" if options.still else "moving"
     return Sources(camera=options.camera, camera_motion=motion, taxels=options.taxels)
 
 
 def banner(mock: bool, path: Path) -> str:
-    """The first line printed: nobody shall take a mock bench for the lab's, or the reverse."""
+    """Return the first line to print, which states if this is a mock bench or a lab bench."""
     if mock:
         return (
             f"MOCK BENCH ({path}): every device is an emulator, no arm moves; "
@@ -119,7 +119,7 @@ def banner(mock: bool, path: Path) -> str:
 
 
 def log_to(path: Path) -> None:
-    """Everything from INFO on to the terminal and, with times, to `path`."""
+    """Log messages from level INFO to the terminal and, with times, to `path`."""
     terminal = logging.StreamHandler()
     terminal.setFormatter(logging.Formatter("%(message)s"))
     file = logging.FileHandler(path)
@@ -127,31 +127,31 @@ def log_to(path: Path) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[terminal, file])
 
 
-# Options of verbs that record with what was measured of the bench, and what they print of it.
+# Calibration options of the verbs that record.
 
 
 def calibration_options(parser: argparse.ArgumentParser) -> None:
-    """Where the calibrations lie."""
+    """Add --calibrations."""
     parser.add_argument(
         "--calibrations",
         type=Path,
         default=store.FOLDER,
-        help="folder of what home and calibrate-latency measured (%(default)s)",
+        help="folder of the results of home and calibrate-latency (%(default)s)",
     )
 
 
 def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> Calibration:
-    """What holds for this session: the file's, or of a session to resume what it began with.
+    """Load the calibration of this session: from the store, or from the session to resume.
 
-    Prints what it is, and warnings.
+    Prints the calibration and warnings.
 
     Args:
-        options: With `calibrations`, and perhaps `resume`.
-        bench: As its file describes it.
+        options: Options with `calibrations` and possibly `resume`.
+        bench: The bench as described by its file.
         indenter: Name of the indenter on the arm.
 
     Raises:
-        ConfigError: A calibration that cannot be used; see `rig.acquire.calibration.store.load`.
+        ConfigError: The calibration is invalid; see `rig.acquire.calibration.store.load`.
         SessionError: The session to resume cannot be read.
     """
     resumed: Path | None = getattr(options, "resume", None)
@@ -166,7 +166,7 @@ def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> 
     return calibration
 
 
-# The options of a page to watch a collection on, and the page they ask for.
+# Options of the monitoring page, and the page opened from them.
 
 
 def watch_options(parser: argparse.ArgumentParser) -> None:
@@ -177,14 +177,14 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=DEFAULT_PORT,
         metavar="PORT",
-        help=f"serve a page to watch on (port {DEFAULT_PORT} unless given; 0: any free one)",
+        help=f"serve a monitoring page (default port {DEFAULT_PORT}; 0: any free port)",
     )
     parser.add_argument(
         "--watch-host",
         default=LOOPBACK_HOST,
         metavar="ADDRESS",
-        help="address the page is served on (default: %(default)s, this machine only; any other "
-        "asks whoever opens it for a token, which is printed)",
+        help="address to serve the page on (default: %(default)s, this machine only; any other "
+        "address requires a token, which is printed)",
     )
 
 
@@ -192,10 +192,10 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
 def opened_page(
     options: argparse.Namespace, bench: Bench, folder: Path, order: Order, plan: Plan, total: int
 ) -> Iterator[Page | None]:
-    """The page that was asked for, running; None without --watch.
+    """Run the monitoring page during the context; yield None without --watch.
 
     Raises:
-        ConfigError: A port or an address that cannot be had.
+        ConfigError: The port or the address cannot be used.
     """
     if options.watch is None:
         if options.watch_host != LOOPBACK_HOST:

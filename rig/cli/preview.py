@@ -1,4 +1,4 @@
-"""`python -m rig preview`: the plan as a picture, checked against the bench's limits."""
+"""`python -m rig preview`: draw the plan and check it against the bench's limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "preview", parents=[bench_options()], help="draw the plan, check its limits"
     )
@@ -23,7 +23,7 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Draw and check; the exit code."""
+    """Draw and check the plan; return the exit code."""
     from rig.acquire.preview import preview
 
     bench, _ = load_bench(bench_path(options))

@@ -1,4 +1,4 @@
-"""One session along any plan: the mock bench if there is one, then the collector."""
+"""Records one session along any plan: starts the mock bench, if it is one, and the collector."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ def record(
     truth: Path | None = None,
     page: Callable[[Bench, Path], AbstractContextManager[Page | None]] | None = None,
 ) -> int:
-    """Record `plan` from its first open target on; the exit code.
+    """Record `plan` from its first open target on and return the exit code.
 
     Args:
         path: The bench file.
-        content: It as read.
-        order: Where to, and with what.
-        plan: What to press.
-        prepared: Last word on the bench: speeds, limits, the calibrated frame. The mock's World
-            does not see it.
-        total: How many of its targets; None: all.
-        sources: Real recordings for a mock bench to serve.
+        content: Content of the bench file.
+        order: Where to record, and with which settings.
+        plan: Targets to press.
+        prepared: Returns the final bench: speeds, limits, calibrated frame. The mock's World
+            does not see these changes.
+        total: Number of the plan's targets to press; None: all.
+        sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
-        page: Opens the page to watch on, given the bench and the run folder.
+        page: Opens the monitoring page, given the bench and the run folder.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
@@ -52,7 +52,7 @@ def record(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None
         if bench_from(content, str(path)).mock:
-            # A collection at a lab's devices loads nothing that stands in for a device.
+            # Imported here, so that a collection on lab devices loads no emulator.
             from rig.mock.bench import MockBench
 
             mock = stack.enter_context(

@@ -1,4 +1,4 @@
-"""`python -m rig replay`: a recorded session through mock hardware, recorded again."""
+"""`python -m rig replay`: play a recorded session through mock hardware and record it again."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the verb and its options."""
     parser = verbs.add_parser(
         "replay",
         help="play a session through the emulators and record it again; nothing moves",
         description="Play a session through the emulators, record it again with the real drivers, "
-        "and compare. Exit code 0: every stream has the same bytes; 1: it has not.",
+        "and compare. Exit code 0: every stream has the same bytes; 1: some stream differs.",
     )
     parser.add_argument("--session", type=Path, required=True, help="the session to replay")
     parser.add_argument(
         "--speed",
         type=_speed,
         default=1.0,
-        help="times the recorded speed, or max: as fast as the drivers read (default: 1)",
+        help="multiple of the recorded speed, or max: as fast as the drivers read (default: 1)",
     )
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
     parser.add_argument(
@@ -39,7 +39,7 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay; the exit code.
+    """Replay; return the exit code.
 
     Raises:
         SessionError: The source cannot be replayed.
@@ -62,10 +62,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _speed(text: str) -> float:
-    """0 for max, else the number.
+    """Parse a speed; max is returned as 0.
 
     Raises:
-        argparse.ArgumentTypeError: Neither.
+        argparse.ArgumentTypeError: Neither max nor a number in range.
     """
     if text == "max":
         return 0.0

@@ -1,1 +1,1 @@
-"""What knows no device: time, shared memory, the guard, configuration, geometry, emulation."""
+"""Device-independent parts: time, shared memory, guard, configuration, geometry, emulation."""

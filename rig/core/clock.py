@@ -1,6 +1,6 @@
-"""Time: integer nanoseconds of the monotonic clock, and pacing against absolute deadlines.
+"""Integer nanoseconds of the monotonic clock, and pacing against absolute deadlines.
 
-Nothing else in `rig` touches the `time` module, so that a test can put a `FakeClock` in its place.
+Nothing else in `rig` uses the `time` module, so tests can substitute a `FakeClock`.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ SECOND_NS = 1_000_000_000
 
 
 class Clock(Protocol):
-    """What everything that waits or stamps needs."""
+    """Clock used by all code that waits or takes timestamps."""
 
     def now_ns(self) -> int:
-        """Nanoseconds since an arbitrary origin, never going backwards."""
+        """Return nanoseconds since an arbitrary origin, never going backwards."""
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at `deadline_ns`, or at once when it has passed."""
+        """Return at `deadline_ns`, or immediately if it has passed."""
 
 
 class SystemClock:
-    """`time.monotonic_ns`: the clock V4L2 stamps its buffers with."""
+    """`time.monotonic_ns`, the clock that V4L2 uses for buffer timestamps."""
 
     def now_ns(self) -> int:
-        """Nanoseconds of CLOCK_MONOTONIC (restarts at boot)."""
+        """Return nanoseconds of CLOCK_MONOTONIC (restarts at boot)."""
         return time.monotonic_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Sleep until `deadline_ns`; a deadline in the past returns at once."""
+        """Sleep until `deadline_ns`; return immediately if it has passed."""
         wait_ns = deadline_ns - time.monotonic_ns()
         if wait_ns > 0:
             time.sleep(wait_ns / SECOND_NS)
 
 
 class FakeClock:
-    """A clock that moves only when told to, or when somebody sleeps on it."""
+    """Clock that moves only when it is advanced or slept on."""
 
     def __init__(self, now_ns: int = 0) -> None:
         self._now_ns = now_ns
 
     def now_ns(self) -> int:
-        """The time it was last moved to [ns]."""
+        """Return the time it was last moved to [ns]."""
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Move to `deadline_ns` when it lies ahead."""
+        """Move to `deadline_ns` if it lies ahead."""
         self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance(self, seconds: float) -> None:
@@ -57,7 +57,7 @@ class FakeClock:
 
 
 class Pacer:
-    """Ticks at `rate_hz` from a fixed origin; a late tick is counted, never caught up in a burst.
+    """Ticks at `rate_hz` from a fixed origin; late ticks are counted and skipped, not caught up.
 
     The deadlines are origin + k / rate_hz in whole nanoseconds, so no drift accumulates.
     """
@@ -73,11 +73,11 @@ class Pacer:
         """Ticks whose time passed before `wait` was called for them."""
 
     def deadline_ns(self, tick: int) -> int:
-        """When `tick` is due [ns]."""
+        """Return the time at which `tick` is due [ns]."""
         return self._origin_ns + round(tick * SECOND_NS / self._rate_hz)
 
     def wait(self) -> int:
-        """Sleep until the next tick that has not passed and return its deadline [ns]."""
+        """Sleep until the next tick still ahead and return its deadline [ns]."""
         elapsed_ns = self._clock.now_ns() - self._origin_ns
         due = max(self._tick + 1, int(elapsed_ns * self._rate_hz // SECOND_NS))
         self.missed += due - self._tick - 1
@@ -89,7 +89,7 @@ class Pacer:
 
 @dataclass(frozen=True, slots=True)
 class ClockAnchor:
-    """Ties one run's monotonic times to UTC, and says which boot they belong to."""
+    """Relates one run's monotonic times to UTC and identifies the boot they belong to."""
 
     t0_ns: int
     """Monotonic time of the anchor [ns]."""
@@ -100,7 +100,7 @@ class ClockAnchor:
 
     @classmethod
     def take(cls) -> ClockAnchor:
-        """Read both clocks, UTC between two monotonic readings, whose middle is kept."""
+        """Read UTC between two monotonic readings and keep the midpoint of the two."""
         before_ns = time.monotonic_ns()
         utc_ns = time.time_ns()
         after_ns = time.monotonic_ns()
@@ -110,5 +110,5 @@ class ClockAnchor:
 
 
 def file_stamp() -> str:
-    """Local date and time for the name of a file, as 20260131-154500."""
+    """Return the local date and time for a file name, such as 20260131-154500."""
     return time.strftime("%Y%m%d-%H%M%S")

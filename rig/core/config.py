@@ -1,8 +1,8 @@
-"""Bench files: strict YAML into frozen dataclasses, every error with file, key, found, allowed.
+"""Load bench files: strict YAML into frozen dataclasses; errors give file, key, value, allowed.
 
-A field whose metadata carry a `unit` is written in that unit in the file, under a key that says so:
-`depth_max` with unit mm is `depth_max_mm`. A field with metadata `pose` is written as a `Pose`.
-Inside, everything is SI.
+A field with a `unit` in its metadata is written in that unit in the file, under a key with that
+suffix: `depth_max` with unit mm is `depth_max_mm`. A field with metadata `pose` is written as a
+`Pose`. All values in memory are SI.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 from recorder.strict_yaml import YamlError, read_mapping, said
 from rig.core.errors import ConfigError
 
-# Units that people write, and what they are in SI. The one place where they are converted.
+# Unit conversion happens only in this module.
 
-# SI value of one of each unit, by the suffix a key in a bench file carries (`speed_mm_s: 5`).
+# SI value of one unit, by the suffix of the key in a bench file (`speed_mm_s: 5`).
 #
 # `n_mm` is a torque, newton millimetre; `n_per_mm` a stiffness.
 SI_PER_UNIT = {
@@ -41,12 +41,12 @@ SI_PER_UNIT = {
 
 
 def to_si(value: float, unit: str) -> float:
-    """`value` in `unit` as SI."""
+    """Convert `value` from `unit` to SI."""
     return value * SI_PER_UNIT[unit]
 
 
 def from_si(value: float, unit: str) -> float:
-    """The SI `value` in `unit`."""
+    """Convert an SI `value` to `unit`."""
     return value / SI_PER_UNIT[unit]
 
 
@@ -55,7 +55,7 @@ Spec = TypeVar("Spec")
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Pose:
-    """How a pose is written in a file: a field with metadata `pose` takes it as six numbers."""
+    """Pose as written in a file; a field with metadata `pose` receives it as six numbers."""
 
     position: tuple[float, float, float] = dataclasses.field(metadata={"unit": "mm"})
     """Origin [m]."""
@@ -66,18 +66,18 @@ class Pose:
 
     @property
     def vector(self) -> tuple[float, ...]:
-        """Position and rotation as one (6,) [m, rad]."""
+        """Position and rotation as one (6,) vector [m, rad]."""
         return (*self.position, *self.rotation)
 
 
 def read_yaml(path: Path, library: Path | None = None) -> dict[str, Any]:
-    """The mapping in a YAML file, merged over the file its `extends` names.
+    """Return the mapping in a YAML file, merged over the file named by its `extends`.
 
-    Mappings merge key by key, everything else replaces. `extends` is relative to the file; what is
-    not there, such as `../tacpalm.yaml` in a lab's folder, is looked for in `library`.
+    Mappings merge key by key; other values are replaced. `extends` is relative to the file. If the
+    named file does not exist (`../tacpalm.yaml` in a lab's folder), `library` is searched for it.
 
     Raises:
-        ConfigError: No such file, not YAML, not a mapping, or files that extend each other.
+        ConfigError: The file is missing, not YAML or not a mapping, or files extend each other.
     """
     try:
         return read_mapping(path, library=library)
@@ -86,7 +86,7 @@ def read_yaml(path: Path, library: Path | None = None) -> dict[str, Any]:
 
 
 def build(spec: type[Spec], content: Any, where: str) -> Spec:
-    """A dataclass from a mapping as YAML gives it.
+    """Build a dataclass from a mapping loaded from YAML.
 
     Args:
         spec: Frozen dataclass to build.
@@ -94,7 +94,7 @@ def build(spec: type[Spec], content: Any, where: str) -> Spec:
         where: File and dotted path, for errors.
 
     Raises:
-        ConfigError: An unknown, missing, mistyped or refused value.
+        ConfigError: A value is unknown, missing, invalid or of the wrong type.
     """
     if not isinstance(content, dict):
         raise ConfigError(f"{where}: found {said(content)}; allowed: a mapping")
@@ -131,7 +131,7 @@ def build(spec: type[Spec], content: Any, where: str) -> Spec:
 
 
 def key_of(field: dataclasses.Field[Any]) -> str:
-    """The key a field has in a file: its name, and its unit when it is not plain SI."""
+    """Return the field's key in a file: its name, with the unit appended if it is not plain SI."""
     unit = field.metadata.get("unit")
     return f"{field.name}_{unit}" if unit else field.name
 
@@ -158,7 +158,7 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         if type(value) is not hint:
             raise ConfigError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
         return value
-    raise TypeError(f"{where}: the loader knows no {hint!r}")
+    raise TypeError(f"{where}: the loader does not support {hint!r}")
 
 
 def _in(unit: str | None) -> str:

@@ -1,7 +1,7 @@
-"""What every device driver of the rig can do, and the hand-over from its reader thread to `read`.
+"""Interface of the device drivers, and the queue between a reader thread and `read`.
 
-A device that streams is received by a thread that does nothing else, so that each sample is
-stamped when it arrives and a slow consumer never gets old data under a new time.
+A dedicated thread receives each device's stream, so that every sample is timestamped on arrival
+and a slow consumer never gets old data with a new timestamp.
 """
 
 from __future__ import annotations
@@ -19,57 +19,57 @@ logger = logging.getLogger(__name__)
 
 
 class Driver(Protocol):
-    """One device of the bench, seen by the process that records its stream."""
+    """A device of the bench, as used by the process that records its stream."""
 
     @property
     def dropped(self) -> int:
-        """Samples the device sent, by its own sequence numbers, that never reached `read`."""
+        """Samples sent by the device, by its sequence numbers, that never reached `read`."""
 
     def open(self, timeout: float) -> None:
-        """Reach the device within `timeout` [s], check and apply its settings, start the stream.
+        """Connect within `timeout` [s], check and apply the settings, and start the stream.
 
         Raises:
-            DeviceLost: Nothing answers at the address, or not as the device would.
-            ConfigError: The device refuses a setting.
+            DeviceLost: Nothing answers at the address, or the answer is not this device's.
+            ConfigError: The device rejects a setting.
         """
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """All samples that arrived since the last call, waiting up to `timeout` [s] for one.
+        """Return the samples since the last call, waiting up to `timeout` [s] for the first.
 
-        Each is a dict of the stream's columns, `t_ns` (host monotonic arrival) among them; times
-        strictly increase. Empty when nothing arrived in time.
+        Each is a dict of the stream's columns, including `t_ns` (monotonic arrival at the host).
+        Times increase strictly. The list is empty if nothing arrived in time.
 
         Raises:
-            DeviceLost: The device is gone or silent; samples received before come out first.
+            DeviceLost: The device is gone or silent; samples already received are returned first.
         """
 
     def describe(self) -> dict[str, Any]:
-        """Facts read from the opened device, ready for JSON: model, units, rates it states."""
+        """Return facts read from the open device, JSON-serialisable: model, units, stated rates."""
 
     def close(self) -> None:
-        """Stop the stream and let go of the device; safe twice."""
+        """Stop the stream and release the device; may be called twice."""
 
 
 @runtime_checkable
 class Sorting(Protocol):
-    """A driver that leaves out what no stream may hold twice, out of order, or spoilt."""
+    """Driver that leaves out samples that are repeated, out of order or corrupt."""
 
     @property
     def refused(self) -> dict[str, int]:
-        """What came and was left out since `open`, by reason: repeated, late, spoilt."""
+        """Number of samples left out since `open`, by reason: repeated, late, spoilt."""
 
 
 def refused(driver: Driver) -> dict[str, int]:
-    """What `driver` left out, by reason; empty for one that does not say."""
+    """Return the counts of samples `driver` left out, by reason; empty if it keeps none."""
     return driver.refused if isinstance(driver, Sorting) else {}
 
 
 class Inbox:
-    """Samples on their way from the thread that receives them to the caller of `Driver.read`.
+    """Queue of samples from the receiving thread to the caller of `Driver.read`.
 
     Args:
-        clock: Stamps what is put without a time.
-        capacity: Samples kept for a consumer that is late; what comes then is counted and lost.
+        clock: Timestamps the samples put without a time.
+        capacity: Samples kept for a late consumer; further samples are counted and discarded.
     """
 
     def __init__(self, clock: Clock, capacity: int) -> None:
@@ -80,10 +80,10 @@ class Inbox:
         self._failure: str | None = None
         self._newest_ns = -1
         self.overflowed = 0
-        """Samples lost because nobody took them in time."""
+        """Samples discarded because the queue was full."""
 
     def put(self, sample: dict[str, Any], t_ns: int | None = None) -> None:
-        """Add a sample that arrived at `t_ns`, or now; equal times are moved apart by 1 ns."""
+        """Add a sample that arrived at `t_ns` (default: now); equal times are separated by 1 ns."""
         if t_ns is None:
             t_ns = self._clock.now_ns()
         with self._changed:
@@ -95,16 +95,16 @@ class Inbox:
             self._changed.notify()
 
     def fail(self, reason: str) -> None:
-        """End the stream: `take` raises DeviceLost with `reason` once it is empty."""
+        """End the stream: `take` raises DeviceLost with `reason` once the queue is empty."""
         with self._changed:
             self._failure = self._failure or reason
             self._changed.notify()
 
     def take(self, timeout: float) -> list[dict[str, Any]]:
-        """Everything that arrived, waiting up to `timeout` [s] for the first.
+        """Return all queued samples, waiting up to `timeout` [s] for the first.
 
         Raises:
-            DeviceLost: The stream has ended and everything received was taken.
+            DeviceLost: The stream has ended and all samples were taken.
         """
         with self._changed:
             if not self._samples and self._failure is None:
@@ -117,12 +117,12 @@ class Inbox:
 
 
 class Receiver:
-    """The thread of one open stream: calls `receive` until it is closed or the device is lost.
+    """Thread of an open stream: calls `receive` until it is closed or the device is lost.
 
     Args:
         name: Thread name.
-        receive: Blocks for at most a fraction of a second, puts what came into the inbox.
-        inbox: Where DeviceLost raised by `receive` ends up.
+        receive: Blocks for at most a fraction of a second and puts received samples into the inbox.
+        inbox: Inbox that fails with a DeviceLost raised by `receive`.
     """
 
     def __init__(self, name: str, receive: Callable[[], None], inbox: Inbox) -> None:
@@ -144,6 +144,6 @@ class Receiver:
             self._inbox.fail(f"{self._thread.name}: receiving failed: {error!r}")
 
     def close(self) -> None:
-        """Stop after the call in progress and wait for it; safe twice."""
+        """Stop after the current call and wait for the thread; may be called twice."""
         self._stopping.set()
         self._thread.join()

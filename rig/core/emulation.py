@@ -1,7 +1,7 @@
-"""What the emulators of the rig have in common: one World, one way to start, one way to end.
+"""Common parts of the emulators: shared World, options, start, fault injection and shutdown.
 
-An emulator process prints `ready <name> <address>` when it listens, serves until SIGTERM, SIGINT
-or, with --until-stdin-closes, until whoever started it is gone, and says how many ticks it missed.
+An emulator process prints `ready <name> <address>` once it listens. It serves until SIGTERM or
+SIGINT, or with --until-stdin-closes until its parent exits, then prints the number of ticks missed.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ from rig.core.shared_memory import AwaitedRecord
 
 logger = logging.getLogger(__name__)
 
-# The port through which faults are put into a running emulator: `make faults`, and the tests.
+# Port for injecting faults into a running emulator, used by `make faults` and the tests.
 #
-# One JSON object a line, {"fault": NAME, ...}, each answered by one: {"ok": true, ...} with how the
-# device is, or {"ok": false, "error": TEXT}. It lies beside the device's own protocol, so that it
-# answers while the device is unplugged or frozen, and only on the emulator's own loopback address.
+# One JSON object per line, {"fault": NAME, ...}. Each is answered by one line: {"ok": true, ...}
+# with the device's state, or {"ok": false, "error": TEXT}. The port is separate from the device's
+# own protocol, so it answers while the device is unplugged or frozen, and it is open only on the
+# emulator's own loopback address.
 
-# Fault port of each device of a mock bench, at the bench's own loopback address.
+# Fault port of each device of a mock bench, at the bench's loopback address.
 PORTS = {
     "arm": 31000,
     "force": 31001,
@@ -48,17 +49,17 @@ PORTS = {
     "spacemouse": 31006,
 }
 
-# Called with the name of the fault and its values; tells how the device is.
+# Called with the name of a fault and its values; returns the device's state.
 #
-# It raises ValueError, KeyError or TypeError when it knows no such fault or misses a value.
+# Raises ValueError, KeyError or TypeError if the fault is unknown or a value is missing.
 Apply = Callable[..., dict[str, Any]]
 
+# Longest request line [bytes].
 _LONGEST = 1 << 16
-# A line longer than this is no request [bytes].
 
 
 def answer(apply: Apply, line: str) -> str:
-    """The answer to one line."""
+    """Return the reply to one request line."""
     try:
         request = json.loads(line)
         return json.dumps({"ok": True, **apply(**request)})
@@ -67,11 +68,11 @@ def answer(apply: Apply, line: str) -> str:
 
 
 def inject(host: str, port: int, fault: str, **values: Any) -> dict[str, Any]:
-    """Put a fault into the emulator whose fault port this is; how its device is.
+    """Inject a fault through an emulator's fault port and return its device's state.
 
     Raises:
-        OSError: No emulator there.
-        ValueError: The emulator does not know the fault, or misses a value.
+        OSError: No emulator listens there.
+        ValueError: The emulator does not know the fault, or a value is missing.
     """
     with (
         socket.create_connection((host, port), 5.0) as connection,
@@ -89,12 +90,12 @@ def inject(host: str, port: int, fault: str, **values: Any) -> dict[str, Any]:
 
 
 class FaultPort:
-    """Serves the fault port of one emulator, in threads of its own.
+    """Serves the fault port of one emulator in its own threads.
 
     Args:
         host: Loopback address.
         port: TCP port.
-        apply: What a request does.
+        apply: Handler of a request.
     """
 
     def __init__(self, host: str, port: int, apply: Apply) -> None:
@@ -107,7 +108,7 @@ class FaultPort:
         """Listen and serve.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address cannot be bound.
         """
         self._server = _Server(self._address, self._apply)
         self._thread = threading.Thread(
@@ -116,7 +117,7 @@ class FaultPort:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         if self._server is not None and self._thread is not None:
             self._server.shutdown()
             self._server.server_close()
@@ -134,7 +135,7 @@ class _Server(socketserver.ThreadingTCPServer):
         super().__init__(address, _Handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that goes before it is answered is no error."""
+        """Log a client that disconnects before its answer; this is no error."""
         logger.debug("client %s: %s", client_address, sys.exception())
 
 
@@ -153,17 +154,17 @@ UNTOUCHED_DEPTH = -0.01
 
 
 class World(Protocol):
-    """Where an emulator gets what its device would measure."""
+    """Source of the quantities that an emulated device measures."""
 
     def state(self) -> tuple[int, np.void]:
-        """Number of the newest WORLD_STATE record, 0 before the first, and the record."""
+        """Return the newest WORLD_STATE record and its number, 0 before the first."""
 
 
 class SharedWorld:
-    """The World that another process publishes in a `LatestRecord` file.
+    """World published by another process in a `LatestRecord` file.
 
     Args:
-        path: The file; it may appear later. None: nothing ever touches the sensor.
+        path: The file, which may be created later. None: nothing ever touches the sensor.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -173,7 +174,7 @@ class SharedWorld:
         self._count = 0
 
     def state(self) -> tuple[int, np.void]:
-        """Number of the newest record (0: untouched so far) and the record."""
+        """Return the number of the newest record (0: no contact so far) and the record."""
         count = self._record.count
         if count != self._count:
             state = self._record.read()
@@ -182,42 +183,42 @@ class SharedWorld:
         return self._count, self._state
 
     def close(self) -> None:
-        """Let go of the file; safe twice."""
+        """Release the file; may be called twice."""
         self._record.close()
 
 
 class NamelessServer(HTTPServer):
-    """An HTTP server of an emulated device, which nobody knows by name."""
+    """HTTP server of an emulated device, without a host name."""
 
     def server_bind(self) -> None:
-        """Bind without the look-up of a host name, which may take seconds."""
+        """Bind without looking up the host name, which may take seconds."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
 
 class Emulator(Protocol):
-    """An emulated device that serves in threads of its own."""
+    """Emulated device that serves in its own threads."""
 
     @property
     def address(self) -> str:
-        """What a driver connects to."""
+        """Address for drivers to connect to."""
 
     @property
     def missed(self) -> int:
-        """Ticks that came too late and were skipped."""
+        """Number of ticks that were late and skipped."""
 
     def start(self) -> None:
-        """Listen and serve; returns when clients can connect."""
+        """Listen and serve; return when clients can connect."""
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
 
 
 def loopback(text: str) -> str:
-    """An address that only this machine can reach: what drives an emulator, drives no lab.
+    """Return `text` if it is a loopback address, so emulator commands never reach a lab's devices.
 
     Raises:
-        argparse.ArgumentTypeError: Any other, or a name.
+        argparse.ArgumentTypeError: It is another address, or a name.
     """
     try:
         if ipaddress.ip_address(text).is_loopback:
@@ -228,11 +229,11 @@ def loopback(text: str) -> str:
 
 
 def emulator_parser(prog: str, doc: str | None) -> argparse.ArgumentParser:
-    """A parser with the options every emulator has.
+    """Return a parser with the options common to all emulators.
 
     Args:
-        prog: How the process is called.
-        doc: Docstring of its module.
+        prog: Program name for the usage line.
+        doc: Docstring of the emulator's module.
     """
     parser = argparse.ArgumentParser(prog=prog, description=doc)
     parser.add_argument(
@@ -242,30 +243,30 @@ def emulator_parser(prog: str, doc: str | None) -> argparse.ArgumentParser:
         help="loopback address to listen on (%(default)s)",
     )
     parser.add_argument("--world", type=Path, metavar="PATH", help="file of the World's states")
-    parser.add_argument("--seed", type=int, default=0, help="of the noise (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the noise (%(default)s)")
     parser.add_argument(
-        "--fault-port", type=int, metavar="PORT", help="take faults to inject there (default: none)"
+        "--fault-port", type=int, metavar="PORT", help="port for injecting faults (default: none)"
     )
     parser.add_argument(
         "--until-stdin-closes",
         action="store_true",
-        help="end when whoever started me does",
+        help="exit when the parent process does",
     )
     return parser
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """What the process of an emulator serves."""
+    """Emulator to be served, with its settings."""
 
     name: str
-    """What it is called in its one line of output."""
+    """Name in the ready line."""
     emulator: Emulator
     """Not yet started."""
     apply: Apply | None = None
-    """What a request at the fault port does; None: it takes no faults there."""
+    """Handler of requests at the fault port; None: no fault port."""
     priority: int = DEVICE_PRIORITY
-    """Of the real-time scheduling that is asked for."""
+    """Requested real-time priority."""
 
 
 def run_emulator(
@@ -273,16 +274,16 @@ def run_emulator(
     make: Callable[[argparse.Namespace, SharedWorld], Served],
     argv: Sequence[str] | None = None,
 ) -> int:
-    """The body of an emulator's `main`: read the options, make it, serve until told to end.
+    """Run an emulator's `main`: read the options, create the emulator, serve until stopped.
 
     Args:
-        parser: Of `emulator_parser`, with the emulator's own options.
-        make: Makes what is served, of the options and the World that --world names. A ConfigError
-            of it is the message with which the process ends at once.
+        parser: Returned by `emulator_parser`, with the emulator's own options added.
+        make: Creates the emulator from the options and the World of --world. If it raises
+            ConfigError, the process ends with that message.
         argv: Options; None: those of this process.
 
     Returns:
-        Exit code: 0, or 2 when an option is wrong or the address cannot be listened on.
+        Exit code: 0, or 2 if an option is invalid or the address cannot be listened on.
     """
     args = parser.parse_args(argv)
     world = SharedWorld(args.world)
@@ -313,17 +314,17 @@ def serve(
     priority: int = DEVICE_PRIORITY,
     faults: FaultPort | None = None,
 ) -> int:
-    """Run `emulator` until the process is told to end.
+    """Run `emulator` until the process is stopped.
 
     Args:
-        name: What it is called in its one line of output.
-        emulator: What is served.
-        until_stdin_closes: End when whoever started this process is gone.
-        priority: Of the real-time scheduling that is asked for.
-        faults: Where faults are put in.
+        name: Name in the ready line.
+        emulator: Emulator to serve.
+        until_stdin_closes: End when the parent process is gone.
+        priority: Requested real-time priority.
+        faults: Fault port to open.
 
     Returns:
-        Exit code: 0, or 2 when the address cannot be listened on.
+        Exit code: 0, or 2 if the address cannot be listened on.
     """
     be_punctual(priority)
     logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
@@ -346,7 +347,7 @@ def serve(
         return 2
     try:
         print(f"ready {name} {emulator.address}", flush=True)
-        # Short waits: a signal handler runs only between two of them.
+        # Short waits, because signal handlers run only between two of them.
         while not ending.wait(0.2):
             pass
     finally:

@@ -1,4 +1,4 @@
-"""Errors by what the person at the bench can do about them, and the exit code of each."""
+"""Errors, grouped by the action they require at the bench, and their exit codes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ EXIT_INTERRUPTED = 130
 
 
 class ConfigError(ValueError):
-    """A file or an option is wrong: the message names file, key, what was found and allowed."""
+    """Invalid file or option; the message names file, key, the value found and those allowed."""
 
 
 class DeviceLost(RuntimeError):
-    """A device does not answer, answers garbage, or fell silent: check power, cable, address."""
+    """The device does not answer, sends garbage or fell silent: check power, cable and address."""
 
 
 class SafetyStop(RuntimeError):
-    """A limit was reached and the arm was halted: look at the bench before going on."""
+    """A limit was reached and the arm was halted: inspect the bench before continuing."""

@@ -1,17 +1,17 @@
-"""What can be wrong with a device's line: every message an emulator sends passes through here.
+"""Faults of a device's connection: every message that an emulator sends passes through here.
 
-Faults, by name, with the values they take (`seconds` absent: until `clear`):
+Faults by name, with their values (without `seconds`, they last until `clear`):
 
-    freeze       seconds                      nothing leaves; connections stay
-    slow         seconds fraction delay       only this part of the messages leaves, so late [s]
-    garbage      seconds messages             the content is spoilt, for a time or so many messages
-    wrong_units  seconds                      the device's own idea of it, see its emulator
-    reorder      seconds every                each so-many-th message leaves after the next one
-    duplicate    seconds every                each so-many-th message leaves twice
+    freeze       seconds                      no message leaves; connections stay open
+    slow         seconds fraction delay       only this fraction of messages leaves, delayed [s]
+    garbage      seconds messages             corrupt content, for a time or a number of messages
+    wrong_units  seconds                      as defined by the emulator of the device
+    reorder      seconds every                every n-th message leaves after the next one
+    duplicate    seconds every                every n-th message leaves twice
     unplug       seconds                      connections are closed and new ones refused
     replug, clear, state
 
-While nothing is wrong, the cost is one look at a flag.
+Without a fault, the cost is a check of one flag.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from typing import Any, Generic, TypeVar
 
 from rig.core.clock import SECOND_NS, Clock
 
-# A message: bytes or text, as the device sends.
+# Message type: bytes or text, as the device sends.
 M = TypeVar("M")
 
-# The values of each fault besides `seconds`, and what they are when not given.
+# Values of each fault other than `seconds`, with their defaults.
 _VALUES: dict[str, dict[str, float]] = {
     "freeze": {},
     "slow": {"fraction": 0.25, "delay": 0.0},
@@ -39,40 +39,40 @@ _VALUES: dict[str, dict[str, float]] = {
     "unplug": {},
 }
 
-# Names of everything that can be wrong.
+# Names of all faults.
 FAULTS = tuple(_VALUES)
 
 
 @dataclass(slots=True)
 class _Active:
-    """One fault that is on."""
+    """An active fault."""
 
     until_ns: int | None
     values: dict[str, float]
     seen: int = 0
-    """Messages that came while it was on."""
+    """Messages that arrived while it was active."""
 
 
 def spoilt_bytes(message: bytes, rng: random.Random) -> bytes:
-    """As many bytes, all of them random."""
+    """Return random bytes of the same length."""
     return rng.randbytes(len(message))
 
 
 def spoilt_text(message: str, rng: random.Random) -> str:
-    """As many characters, in disorder."""
+    """Return the same characters in random order."""
     return "".join(rng.sample(message, len(message)))
 
 
 class Disturbance(Generic[M]):
-    """The faults of one device's line.
+    """Fault injector for one device's connection.
 
     Args:
-        clock: Ends what was asked for a time.
-        spoil: Makes garbage of a message.
-        mistake: A message in the wrong units, None when `on_change` sees to that.
-        on_change: Called after `unplug`, `replug`, `wrong_units`, `clear`, and when one of them has
-            run out, for what a message alone cannot show: look at `unplugged` and `wrong_units`.
-        seed: Of the garbage.
+        clock: Times the end of a fault.
+        spoil: Corrupts a message.
+        mistake: Converts a message to the wrong units; None if `on_change` takes care of it.
+        on_change: Called after `unplug`, `replug`, `wrong_units`, `clear`, and when one of them
+            expires, for effects beyond single messages; it reads `unplugged` and `wrong_units`.
+        seed: Seed of the garbage.
     """
 
     def __init__(
@@ -95,25 +95,25 @@ class Disturbance(Generic[M]):
         self._held: M | None = None
         self._credit = 0.0
         self.on = False
-        """Whether anything is wrong; while it is not, `passed` need not be asked."""
+        """True if any fault is active; otherwise `passed` need not be called."""
         self.touched = 0
-        """Messages withheld, spoilt, moved or repeated so far."""
+        """Messages withheld, corrupted, moved or repeated so far."""
 
     @property
     def unplugged(self) -> bool:
-        """Whether the cable is out."""
+        """True if the cable is unplugged."""
         return self._is("unplug")
 
     @property
     def wrong_units(self) -> bool:
-        """Whether the device speaks in the wrong units."""
+        """True if the device sends wrong units."""
         return self._is("wrong_units")
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Put a fault in, or take faults away; how the line is.
+        """Start a fault or end faults, and return the state of the connection.
 
         Raises:
-            ValueError: No such fault, or a value that is none of its own or no number.
+            ValueError: The fault or a value is unknown, or a value is not a number.
         """
         with self._lock:
             if fault == "replug":
@@ -131,7 +131,7 @@ class Disturbance(Generic[M]):
             return {"active": sorted(self._active), "touched": self.touched}
 
     def passed(self, message: M) -> tuple[M, ...]:
-        """What leaves the device in place of `message`, in this order."""
+        """Return the messages that leave the device in place of `message`, in order."""
         if not self.on:
             return (message,)
         with self._lock:
@@ -186,11 +186,11 @@ class Disturbance(Generic[M]):
                 self._end(name)
 
     def _settle(self) -> None:
-        """Stop looking at messages once nothing is wrong and nothing is held back."""
+        """Stop processing messages once no fault is active and no message is held back."""
         self.on = bool(self._active or self._delayed or self._held is not None)
 
     def _slowed(self, message: M) -> tuple[M, ...]:
-        """The messages whose time has come, this one perhaps among them."""
+        """Return the messages that are now due, possibly including this one."""
         slow = self._active.get("slow")
         now_ns = self._clock.now_ns()
         if slow is None:

@@ -1,7 +1,7 @@
-"""Rotation vectors and poses, as UR controllers write them, right up to half a turn.
+"""Rotation vectors and poses in UR controllers' convention, accurate up to half a turn.
 
 A pose is six numbers: position [m] and rotation vector [rad] (axis times angle, angle at most pi).
-Read as `pose_a_to_b`, it takes points of frame a to frame b. Everything accepts leading batch axes.
+A pose `a_to_b` maps points of frame a to frame b. All functions accept leading batch axes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def matrix_from_vector(vector: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    """Return rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     r = np.asarray(vector, np.float64)
     angle = np.sqrt(np.sum(r * r, axis=-1))[..., None, None]
     # numpy's sinc is sin(pi x) / (pi x): both factors are smooth through angle 0.
@@ -26,10 +26,10 @@ def matrix_from_vector(vector: ArrayLike) -> Array:
 
 
 def vector_from_matrix(matrix: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) [rad], angle in [0, pi], of rotation matrices (..., 3, 3).
+    """Return rotation vectors (..., 3) [rad], angle in [0, pi], of matrices (..., 3, 3).
 
-    By way of the quaternion whose largest element divides: the arc cosine of the trace loses half
-    of the digits near pi, which is where a tool that points down lives.
+    The quaternion is computed by dividing by its largest element. The arc cosine of the trace would
+    lose half of the digits near pi, the rotation of a tool that points down.
     """
     m = np.asarray(matrix, np.float64)
     x, y, z = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -58,7 +58,7 @@ def vector_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def compose(outer: ArrayLike, inner: ArrayLike) -> Array:
-    """Pose (..., 6) that applies `inner` first: b_to_c of a_to_b is a_to_c."""
+    """Return the pose (..., 6) that applies `inner` first: b_to_c of a_to_b is a_to_c."""
     b, a = np.asarray(outer, np.float64), np.asarray(inner, np.float64)
     turn = matrix_from_vector(b[..., 3:])
     position = b[..., :3] + (turn @ a[..., :3, None])[..., 0]
@@ -67,26 +67,26 @@ def compose(outer: ArrayLike, inner: ArrayLike) -> Array:
 
 
 def invert(pose: ArrayLike) -> Array:
-    """Pose (..., 6) that undoes `pose`: b_to_a of a_to_b."""
+    """Return the inverse (..., 6) of a pose: b_to_a of a_to_b."""
     p = np.asarray(pose, np.float64)
     back = np.swapaxes(matrix_from_vector(p[..., 3:]), -1, -2)
     return np.concatenate([-(back @ p[..., :3, None])[..., 0], -p[..., 3:]], -1)
 
 
 def transform(pose_a_to_b: ArrayLike, points: ArrayLike) -> Array:
-    """Points (..., 3) of frame a, in frame b [m]."""
+    """Transform points (..., 3) [m] of frame a to frame b."""
     pose = np.asarray(pose_a_to_b, np.float64)
     turned = matrix_from_vector(pose[..., 3:]) @ np.asarray(points, np.float64)[..., None]
     return np.asarray(pose[..., :3] + turned[..., 0])
 
 
 def rotation_between(start: ArrayLike, goal: ArrayLike) -> Array:
-    """Rotation vector (..., 3) [rad], in the base frame, that turns pose `start` into `goal`."""
+    """Return the rotation vector (..., 3) [rad], in the base frame, from `start` to `goal`."""
     a, b = np.asarray(start, np.float64), np.asarray(goal, np.float64)
     turn = matrix_from_vector(b[..., 3:]) @ np.swapaxes(matrix_from_vector(a[..., 3:]), -1, -2)
     return vector_from_matrix(turn)
 
 
 def turn(rotation: ArrayLike, vector: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) of orientations `vector` turned by `rotation` about the base."""
+    """Turn orientations `vector` (..., 3) by `rotation` about the base axes."""
     return vector_from_matrix(matrix_from_vector(rotation) @ matrix_from_vector(vector))

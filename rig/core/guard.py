@@ -1,7 +1,7 @@
-"""Decides when the arm must stop: force, place, stale data, safety state. Pure logic, no I/O.
+"""Decides when the arm must stop: force, position, stale data, safety state. Pure logic, no I/O.
 
-The UR's own limits cannot protect the sensor (their tolerance is 25 N; a Nano17 ends at 17 N), so
-the process that moves the arm asks this guard a few hundred times a second with the newest records.
+The UR's own limits cannot protect the sensor: their tolerance is 25 N, a Nano17's range ends at
+17 N. The process that moves the arm therefore calls this guard a few hundred times a second.
 """
 
 from __future__ import annotations
@@ -31,50 +31,50 @@ Kind = Literal[
 
 AXES = (("Fx", "N"), ("Fy", "N"), ("Fz", "N"), ("Tx", "N m"), ("Ty", "N m"), ("Tz", "N m"))
 
+# The slope of four samples 4 ms apart, extrapolated 20 ms ahead, has 2.2 times the noise of one
+# sample; with fewer samples the noise would trip the guard. If four samples take longer than the
+# span, the sensor is too slow to predict the next 20 ms.
 _SLOPE_WINDOW_NS = 12_000_000
 _SLOPE_SAMPLES = 4
 _SLOPE_SPAN_NS = 60_000_000
-# The slope of four samples 4 ms apart, 20 ms ahead, carries 2.2 times the noise of one sample; with
-# fewer it would be the noise that trips. A sensor so slow that four samples take longer than the
-# span says nothing about the next 20 ms.
 
-# In retreat the load counts as growing when it gains this share of the rating in `horizon`.
+# In retreat, the load counts as growing if it gains this share of the rating in `horizon`.
 _GROWTH = 0.02
 
-_EMERGENCY_BITS = 0x1E0
-_STOPPED_BITS = 0x614
 # RTDE safety_status_bits: 5, 6, 7 emergency stops, 8 violation; 2 protective, 4 safeguard (a door,
 # a light curtain), 9 fault, 10 stopped by any of them.
+_EMERGENCY_BITS = 0x1E0
+_STOPPED_BITS = 0x614
 
 
 @dataclass(frozen=True, slots=True)
 class GuardLimits:
-    """What the sensor, the F/T sensor and the bench can take."""
+    """Limits of the sensor, the F/T sensor and the bench."""
 
     force_rating: tuple[float, ...]
-    """Largest load per axis (6,) in the F/T frame [N, N m]: the weaker of F/T sensor and sensor."""
+    """Largest load per axis (6,) in the F/T frame [N, N m]: the lower of F/T sensor and sensor."""
     box: tuple[tuple[float, float, float], tuple[float, float, float]]
     """Lower and upper corner for the TCP in the contact frame [m]; minus lower z is the depth."""
     soft_fraction: float = 0.85
-    """Of the rating: the press ends here, is marked force-limited, and work goes on."""
+    """Share of the rating that ends a press, marks it force-limited and continues the session."""
     hard_fraction: float = 1.0
-    """Of the rating: stop, and let somebody look."""
+    """Share of the rating that stops the run for inspection."""
     horizon: float = 0.02
-    """The soft limit also trips when force plus slope times this would pass it [s]."""
+    """The soft limit also trips if force plus slope times this time would exceed it [s]."""
     stale_force: float = 0.05
     """A force record older than this stops the arm [s]."""
     stale_pose: float = 0.1
     """A pose record older than this stops the arm [s]."""
     force_status_mask: int = 0
-    """Status bits of the F/T sensor that mean its values cannot be trusted (saturation...)."""
+    """Status bits of the F/T sensor that mark its values as invalid (saturation and others)."""
     combined_fraction: float | None = None
-    """Of the ratings, (Fxy and Tz) and (Fz and Txy) added up: ATI's rule says 1.05. None: off."""
+    """Limit on the summed shares of (Fxy, Tz) and (Fz, Txy); ATI's rule is 1.05. None: off."""
 
     def __post_init__(self) -> None:
-        """Refuse limits that would never trip, or always.
+        """Reject limits that would never trip, or always.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, its value and the allowed values.
         """
         if len(self.force_rating) != 6 or not all(rating > 0 for rating in self.force_rating):
             raise ValueError(f"force_rating: {self.force_rating}; allowed: 6 numbers above 0")
@@ -89,15 +89,15 @@ class GuardLimits:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Why the arm must stop."""
+    """Reason to stop the arm."""
 
     kind: Kind
     reason: str
-    """For the technician: what was found, the limit, units."""
+    """Message for the technician: value found, limit, units."""
 
 
 def judge_safety(status: int) -> Verdict | None:
-    """What RTDE's safety_status_bits mean for us: None when the arm may move."""
+    """Return the reason to stop given by RTDE's safety_status_bits, None if the arm may move."""
     if status & _EMERGENCY_BITS:
         return Verdict(
             "emergency_stop",
@@ -114,12 +114,12 @@ def judge_safety(status: int) -> Verdict | None:
 
 
 def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLike) -> str | None:
-    """Why a TCP position (3,) in the base frame [m] lies outside the box, or None.
+    """Return the reason why a TCP position (3,) in the base frame [m] is outside the box, or None.
 
     Args:
-        limits: With the box in the contact frame.
+        limits: Limits with the box in the contact frame.
         contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
-        position: Of the TCP.
+        position: Position of the TCP.
     """
     return _box_reason(limits, transform(invert(contact_frame), position))
 
@@ -127,7 +127,7 @@ def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLi
 def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
     found = np.asarray(point, np.float64).tolist()
     for name, value, low, high in zip("xyz", found, *limits.box, strict=True):
-        # Negated, so that a value that is not a number is outside too.
+        # Negated, so that NaN is outside too.
         if not low <= value <= high:
             return (
                 f"TCP outside the allowed box: {name} = {value * 1e3:.2f} mm in the contact frame, "
@@ -137,17 +137,17 @@ def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
 
 
 class Guard:
-    """Asks of each newest force and pose whether the arm may go on.
+    """Checks each new force and pose record and decides if the arm may continue.
 
-    Modes: "guarded" checks everything. "travel" does too; contact is not expected, so a force that
-    trips is a surprise. "retreat" lets the arm leave whatever the state of the sensors: no soft
-    limit, no box, no stale data, and the hard limit only while the load still grows.
+    Modes: "guarded" checks everything. "travel" does too; no contact is expected, so any force that
+    trips is unexpected. "retreat" lets the arm leave even if sensors fail: no soft limit, no box
+    or stale-data check, and the hard limit only while the load still grows.
 
     Args:
-        limits: What to hold.
+        limits: Limits to enforce.
         contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
-        watch_force: Without a force record the arm stops; False on a bench without F/T sensor.
-        watch_pose: Without a pose record the arm stops.
+        watch_force: Stop without a force record; False on a bench without F/T sensor.
+        watch_pose: Stop without a pose record.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class Guard:
     ) -> None:
         self._limits = limits
         to_contact = invert(contact_frame)
-        # Once: turning a rotation vector into a matrix is most of what a check would cost.
+        # Done once: converting a rotation vector to a matrix would be most of the cost of a check.
         self._turn, self._shift = matrix_from_vector(to_contact[3:]), to_contact[:3]
         self._watch_force = watch_force
         self._watch_pose = watch_pose
@@ -173,19 +173,19 @@ class Guard:
         pose_record: Any | None,
         mode: Mode = "guarded",
     ) -> Verdict | None:
-        """The most serious reason to stop now, or None.
+        """Return the most serious reason to stop now, or None.
 
         Args:
             now_ns: Time [ns].
             force_record: Newest FORCE_LATEST record.
             pose_record: Newest POSE_LATEST record.
-            mode: What the arm is doing.
+            mode: Current motion of the arm.
         """
         safety = None if pose_record is None else judge_safety(int(pose_record["safety_status"]))
         force = self._check_force(now_ns, force_record, mode)
         if safety is not None or (force is not None and force.kind == "force_hard"):
             return safety or force
-        # A stale force that stood above the soft limit is a lost sensor, not a finished press.
+        # A stale force above the soft limit means a lost sensor, not a finished press.
         return (
             self._check_age(now_ns, force_record, pose_record, mode)
             or force
@@ -229,13 +229,13 @@ class Guard:
         if not self._history or t_ns > self._history[-1][0]:
             self._history.append((t_ns, force))
         if mode == "retreat" and now_ns - t_ns > round(limits.stale_force * SECOND_NS):
-            # A sensor lost under load must not hold the arm there.
+            # A sensor lost under load must not keep the arm there.
             return None
         status = int(record["status"]) & limits.force_status_mask
         if mode != "retreat" and (status or not all(map(math.isfinite, force))):
             return Verdict(
                 "force_status",
-                f"the F/T sensor says its values cannot be trusted (status 0x{status:x}): "
+                f"the F/T sensor reports invalid values (status 0x{status:x}): "
                 "overloaded, or a cable is loose",
             )
         ahead = self._predict()
@@ -264,7 +264,7 @@ class Guard:
         return None
 
     def _loads(self, force: list[float]) -> list[tuple[str, str, float]]:
-        """Name, text and share of the rating of each axis, and of the combined loads if asked."""
+        """Return name, text and share of rating of each axis, and of combined loads if limited."""
         rating = self._limits.force_rating
         shares = [abs(value) / most for value, most in zip(force, rating, strict=True)]
         loads = [
@@ -281,9 +281,9 @@ class Guard:
         return loads
 
     def _predict(self) -> list[float] | None:
-        """The wrench `horizon` after the newest sample, None while there are too few samples.
+        """Return the wrench `horizon` after the newest sample, or None with too few samples.
 
-        An axis on its way to zero stays where it is: unloading fast is no reason to stop.
+        An axis moving towards zero keeps its value: fast unloading is no reason to stop.
         """
         newest_ns, newest = self._history[-1]
         recent = [

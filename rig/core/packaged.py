@@ -1,6 +1,6 @@
-"""Files that come with the rig: its benches, a made-up calibration, a day of recordings.
+"""Packaged files: mock benches, a synthetic calibration and an example campaign.
 
-A lab's own file comes first. Where a path names no file, the packaged one of that name is taken:
+A lab's own file has precedence. If a path does not exist, the packaged file of that name is used:
 `benches/NAME`, `campaigns/NAME`, or the name alone.
 """
 
@@ -9,21 +9,21 @@ from __future__ import annotations
 from pathlib import Path
 
 _HOME = Path(__file__).parents[1] / "bench"
-# Mock benches, and the calibration of their gauge.
+# Mock benches and the calibration of their gauge.
 BENCHES = _HOME / "benches"
-# A day at the bench, as an example.
+# Example campaign of one day.
 CAMPAIGNS = _HOME / "campaigns"
 
 
 def packaged(path: Path, folder: Path) -> Path:
-    """The path, or the packaged file that it stands for.
+    """Return the path, or the packaged file of that name.
 
     Args:
-        path: As somebody wrote it.
+        path: Path as given by the user.
         folder: `BENCHES` or `CAMPAIGNS`.
 
     Returns:
-        `path` itself where it exists, and where nothing stands for it.
+        `path` itself if it exists or if no packaged file has that name.
     """
     if path.exists() or path.parent not in (Path(), Path(folder.name)):
         return path

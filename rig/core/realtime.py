@@ -1,4 +1,4 @@
-"""Ask the system for punctual wake-ups; say what was granted, since a laboratory PC may refuse."""
+"""Request real-time scheduling and report the settings granted; a laboratory PC may refuse."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ import os
 
 from rig.core.clock import SECOND_NS
 
-# Of the streams' processes.
+# Stream processes.
 RIG_PRIORITY = 50
-# Of emulators: the devices they stand for wait for nobody.
+# Emulators: the devices that they replace run regardless of the host's load.
 DEVICE_PRIORITY = 60
-# Of the camera's emulator, which draws for milliseconds on end: below all that must not wait.
+# Camera emulator, which draws for milliseconds at a time: below every process that must not wait.
 CAMERA_PRIORITY = 40
-# Of what solves a simulated World: busier than the camera, and late at the cost of accuracy.
+# Solver of a simulated World: busier than the camera; running late only costs accuracy.
 SOLVER_PRIORITY = 30
 _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 
 
 def be_punctual(priority: int = RIG_PRIORITY) -> dict[str, bool]:
-    """Real-time scheduling, no timer slack, no garbage collection, for this process.
+    """Enable real-time scheduling and disable timer slack and garbage collection in this process.
 
-    The default timer slack alone wakes every sleep 50 us late. Garbage collection is switched off
-    because it would come when it likes; a `Sweeper` does it when it suits.
+    The default timer slack alone delays every wake-up by 50 us. Garbage collection is disabled
+    because its timing is unpredictable; a `Sweeper` runs it at suitable times.
 
     Args:
-        priority: Of SCHED_FIFO, 1 to 99.
+        priority: Priority of SCHED_FIFO, 1 to 99.
 
     Returns:
-        What was granted, by name; stored with every stream.
+        The settings granted, by name; stored with every stream.
     """
     gc.collect()
     gc.freeze()
@@ -54,13 +54,13 @@ def _timer_slack() -> bool:
 
 
 class Sweeper:
-    """Garbage collection by hand: reading a page by HTTP or encoding a chunk leaves cycles behind.
+    """Explicit garbage collection, for the cycles left by HTTP requests and chunk encoding.
 
-    What was there at `be_punctual` is frozen and what survived an earlier sweep is not looked at
-    again, so a sweep takes a fraction of a millisecond.
+    Objects from before `be_punctual` are frozen and survivors of earlier sweeps are skipped, so a
+    sweep takes a fraction of a millisecond.
 
     Args:
-        every: Between two sweeps [s].
+        every: Interval between sweeps [s].
     """
 
     def __init__(self, every: float = 5.0) -> None:
@@ -68,7 +68,7 @@ class Sweeper:
         self._due_ns = 0
 
     def sweep(self, now_ns: int) -> bool:
-        """Collect if it is time to; whether it was."""
+        """Collect if a sweep is due; return True if it was."""
         if now_ns < self._due_ns:
             return False
         self._due_ns = now_ns + self._every_ns

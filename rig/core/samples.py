@@ -1,17 +1,17 @@
-"""What a stream's process shows the others of its newest sample, through shared memory.
+"""Records of each stream's newest sample, shared between processes through memory.
 
-The guard reads force and pose from here, the live line reads all of them. Samples on disk do not
-take this way: every stream's process appends its own.
+The guard reads force and pose here, the live display reads all of them. Samples on disk do not
+pass through here: each stream's process appends its own.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-# Wrench less the tare [N, N m] in the F/T frame, with the host's arrival time [ns].
+# Wrench minus the tare [N, N m] in the F/T frame, with arrival time at the host [ns].
 FORCE_LATEST = np.dtype([("t_ns", "<i8"), ("status", "<i8"), ("value", "<f8", (6,))])
 
-# TCP pose in the base frame [m, rad], the controller's clock [s], RTDE safety_status_bits.
+# TCP pose in the base frame [m, rad], controller clock [s], RTDE safety_status_bits.
 POSE_LATEST = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -23,16 +23,16 @@ POSE_LATEST = np.dtype(
     ]
 )
 
-# Raw counts, taxel by taxel, x y z.
+# Raw counts per taxel: x, y, z.
 TAXELS_LATEST = np.dtype([("t_ns", "<i8"), ("value", "<i4", (16, 3))])
 
-# The newest frame's arrival time and row; frames themselves never cross a process boundary.
+# Arrival time and row of the newest frame; images never cross a process boundary.
 CAMERA_LATEST = np.dtype([("t_ns", "<i8"), ("row", "<i8")])
 
-# The emulated controller's TCP pose at its own cycle, for the World [m, rad, m/s, rad/s].
+# TCP pose of the emulated controller at its own cycle, for the World [m, rad, m/s, rad/s].
 ARM_TRUTH = np.dtype([("t_ns", "<i8"), ("pose", "<f8", (6,)), ("speed", "<f8", (6,))])
 
-# One stamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
+# Timestamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
 # above the surface), contact position and tangential surface displacement in the contact frame [m],
 # wrench on the sensor in the F/T frame [N, N m], taxels before noise [counts].
 WORLD_STATE = np.dtype(
@@ -47,9 +47,9 @@ WORLD_STATE = np.dtype(
     ]
 )
 
-# The last solution of a simulated World, and how to go on from it: the tip in the contact frame
-# [m], the mean sideways displacement under it [m], the coefficient of friction, wrench about the
-# tip [N, N m] and taxels [counts], what they change with the tip [1/m] and with time [1/s].
+# Last solution of a simulated World and its derivatives, for extrapolation: tip in the contact
+# frame [m], mean tangential displacement under it [m], friction coefficient, wrench about the tip
+# [N, N m] and taxels [counts], their derivatives by tip position [1/m] and by time [1/s].
 PRESS_STATE = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -65,9 +65,9 @@ PRESS_STATE = np.dtype(
 
 
 def surface_state(shape: tuple[int, int]) -> np.dtype[np.void]:
-    """The last two deformations of a simulated World whose top has `shape` points.
+    """Return the dtype of a simulated World's last two deformations, `shape` points on its top.
 
-    Tips (3,) and displacements (X, Y, 3) in the contact frame [m], the newest first.
+    Tips (3,) and displacements (X, Y, 3) in the contact frame [m], newest first.
     """
     surface = ("<f4", (*shape, 3))
     return np.dtype(

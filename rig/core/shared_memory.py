@@ -1,8 +1,8 @@
-"""The latest value of something, shared between processes by a memory-mapped file.
+"""Latest value of a record, shared between processes by a memory-mapped file.
 
-One process writes, any number read. A reader never blocks the writer and never sees half a record.
-A plain file (in a run's own folder) rather than named shared memory: it is gone with the folder,
-whoever was killed.
+One process writes, any number read. A reader never blocks the writer and never sees a partial
+record. A plain file in the run's own folder, unlike named shared memory, is removed with the folder
+even if processes were killed.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from typing import Any
 
 import numpy as np
 
+# The count is raised last. A writer killed while writing leaves the count at the previous record,
+# which lies in another slot and is complete, so a dead writer never hangs a reader.
 _COUNTER = np.dtype("<u8")
 _SLOTS = 8
-# The count is raised last: a writer killed in the middle of a record leaves the count at the record
-# before it, which lies in another slot and is whole, so a dead writer never hangs a reader.
 
 
 def _layout(dtype: np.dtype[Any]) -> tuple[int, int]:
-    """Distance of two slots and size of the whole file [bytes], in whole cache lines."""
+    """Return the slot stride and the file size [bytes], in whole cache lines."""
     stride = _COUNTER.itemsize + dtype.itemsize
     stride += -stride % 64
     return stride, 64 + _SLOTS * stride
 
 
 class LatestRecord:
-    """A structured record with one writer.
+    """Structured record with one writer.
 
-    Layout: u64 count of records written, then `_SLOTS` times (u64 number of the record, record).
-    Record k lies in slot k % _SLOTS; its number is written after its content, so a reader that
-    finds number k before and after copying has the whole of record k.
+    Layout: u64 count of records written, then `_SLOTS` times (u64 record number, record).
+    Record k lies in slot k % _SLOTS. Its number is written after its content: a reader that finds
+    number k before and after copying has a complete record k.
 
     Args:
-        path: The file; made by `create`, opened by `attach`.
+        path: The file; created by `create`, opened by `attach`.
         dtype: Structured dtype of one record.
     """
 
@@ -63,11 +63,11 @@ class LatestRecord:
 
     @classmethod
     def create(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
-        """Make the file, empty (count 0), and open it for writing; it appears whole.
+        """Create the empty file (count 0) atomically and open it for writing.
 
         Raises:
-            FileExistsError: It is there: a reader that has it mapped would be killed (SIGBUS) by
-                the moment in which it is empty.
+            FileExistsError: The file exists. Truncating it would kill readers that have it mapped
+                (SIGBUS).
         """
         _, size = _layout(dtype)
         unfinished = path.with_name(f"{path.name}.{os.getpid()}-unfinished")
@@ -81,14 +81,14 @@ class LatestRecord:
 
     @classmethod
     def publish(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
-        """Open for writing what is there, or make it: for a writer that may come after readers."""
+        """Open or create the file for writing, for a writer that may start after its readers."""
         if path.exists():
             return cls.attach(path, dtype, writable=True)
         return cls.create(path, dtype)
 
     @classmethod
     def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> LatestRecord:
-        """Open an existing file, for reading unless `writable`."""
+        """Open an existing file, read-only unless `writable`."""
         return cls(path, dtype, writable=writable)
 
     @property
@@ -106,9 +106,9 @@ class LatestRecord:
         self._count[0] = number
 
     def read(self) -> np.void | None:
-        """The latest whole record (a copy), or None before the first.
+        """Return a copy of the latest complete record, or None before the first.
 
-        A reader overtaken by the writer tries again; the slots make that rare.
+        A reader overtaken by the writer retries; the slots make that rare.
         """
         while True:
             number = int(self._count[0])
@@ -122,7 +122,7 @@ class LatestRecord:
                 return record  # type: ignore[no-any-return]
 
     def close(self) -> None:
-        """Let go of the mapping; safe twice."""
+        """Release the mapping; may be called twice."""
         self._records.clear()
         self._numbers.clear()
         self._count = np.zeros(1, _COUNTER)
@@ -130,10 +130,10 @@ class LatestRecord:
 
 
 class AwaitedRecord:
-    """Reads a `LatestRecord` that another process makes, perhaps later.
+    """Reads a `LatestRecord` that another process creates, possibly later.
 
     Args:
-        path: The file; None: it never appears.
+        path: The file; None: it never exists.
         dtype: Structured dtype of one record.
     """
 
@@ -150,17 +150,17 @@ class AwaitedRecord:
 
     @property
     def count(self) -> int:
-        """Records written so far, 0 without a file."""
+        """Records written so far; 0 without a file."""
         record = self._attached()
         return 0 if record is None else record.count
 
     def read(self) -> np.void | None:
-        """The latest whole record (a copy), or None before the first."""
+        """Return a copy of the latest complete record, or None before the first."""
         record = self._attached()
         return None if record is None else record.read()
 
     def close(self) -> None:
-        """Let go of the file; safe twice."""
+        """Release the file; may be called twice."""
         if self._record is not None:
             self._record.close()
             self._record = None

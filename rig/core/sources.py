@@ -1,4 +1,4 @@
-"""Real recordings that the emulators of a mock bench serve in place of its World."""
+"""Real recordings that the emulators of a mock bench play in place of its World."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.core.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What is served; None: what the World shows."""
+    """Recordings to play; None: the World's data instead."""
 
     camera: Path | None = None
     """A folder of images or a video file."""
@@ -21,13 +21,13 @@ class Sources:
     """A .npy file of raw counts (T, 48)."""
 
     def __post_init__(self) -> None:
-        """Refuse a path that is not there before anything is started."""
+        """Reject a missing path before anything is started."""
         for name, path in (("CAMERA", self.camera), ("TAXELS", self.taxels)):
             if path is not None and not path.exists():
                 raise ConfigError(f"{name}: {path}: no such file or folder")
 
     def facts(self) -> dict[str, Any]:
-        """What the session says of them: names, not paths of this machine."""
+        """Return the entries for the session's metadata: file names without local paths."""
         facts: dict[str, Any] = {}
         if self.camera is not None:
             facts["camera"] = {"name": self.camera.name, "motion": self.camera_motion}

@@ -1,1 +1,1 @@
-"""Devices of a bench: of each kind a driver, its settings, and an emulator beside it."""
+"""Devices of a bench: a driver, its settings and an emulator for each kind."""

@@ -1,1 +1,1 @@
-"""The mock bench: the emulators of a bench's devices, and the World that they share."""
+"""The mock bench: emulators of a bench's devices, and their common World."""

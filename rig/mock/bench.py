@@ -1,9 +1,9 @@
-"""The mock bench: starts the emulators of a bench's devices and the World they share.
+"""The mock bench: starts the emulators of a bench's devices and their common World.
 
     python -m rig mock --sensor tacpalm
 
-Every emulator is a process of its own that speaks its device's protocol on a loopback address. The
-rig is given those addresses and nothing else: it runs the drivers it would run in the lab.
+Every emulator is a separate process that speaks its device's protocol on a loopback address. The
+rig gets only those addresses: it runs the same drivers as in the lab.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class MockBench(StartedOrClosed):
 
     Args:
         content: A mock bench as read from YAML, with `loopback` addresses.
-        where: Its file, for errors.
+        where: Its file, for error messages.
         folder: Empty run folder for shared records.
-        sources: Real recordings to serve.
+        sources: Real recordings to play.
         truth: File to log the World's truth to.
     """
 
@@ -104,29 +104,29 @@ class MockBench(StartedOrClosed):
         return self._launched.processes
 
     def check(self) -> None:
-        """Notice an emulator, or the World, that ended on its own.
+        """Raise if an emulator or the World has ended by itself.
 
         Raises:
-            DeviceLost: Names it, with its last word.
+            DeviceLost: Names it, with its last line of output.
         """
         self._launched.check()
 
     def close(self) -> None:
-        """End every emulator; safe twice."""
+        """End every emulator; may be called twice."""
         self._launched.close()
         if "solver" in self.processes and not self._closed:
-            # How often it solved is how far the World can be trusted.
+            # The number of solutions shows how accurate the World was.
             logger.info(self._launched.last_word("solver"))
         self._closed = True
 
 
 def free_loopback() -> str:
-    """A 127.x.y.z address on which nobody listens on a UR controller's ports.
+    """Return a 127.x.y.z address without a listener on a UR controller's ports.
 
-    The ports are fixed in the client library, so benches running side by side need addresses.
+    The ports are fixed in the client library, so simultaneous benches need different addresses.
 
     Raises:
-        DeviceLost: Every address tried is taken.
+        DeviceLost: Every address tried is in use.
     """
     rng = np.random.default_rng(os.getpid())
     for _ in range(50):

@@ -1,4 +1,4 @@
-"""What the replaying process and its emulators tell each other, in shared memory."""
+"""Shared memory records between the replaying process and its emulators."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from pathlib import Path
 
 import numpy as np
 
-# Written once, when every driver is open and every writer records: when the tape starts [ns].
+# Start time of playback [ns], written once all drivers are open and all writers record.
 CUE = np.dtype([("start_ns", "<i8")])
 
 # Codes of `POSITION.state`.
 WAITING, PLAYING, ENDED, FAILED = range(4)
 
-# How far an emulator is: its state, rows sent, and the recorded time, since the run's first sample,
-# of the first row its reader has not taken [ns].
+# Progress of an emulator: its state, rows sent, and the recorded time of the first row that its
+# reader has not taken, relative to the run's first sample [ns].
 POSITION = np.dtype([("state", "<i8"), ("sent", "<i8"), ("t_ns", "<i8")])
 
-# `POSITION.t_ns` of an emulator whose rows have all been taken.
+# `POSITION.t_ns` of an emulator all of whose rows have been taken.
 FAR_NS = np.iinfo(np.int64).max // 2
 
 
 def cue_path(folder: Path) -> Path:
-    """The CUE record of a run folder."""
+    """Return the path of a run folder's CUE record."""
     return folder / "replay.cue"
 
 
 def position_path(folder: Path, name: str) -> Path:
-    """The POSITION record of one emulator."""
+    """Return the path of an emulator's POSITION record."""
     return folder / f"{name}.position"

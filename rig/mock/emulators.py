@@ -1,4 +1,4 @@
-"""How each device's emulator is started: one row per kind of device a bench file can name."""
+"""Commands that start the emulators, one function per kind of device in a bench file."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
 
+# Start height of the arm above the middle of the sensor [m].
 _START_HEIGHT = 0.03
-# Where the arm waits, above the middle of the sensor [m].
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What the emulators of one mock bench share."""
+    """Common settings of the emulators of one mock bench."""
 
     bench: Bench
-    """With addresses filled in."""
+    """The bench, with addresses filled in."""
     host: str
     """Loopback address they listen on."""
     folder: Path
@@ -43,22 +43,22 @@ class Stage:
     world: Path
     """WORLD_STATE record."""
     sources: Sources = field(default_factory=Sources)
-    """Real recordings to serve."""
+    """Real recordings to play."""
     truth: Path | None = None
     """File to log the World's truth to."""
 
     @property
     def common(self) -> list[str]:
-        """Options every emulator of a sensor takes."""
+        """Options common to all emulators."""
         return ["--host", self.host, "--world", str(self.world)]
 
     def faults(self, device: str) -> list[str]:
-        """The option that opens a device's fault port."""
+        """Return the option that opens a device's fault port."""
         return ["--fault-port", str(PORTS[device])]
 
     @property
     def noise(self) -> Noise | None:
-        """Of the instruments."""
+        """Noise of the instruments."""
         return None if self.bench.world is None else self.bench.world.noise
 
 
@@ -88,7 +88,7 @@ def _netft(config: NetFtConfig, stage: Stage) -> list[str]:
 def _nidaq(config: NidaqConfig, stage: Stage) -> list[str]:
     if config.grpc is None:
         raise ConfigError(
-            "force.grpc: missing; allowed: loopback:31763, where a mock bench has its NI card"
+            "force.grpc: missing; allowed: loopback:31763, the address of a mock bench's NI card"
         )
     return [
         "rig.devices.force.nidaq_emulator",
@@ -194,7 +194,7 @@ _EMULATORS: dict[type, Callable[[Any, Stage], list[str]]] = {
 
 
 def world_commands(stage: Stage) -> dict[str, list[str]]:
-    """Module and arguments of the process that owns the World, and of one that solves for it."""
+    """Return module and arguments of the World's process, and of its solver if it has one."""
     motion = ["--spec", str(stage.spec), "--arm", str(stage.arm)]
     truth = ["--truth", str(stage.truth)] if stage.truth else []
     commands = {"world": ["rig.mock.world.host", *motion, "--world", str(stage.world), *truth]}
@@ -204,7 +204,7 @@ def world_commands(stage: Stage) -> dict[str, list[str]]:
 
 
 def emulator_commands(stage: Stage) -> dict[str, list[str]]:
-    """Module and arguments of the emulator of every device of the bench, by the device's key."""
+    """Return module and arguments of the emulator of every device, by the device's key."""
     bench = stage.bench
     devices = {
         "arm": bench.arm,

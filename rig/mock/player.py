@@ -1,11 +1,11 @@
-"""One emulated device that plays a recorded stream, at its times or as fast as it is read.
+"""Emulated device that plays a recorded stream, at its own times or as fast as it is read.
 
     python -m rig.mock.player --session x.zarr --stream force --folder RUN --host 127.0.0.5
 
-Whatever the speed, a row is sent only while fewer than `Outlet.window` rows are under way: the
-reader's count of samples is read from shared memory, so no socket and no inbox ever overflows. At
-maximum speed the emulators keep step besides: none is more than `STEP_NS` of recorded time ahead of
-what the slowest reader has taken.
+At any speed, a row is sent only while fewer than `Outlet.window` rows are in flight; the reader's
+count of samples is read from shared memory, so no socket or inbox overflows. At maximum speed the
+emulators are also synchronised: none is more than `STEP_NS` of recorded time ahead of the slowest
+reader.
 """
 
 from __future__ import annotations
@@ -39,40 +39,40 @@ from rig.mock.cue import (
     position_path,
 )
 
-# An emulated device as its tape is played: how a row gets onto the wire.
+# Emulated devices, as used for playback: they put rows on the wire.
 
 
 class Outlet(Protocol):
-    """What plays one stream.
+    """Plays one stream.
 
-    A driver that connects is given what it needs to open, and no row.
+    A connecting driver gets everything that it needs to open, but no row.
     """
 
     window: int
-    """Rows that may be under way to the reader."""
+    """Largest number of rows in flight to the reader."""
 
     @property
     def address(self) -> str:
-        """What a driver connects to."""
+        """Address for drivers to connect to."""
 
     def start(self) -> None:
-        """Listen; raises OSError when the address cannot be had."""
+        """Listen; raise OSError if the address cannot be bound."""
 
     def send(self, place: int) -> None:
-        """Send row `place` of the tape; raises OSError when the client is gone."""
+        """Send row `place` of the recording; raise OSError if the client is gone."""
 
     def idle(self) -> None:
-        """Called about 20 times a second while no row is due."""
+        """Do idle work; called about 20 times per second while no row is due."""
 
     def wake(self) -> None:
-        """Make a reader that waits for a row look up, without a row: it is about to close."""
+        """Wake a reader that waits for a row, without sending one: it is about to close."""
 
     def close(self) -> None:
-        """Stop; safe twice."""
+        """Stop; may be called twice."""
 
 
 def make_outlet(name: str, tape: Tape, host: str) -> Outlet:
-    """The emulated device of one stream; its vendor library is imported here and nowhere else."""
+    """Create the emulated device of one stream; its vendor library is imported only here."""
     if name == "force":
         from rig.devices.playback.netft_player import NetFtOutlet
 
@@ -95,8 +95,8 @@ logger = logging.getLogger(__name__)
 STEP_NS = SECOND_NS // 50
 _NAP_NS = 200_000
 _SLICE_NS = SECOND_NS // 20
+# Pauses between wake-ups [s]: fewer than the 10 corrupt frames in a row that mean a lost camera.
 _WAKE_PAUSES = (0.05, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-# Less than the 10 spoilt frames in a row after which a camera counts as lost [s].
 _LATEST: dict[str, np.dtype[Any]] = {
     "force": FORCE_LATEST,
     "pose": POSE_LATEST,
@@ -106,20 +106,20 @@ _LATEST: dict[str, np.dtype[Any]] = {
 
 
 class Player:
-    """Plays a tape through an outlet, in a thread of its own.
+    """Plays a recorded stream through an outlet, in its own thread.
 
     Args:
         name: Name of the stream.
-        tape: What to play.
-        outlet: Where to.
+        tape: Recorded stream to play.
+        outlet: Emulated device that sends it.
         folder: Run folder with the shared records.
-        clock: Paces.
-        speed: Times the recorded speed; 0: as fast as it is read.
-        others: Streams to keep step with at maximum speed.
+        clock: Paces the rows.
+        speed: Multiple of the recorded speed; 0: as fast as it is read.
+        others: Streams to stay synchronised with at maximum speed.
     """
 
     missed = 0
-    """Rows are sent late rather than left out."""
+    """Always 0: rows are sent late rather than skipped."""
 
     def __init__(
         self,
@@ -148,21 +148,21 @@ class Player:
 
     @property
     def address(self) -> str:
-        """What a driver connects to."""
+        """Address for drivers to connect to."""
         return self._outlet.address
 
     def start(self) -> None:
-        """Listen, and wait for the cue.
+        """Listen and wait for the cue.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address cannot be bound.
         """
         self._outlet.start()
         self._thread = threading.Thread(target=self._run, name=f"player-{self._name}")
         self._thread.start()
 
     def close(self) -> None:
-        """Stop; safe twice."""
+        """Stop; may be called twice."""
         self._ending.set()
         self._outlet.close()
         if self._thread is not None:
@@ -177,7 +177,7 @@ class Player:
                 self._play(start_ns)
             self._stay()
         except Exception as error:
-            # Whatever it is, the replay must hear of it: this thread is all the device there is.
+            # The replay must learn of any error, because this thread is the whole device.
             if not self._ending.is_set():
                 self._tell(FAILED, FAR_NS)
                 logger.error("after row %d: %s", self._sent - 1, error)
@@ -187,7 +187,7 @@ class Player:
 
     @property
     def _over(self) -> bool:
-        """Whether the replay has ended: the second cue says so."""
+        """True if the replay has ended, as signalled by the second cue."""
         return self._cue.count > 1 or self._ending.is_set()
 
     def _cued(self) -> int | None:
@@ -199,7 +199,7 @@ class Player:
         return None
 
     def _stay(self) -> None:
-        """Keep the client until the replay has ended, then help it to close."""
+        """Serve the client until the replay has ended, then help it to close."""
         while not self._over:
             self._outlet.idle()
             self._ending.wait(_SLICE_NS / SECOND_NS)
@@ -250,7 +250,7 @@ class Player:
             self._outlet.idle()
 
     def _waited(self, condition: Callable[[], bool]) -> bool:
-        """Wait for `condition`; False when told to end first."""
+        """Wait for `condition`; return False if stopped first."""
         idle_ns = self._clock.now_ns() + _SLICE_NS
         while not condition():
             if self._over:
@@ -264,7 +264,7 @@ class Player:
 
 
 class _Step:
-    """Whether the other emulators are far enough for a row to be sent."""
+    """Synchronisation with the other emulators' positions."""
 
     def __init__(self, folder: Path, others: Sequence[str]) -> None:
         self._records = [
@@ -273,7 +273,7 @@ class _Step:
         self._reached_ns = 0
 
     def allows(self, t_ns: int) -> bool:
-        # Positions only advance: as long as the last look allows the row, none is needed.
+        # Positions only advance, so none is read while the last reading allows the row.
         if t_ns <= self._reached_ns + STEP_NS or not self._records:
             return True
         positions = [record.read() for record in self._records]
@@ -288,21 +288,21 @@ class _Step:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Play until told to end; the exit code."""
+    """Play until stopped; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m rig.mock.player", description=__doc__)
-    parser.add_argument("--session", type=Path, required=True, help="what to play")
-    parser.add_argument("--stream", required=True, choices=sorted(_LATEST), help="which stream")
-    parser.add_argument("--with", dest="others", default="", help="streams played beside it")
-    parser.add_argument("--run", type=int, default=0, help="which run of it (%(default)s)")
+    parser.add_argument("--session", type=Path, required=True, help="session to play")
+    parser.add_argument("--stream", required=True, choices=sorted(_LATEST), help="stream to play")
+    parser.add_argument("--with", dest="others", default="", help="streams played at the same time")
+    parser.add_argument("--run", type=int, default=0, help="run of the session (%(default)s)")
     parser.add_argument("--folder", type=Path, required=True, help="run folder")
     parser.add_argument(
         "--host", type=loopback, required=True, help="loopback address to listen on"
     )
     parser.add_argument(
-        "--speed", type=float, default=1.0, help="times the recorded one; 0: as fast as read"
+        "--speed", type=float, default=1.0, help="multiple of recorded speed; 0: as fast as read"
     )
     parser.add_argument(
-        "--until-stdin-closes", action="store_true", help="end when whoever started me does"
+        "--until-stdin-closes", action="store_true", help="exit when the parent process does"
     )
     args = parser.parse_args(argv)
     others = [name for name in args.others.split(",") if name and name != args.stream]

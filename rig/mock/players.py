@@ -1,4 +1,4 @@
-"""The emulators of one replayed run: a process for each stream."""
+"""Emulators of one replayed run: one process per stream."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Players(StartedOrClosed):
     Args:
         session: The source.
         names: Streams to play.
-        run: Which of its runs.
+        run: Number of the run.
         host: Loopback address to listen on.
         folder: Empty run folder.
         clock: Clock.
-        speed: Times the recorded one; 0: as fast as read.
+        speed: Multiple of the recorded speed; 0: as fast as read.
     """
 
     def __init__(
@@ -62,23 +62,23 @@ class Players(StartedOrClosed):
         self._launched.wait_ready()
 
     def cue(self, start_ns: int) -> None:
-        """Start the tape at `start_ns`: every driver is open, every writer records."""
+        """Start playback at `start_ns`; every driver must be open and every writer recording."""
         self._cue.write((start_ns,))
 
     def wake(self) -> None:
-        """The second cue: no further row; readers that wait for one are made to look up."""
+        """Give the second cue: no more rows are sent, and waiting readers are woken."""
         while self._cue.count < 2:
             self._cue.write((0,))
 
     def positions(self) -> Mapping[str, np.void | None]:
-        """POSITION of each emulator, None before it has told one."""
+        """Return the POSITION of each emulator, None before its first."""
         return {name: record.read() for name, record in self._positions.items()}
 
     def check(self) -> None:
-        """Notice an emulator that ended or failed.
+        """Raise if an emulator ended or failed.
 
         Raises:
-            DeviceLost: Names it, with its last word.
+            DeviceLost: Names it, with its last line of output.
         """
         self._launched.check()
         for name, record in self._positions.items():
@@ -87,19 +87,19 @@ class Players(StartedOrClosed):
                 raise DeviceLost(f"{name}: its emulator failed: {self._launched.last_word(name)}")
 
     def close(self) -> None:
-        """End every emulator; safe twice."""
+        """End every emulator; may be called twice."""
         self._launched.close()
         for record in (self._cue, *self._positions.values()):
             record.close()
         self._positions = {}
 
 
-# The bench of a replay: the addresses of its emulators, and nothing that moves.
+# Bench of a replay: the addresses of its emulators, and no motion.
 
+# Longest silence of a device: until all drivers are open, and while another reader is slow [s].
 _PATIENCE = 30.0
-# How long a device may be silent: until all drivers are open, and while another reader is slow [s].
+# The same for the camera, which is opened last, and whose driver may take as long to close [s].
 _CAMERA_PATIENCE = 10.0
-# Of the camera, which is opened last, and whose driver may wait as long to close [s].
 _NO_MOTION = BenchLimits(
     box_x=(0.0, 0.0),
     box_y=(0.0, 0.0),
@@ -113,13 +113,13 @@ _NO_MOTION = BenchLimits(
 
 
 def replay_bench(session: Session, names: tuple[str, ...], host: str, speed: float) -> Bench:
-    """The devices of a session at the addresses of the emulators that play them.
+    """Return a bench with a session's devices at the addresses of their emulators.
 
     Args:
         session: The source.
         names: Its streams to replay.
         host: Loopback address of the emulators.
-        speed: Times the recorded one; 0: as fast as read.
+        speed: Multiple of the recorded speed; 0: as fast as read.
     """
     attrs = session.attrs
     camera = taxels = None
@@ -144,7 +144,7 @@ def replay_bench(session: Session, names: tuple[str, ...], host: str, speed: flo
             repeats=True,
         )
     if "taxels" in names or camera is None:
-        # A bench without a signal is refused; that of a replay may have one that nobody opens.
+        # A bench without a signal is invalid; that of a replay may have one that is never opened.
         taxels = XelaConfig(address=f"ws://{host}:5000", silence=_PATIENCE)
     if taxels is not None and "taxels" in names:
         taxels = XelaConfig(
@@ -170,7 +170,7 @@ def replay_bench(session: Session, names: tuple[str, ...], host: str, speed: flo
 
 
 def _longest_gap(session: Session, name: str, speed: float) -> float:
-    """Longest time without a row in any run, as it is replayed [s], the wait for the first too."""
+    """Return the longest time without a row in any run, as replayed [s], including its start."""
     longest = 0.0
     for run in range(max(len(session.runs), 1)):
         times = [

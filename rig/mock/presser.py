@@ -1,7 +1,7 @@
-"""The sensor of a mock bench, and a finger that presses it: nothing else of the bench is started.
+"""Emulated sensor of a mock bench, pressed by an emulated finger instead of the arm.
 
-Whoever watches forces live moves no arm. On a mock bench something has to touch the sensor all the
-same: the finger goes along the bench's trajectory, target after target, once it is told to.
+Watching live forces moves no arm, so on a mock bench something else must touch the sensor: the
+finger follows the bench's trajectory, target after target, once it is started.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from rig.mock.world.simulated import PRESS_FILE
 from rig.mock.world.truth import Truth
 from trajectories import Point
 
+# Rate of a UR3's controller; motion between two states is a straight line.
 _RATE_HZ = 125
-# As a UR3's controller; motion between two states is a straight line.
+# Step between the targets pressed: consecutive ones differ little, these in depth and direction.
 _STRIDE = 37
-# Targets of a plan differ little from one to the next; so far on, depth and direction do.
 _SENSORS = ("camera", "taxels")
+# Longest time for the World's process to end [s].
 _END_TIMEOUT = 5.0
-# For the World's process [s].
+# Longest time for the World's first state [s].
 _FIRST_TIMEOUT = 10.0
-# For its first state [s].
 
 
 class TouchedMock(StartedOrClosed):
-    """The emulated sensor of a mock bench and its World, as a context manager.
+    """Context manager for the emulated sensor of a mock bench and its World.
 
     Args:
         content: A mock bench as read from YAML, with `loopback` addresses.
-        where: Its file, for errors.
+        where: Its file, for error messages.
         folder: Empty run folder for shared records.
-        rate_hz: Frames a second, in place of the bench file's.
+        rate_hz: Frames per second; None: the bench file's.
     """
 
     def __init__(
@@ -66,28 +66,28 @@ class TouchedMock(StartedOrClosed):
         self._finger: _Finger | None = None
 
     def press(self) -> None:
-        """Let the finger go; it waits clear of the surface until then."""
+        """Start the finger, which waits clear of the surface until then."""
         if self._finger is not None:
             self._finger.go.set()
 
     def check(self) -> None:
-        """Notice an emulator that ended on its own.
+        """Raise if an emulator has ended by itself.
 
         Raises:
-            DeviceLost: Names it, with its last word.
+            DeviceLost: Names it, with its last line of output.
         """
         self._launched.check()
 
     def wrench(self, t_ns: np.ndarray) -> np.ndarray:
-        """What the World says was felt at times (n,) [ns]: (n, 6) [N, N m]. Ends the World."""
-        # What it logged is whole only then.
+        """Return the World's true wrench at times (n,) [ns]: (n, 6) [N, N m]. Ends the World."""
+        # Its log is complete only after it has ended.
         world = self._launched.processes["world"]
         world.terminate()
         world.wait(_END_TIMEOUT)
         return Truth(self._truth_path).wrench(t_ns)
 
     def close(self) -> None:
-        """End finger and emulators; safe twice."""
+        """End finger and emulators; may be called twice."""
         if self._finger is not None:
             self._finger.close()
             self._finger = None
@@ -119,7 +119,7 @@ class TouchedMock(StartedOrClosed):
         clock = SystemClock()
         self._finger = _Finger(self._arm, bench, clock)
         self._launched.wait_ready()
-        # Before its first state an emulator has nothing to serve but zeros, which are no counts.
+        # Before its first state an emulator would serve zeros, which are not valid counts.
         latest_ns = clock.now_ns() + round(_FIRST_TIMEOUT * SECOND_NS)
         while not published.count:
             if clock.now_ns() > latest_ns:
@@ -129,18 +129,18 @@ class TouchedMock(StartedOrClosed):
 
 
 class _Finger:
-    """Writes where the tip is, in the place of the emulated arm."""
+    """Writes the tip's position in place of the emulated arm."""
 
     def __init__(self, arm: LatestRecord, bench: Bench, clock: Clock) -> None:
         self.go = threading.Event()
-        """Set to let it go."""
+        """Set to start the finger."""
         self._arm, self._bench, self._clock = arm, bench, clock
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="finger")
         self._thread.start()
 
     def close(self) -> None:
-        """Stop; safe twice."""
+        """Stop; may be called twice."""
         self._ending.set()
         self._thread.join()
 
@@ -168,7 +168,7 @@ class _Finger:
 
 
 def _way(bench: Bench) -> Iterator[tuple[Point, float]]:
-    """Where the tip goes [m] and how fast [m/s], without end; the first is where it waits."""
+    """Yield the tip's goals [m] and speeds [m/s], endlessly; the tip waits at the first goal."""
     plan, arm = bench.trajectory, bench.arm
     targets = list(plan.targets())
     for count in itertools.count():
@@ -184,7 +184,7 @@ def _towards(start: Point, goal: Point, share: float) -> Point:
 
 
 def _at_rate(content: dict[str, Any], rate_hz: float | None) -> dict[str, Any]:
-    """`content` whose sensor sends so many frames a second."""
+    """Return `content` with the sensor's rate replaced."""
     if rate_hz is None:
         return content
     faster = {

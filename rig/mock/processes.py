@@ -1,4 +1,4 @@
-"""Emulator processes started together: each says when it is ready, has a log, and ends with us."""
+"""Emulator processes: each prints a ready line, writes a log, and ends with its parent."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from typing import Self
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost
 
-_READY_TIMEOUT = 30.0
 # Interpreters start one after the other on a small machine [s].
+_READY_TIMEOUT = 30.0
 _END_TIMEOUT = 5.0
+# The processes share the cores with each other and with the rig: none may use several threads for a
+# matrix product, or busy-wait for the others.
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-# They share the cores among them and with the rig: none of them may spread a product of matrices
-# over all of them, let alone wait for the others busily.
 
 
 class Launched:
-    """Processes that `rig.core.emulation.serve` serves in.
+    """Group of processes, each running `rig.core.emulation.serve`.
 
     Args:
-        folder: Run folder; `<name>.log` is what each says on stderr.
+        folder: Run folder; `<name>.log` holds the stderr of each process.
         clock: Clock.
     """
 
@@ -33,7 +33,7 @@ class Launched:
         self._folder = folder
         self._clock = clock
         self.processes: dict[str, subprocess.Popen[str]] = {}
-        """By name."""
+        """The processes, by name."""
 
     def start(self, name: str, arguments: Sequence[str]) -> None:
         """Start `python -m` with `arguments`: the module and its options."""
@@ -45,16 +45,16 @@ class Launched:
                 stderr=log,
                 text=True,
                 env={**os.environ, **_ONE_THREAD},
-                # Ctrl-C is for whoever started them, and who ends them last.
+                # Ctrl-C is handled by the parent, which ends the processes last.
                 start_new_session=True,
             )
 
     def wait_ready(self) -> None:
-        """Wait until each has said that it listens.
+        """Wait until each process has printed that it listens.
 
         Raises:
-            ConfigError: One lacks a library, of an extra that is not installed.
-            DeviceLost: One did not, with its last word.
+            ConfigError: A library is missing, from an extra that is not installed.
+            DeviceLost: A process did not become ready; names it, with its last line of output.
         """
         for name, process in self.processes.items():
             stdout = process.stdout
@@ -76,10 +76,10 @@ class Launched:
                 raise DeviceLost(f"{name} emulator did not start: {word}")
 
     def check(self) -> None:
-        """Notice one that ended on its own.
+        """Raise if a process has ended by itself.
 
         Raises:
-            DeviceLost: Names it, with its last word.
+            DeviceLost: Names it, with its last line of output.
         """
         for name, process in self.processes.items():
             if process.poll() is not None:
@@ -87,12 +87,12 @@ class Launched:
                 raise DeviceLost(f"{name}: its emulator ended (code {process.returncode}): {word}")
 
     def last_word(self, name: str) -> str:
-        """The last line it said on stderr."""
+        """Return the last line that a process wrote to stderr."""
         lines = (self._folder / f"{name}.log").read_text().strip().splitlines()
-        return lines[-1] if lines else "no word from it"
+        return lines[-1] if lines else "no output"
 
     def close(self) -> None:
-        """End them all; safe twice."""
+        """End all processes; may be called twice."""
         for process in self.processes.values():
             process.terminate()
         for process in self.processes.values():
@@ -107,13 +107,13 @@ class Launched:
 
 
 class StartedOrClosed:
-    """A context manager that closes what it has started, also when the start fails half-way."""
+    """Context manager that closes everything it started, even if the start fails half-way."""
 
     def _start(self) -> None:
         raise NotImplementedError
 
     def close(self) -> None:
-        """End what was started; safe twice."""
+        """End everything that was started; may be called twice."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:

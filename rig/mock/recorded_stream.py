@@ -1,4 +1,4 @@
-"""A recorded session as a sensor: an emulator plays it, the driver of the lab reads it."""
+"""A recorded session as a sensor: an emulator plays it, the lab's driver reads it."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rig.mock.cue import ENDED
 from rig.mock.players import Players, replay_bench
 from rig.mock.processes import StartedOrClosed
 
+# The first run: later ones were recorded after a stop.
 _RUN = 0
-# The first: later ones are what was recorded after a stop.
 _LEAD_NS = SECOND_NS // 10
+# Frames before the session's first reference that are taken as untouched.
 _UNTOUCHED = 10
-# Frames up to the session's first reference that are taken for untouched.
 
 
 class ReplayedSensor(StartedOrClosed):
-    """Camera or taxels of a session at the recorded times, as a context manager.
+    """Context manager that plays the camera or taxels of a session at the recorded times.
 
     Args:
         path: The session.
@@ -38,9 +38,9 @@ class ReplayedSensor(StartedOrClosed):
     def __init__(self, path: Path, folder: Path, clock: Clock) -> None:
         self._session = Session(path)
         self.stream = _stream(self._session, path)
-        """camera or taxels."""
+        """Name of the stream: camera or taxels."""
         self.sensor = str(self._session.attrs.get("sensor", ""))
-        """What the session calls it."""
+        """Name of the sensor in the session."""
         self._clock = clock
         self._start_ns = 0
         self._closed = False
@@ -52,7 +52,7 @@ class ReplayedSensor(StartedOrClosed):
         bench = replay_bench(self._session, names, host, 1.0)
         self._timeout = bench.preflight.timeout
         kind = KINDS[self.stream]
-        # The player looks here how many rows were taken, so as not to run ahead of a slow reader.
+        # The player reads the number of rows taken here, to wait for a slow reader.
         self._latest = LatestRecord.create(folder / f"{self.stream}.latest", kind.latest)
         self._players = Players(path, names, _RUN, host, folder, clock, speed=1.0)
         self.driver: Driver = _Counted(make_driver(bench, self.stream, clock), self._latest, kind)
@@ -62,28 +62,28 @@ class ReplayedSensor(StartedOrClosed):
         self.driver.open(self._timeout)
 
     def play(self) -> None:
-        """Start the tape."""
+        """Start playback."""
         self._start_ns = self._clock.now_ns() + _LEAD_NS
         self._players.cue(self._start_ns)
 
     def over(self) -> bool:
-        """Whether the last row was sent."""
+        """Return True if the last row was sent."""
         positions = self._players.positions().values()
         return all(one is not None and one["state"] == ENDED for one in positions)
 
     def check(self) -> None:
-        """Notice a player that ended or failed.
+        """Raise if a player ended or failed.
 
         Raises:
-            DeviceLost: Names it, with its last word.
+            DeviceLost: Names it, with its last line of output.
         """
         self._players.check()
 
     def untouched(self) -> np.ndarray | None:
-        """Pictures (n, h, w, 3) or counts (n, 16, 3) up to the first reference; None without one.
+        """Return images (n, h, w, 3) or counts (n, 16, 3) up to the first reference, None without.
 
         Raises:
-            SessionError: They are damaged.
+            SessionError: The images are corrupt.
         """
         reference = self._session.reference
         stream = self._session.streams[self.stream]
@@ -102,7 +102,7 @@ class ReplayedSensor(StartedOrClosed):
         return np.asarray(stream.array("value"))[rows]
 
     def wrench(self, t_ns: np.ndarray) -> np.ndarray:
-        """What was recorded (n, 6) [N, N m] when frames came now at times (n,); NaN without."""
+        """Return the recorded wrench (n, 6) [N, N m] of frames arriving at (n,); NaN if none."""
         session = self._session
         if "force" not in session.streams:
             return np.full((len(t_ns), 6), np.nan)
@@ -113,7 +113,7 @@ class ReplayedSensor(StartedOrClosed):
         return linear(force.t_ns[rows], value, recorded).value
 
     def close(self) -> None:
-        """End driver and player; safe twice."""
+        """End driver and player; may be called twice."""
         if self._closed:
             return
         self._closed = True
@@ -124,7 +124,7 @@ class ReplayedSensor(StartedOrClosed):
 
 
 class _Counted:
-    """A driver whose samples are counted where the player looks."""
+    """Driver that publishes its count of samples for the player."""
 
     def __init__(self, driver: Driver, latest: LatestRecord, kind: Any) -> None:
         self._driver, self._latest, self._kind = driver, latest, kind

@@ -1,1 +1,1 @@
-"""Forces of a sensor while it is touched, by a model that `learning` trained."""
+"""Live forces of a touched sensor, predicted by a model trained with `learning`."""

@@ -1,7 +1,7 @@
-"""Frames in, forces out: the loop of `python -m rig live`, and what it found.
+"""Main loop of `python -m rig live`: predicts the force of each frame, and summarises.
 
-Only the newest frame is looked at: what came while the one before was worked on is skipped and
-counted. Latency is from a frame's arrival in this computer to its force.
+Only the newest frame is used; frames that arrive during a prediction are skipped and counted.
+Latency is from a frame's arrival in this computer to its force.
 """
 
 from __future__ import annotations
@@ -22,44 +22,44 @@ from rig.core.errors import ConfigError
 from rig.monitor.predictor import Predictor, Reading
 from rig.monitor.watched import Watched
 
+# Longest wait for the next frame before the time is checked again [s].
 _WAIT = 0.1
-# For the next frame, before looking at the time again [s].
 _SHAPE = (480, 640, 3)
 _COLUMNS = ("t_ns", "Fx_N", "Fy_N", "Fz_N", "contact", "latency_ms")
+# Most forces kept for the summary; in longer sessions the rest is only in the file.
 _KEEP = 1_000_000
-# Forces that are kept for the summary; those of a longer watch are in the file alone.
 
 
 class Stop(Protocol):
-    """Tells when to end."""
+    """Stop request."""
 
     @property
     def requested(self) -> bool:
-        """Whether somebody asked for it."""
+        """True if the end was requested."""
 
 
 @dataclass(slots=True)
 class Seen:
-    """What was watched."""
+    """Results of watching a sensor."""
 
     frames: int = 0
     """Frames with a force."""
     skipped: int = 0
-    """Frames that a newer one was there for."""
+    """Frames skipped for a newer one."""
     lost: int = 0
-    """Frames that the driver could not keep, or that were damaged."""
+    """Frames that the driver could not keep, or that were corrupt."""
     seconds: float = 0.0
-    """From the first force to the last [s]."""
+    """Time from the first force to the last [s]."""
     latency: list[float] = field(default_factory=list)
-    """Frame in to force out [s]."""
+    """Time from frame in to force out [s]."""
     shown_ns: list[int] = field(default_factory=list)
-    """When the sensor was as it was seen [ns]."""
+    """Times of the sensor states shown in the frames [ns]."""
     force: list[tuple[float, float, float]] = field(default_factory=list)
-    """What was said of it [N]."""
+    """Predicted forces [N]."""
     first_ns: int | None = None
 
     def add(self, reading: Reading, t_ns: int, now_ns: int, shown_ns: int) -> float:
-        """Note a force that came out at `now_ns`; its latency [s]."""
+        """Record a force that was available at `now_ns` and return its latency [s]."""
         self.first_ns = now_ns if self.first_ns is None else self.first_ns
         self.frames += 1
         self.seconds = (now_ns - self.first_ns) / SECOND_NS
@@ -72,13 +72,13 @@ class Seen:
 
     @property
     def rate_hz(self) -> float:
-        """Forces a second."""
+        """Forces per second."""
         return (self.frames - 1) / self.seconds if self.seconds > 0 else 0.0
 
     def lines(self, wrench: np.ndarray | None = None) -> Iterator[str]:
-        """The summary; with the wrench (n, 6) that was there, how far the forces are from it."""
+        """Yield the summary; given the true wrench (n, 6), with the error of the forces."""
         if not self.frames:
-            yield "no force: no frame came after the untouched ones"
+            yield "no force: no frame arrived after the untouched ones"
             return
         yield (
             f"{self.frames:,} forces in {self.seconds:.1f} s, {self.rate_hz:.1f} a second; "
@@ -97,7 +97,7 @@ class Seen:
             f"{axis} {here:.2f} N (of {there:.2f})"
             for axis, here, there in zip(("Fx", "Fy", "Fz"), error, most, strict=True)
         )
-        yield f"mean absolute error against the force that was there: {text}"
+        yield f"mean absolute error compared with the true force: {text}"
 
 
 def watch(
@@ -111,20 +111,20 @@ def watch(
     told: Callable[[Reading, float], None] = lambda reading, latency: None,
     out: Path | None = None,
 ) -> None:
-    """Watch until it is over, the time is up, or somebody asks to stop.
+    """Watch until the frames end, the time is up, or a stop is requested.
 
     Args:
         watched: An opened sensor.
-        predictor: Says the force of each frame.
+        predictor: Predicts the force of each frame.
         clock: Clock.
-        stop: Looked at after every frame.
-        seen: Where everything is noted, whatever ends it.
-        seconds: How long, from the first force on [s]; None: until it is over.
+        stop: Checked after every frame.
+        seen: Receives all results, even if an error ends the loop.
+        seconds: Duration from the first force on [s]; None: until the frames end.
         told: Called with each force and its latency [s].
         out: CSV file to write; must not exist.
 
     Raises:
-        ConfigError: The file exists, or frames that the predictor cannot use.
+        ConfigError: The file exists, or the predictor cannot use the frames.
         DeviceLost: The sensor fell silent.
     """
     with _recording(out) as record:
@@ -161,10 +161,10 @@ def _enough(seen: Seen, seconds: float | None) -> bool:
 
 
 def _frame(watched: Watched, sample: dict[str, Any]) -> Any:
-    """What the predictor takes: pixels (480, 640, 3), or counts (16, 3).
+    """Return the input of the predictor: pixels (480, 640, 3) or counts (16, 3).
 
     Raises:
-        SessionError: A damaged JPEG.
+        SessionError: The JPEG is corrupt.
     """
     value = sample["value"]
     return decode_jpeg(value, _SHAPE) if isinstance(value, bytes) else value
@@ -172,9 +172,9 @@ def _frame(watched: Watched, sample: dict[str, Any]) -> Any:
 
 @contextlib.contextmanager
 def _recording(out: Path | None) -> Iterator[Callable[[tuple[Any, ...]], None]]:
-    """What appends a row to a CSV file; each is on its way to the disk at once.
+    """Yield a function that appends a row to a CSV file and flushes it.
 
-    A file in which there is no row is not left behind.
+    A file without any row is removed.
     """
     if out is None:
         yield lambda row: None
@@ -202,18 +202,18 @@ def _recording(out: Path | None) -> Iterator[Callable[[tuple[Any, ...]], None]]:
             out.unlink()
 
 
-# The line to watch: the newest force, rewritten ten times a second on a terminal.
+# Output line: the newest force, rewritten ten times per second on a terminal.
 
 _ON_TERMINAL_NS, _ELSEWHERE_NS = SECOND_NS // 10, SECOND_NS
 _CLEAR = "\x1b[K"
 
 
 class ForceLine:
-    """Prints forces, no more often than can be read.
+    """Prints forces at a readable rate.
 
     Args:
         clock: Clock.
-        out: Where to write.
+        out: Output stream.
     """
 
     def __init__(self, clock: Clock, out: TextIO) -> None:
@@ -223,7 +223,7 @@ class ForceLine:
         self._open = False
 
     def __call__(self, reading: Reading, latency: float) -> None:
-        """Show a force and its latency [s], if it is time to."""
+        """Show a force and its latency [s], if the line is due."""
         now_ns = self._clock.now_ns()
         if now_ns < self._due_ns:
             return
@@ -238,7 +238,7 @@ class ForceLine:
         self._out.flush()
 
     def close(self) -> None:
-        """Leave the last line standing; safe twice."""
+        """End the line and leave it on the terminal; may be called twice."""
         if self._open:
             self._out.write("\n")
             self._out.flush()

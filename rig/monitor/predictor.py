@@ -1,4 +1,4 @@
-"""The one door from the bench to a force model: `learning` is imported when it is opened."""
+"""Access of the bench to force models; `learning` is imported only when a model is opened."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.core.errors import ConfigError
 
 
 class Reading(Protocol):
-    """What a predictor says of one frame."""
+    """Prediction for one frame."""
 
     @property
     def force(self) -> tuple[float, float, float]:
@@ -17,33 +17,33 @@ class Reading(Protocol):
 
     @property
     def contact(self) -> bool:
-        """Whether the sensor is touched."""
+        """True if the sensor is touched."""
 
 
 class Predictor(Protocol):
-    """Frame after frame in, force after force out."""
+    """Predicts a force for each frame."""
 
     def begin(self, frames: Any) -> None:
-        """Take the untouched sensor from frames without contact (n, ...)."""
+        """Set the untouched reference from frames without contact (n, ...)."""
 
     def step(self, frame: Any) -> Reading | None:
-        """The force of a picture (h, w, 3) uint8 or of counts (16, 3); None: not yet begun."""
+        """Return the force of an image (h, w, 3) uint8 or counts (16, 3); None before begin."""
 
 
 def open_predictor(
     model: Path, *, runtime: str, sensor: str, preset: str | None, threads: int
 ) -> Predictor:
-    """The predictor of a trained force model.
+    """Open a trained force model.
 
     Args:
-        model: Its folder.
+        model: Folder of the model.
         runtime: onnx, openvino, openvino-bf16 or torch.
-        sensor: Name of the sensor, which tells how markers are found.
-        preset: Name or file that says it instead.
-        threads: Of a step; 0: what the runtime thinks best.
+        sensor: Name of the sensor, which selects the marker detection preset.
+        preset: Name or file of a preset to use instead.
+        threads: Threads per step; 0: the runtime's choice.
 
     Raises:
-        ConfigError: No such model or preset, or the extra `learning` is not installed.
+        ConfigError: Model or preset do not exist, or the extra `learning` is not installed.
     """
     try:
         from learning.errors import LearningError
@@ -63,16 +63,16 @@ def open_predictor(
 
 
 class _Careful:
-    """A predictor whose errors are the rig's."""
+    """Predictor whose errors are raised as the rig's."""
 
     def __init__(self, predictor: Predictor, error: type[Exception]) -> None:
         self._predictor, self._error = predictor, error
 
     def begin(self, frames: Any) -> None:
-        """The same.
+        """Call the predictor's `begin`.
 
         Raises:
-            ConfigError: Frames that cannot be used, or that are not untouched.
+            ConfigError: The frames are invalid, or show contact.
         """
         try:
             self._predictor.begin(frames)
@@ -80,10 +80,10 @@ class _Careful:
             raise ConfigError(str(error)) from error
 
     def step(self, frame: Any) -> Reading | None:
-        """The same.
+        """Call the predictor's `step`.
 
         Raises:
-            ConfigError: A frame that cannot be used: another size, or touched at the beginning.
+            ConfigError: The frame is invalid: another size, or contact at the beginning.
         """
         try:
             return self._predictor.step(frame)

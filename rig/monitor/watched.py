@@ -1,4 +1,4 @@
-"""What is watched live: the sensor of a lab bench, of a mock bench, or of a recorded session."""
+"""Sensors to watch live: that of a lab bench, of a mock bench, or of a recorded session."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ Times = np.ndarray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Watched:
-    """An opened sensor."""
+    """Open sensor."""
 
     sensor: str
-    """Its name."""
+    """Name of the sensor."""
     stream: str
-    """camera or taxels."""
+    """Name of its stream: camera or taxels."""
     driver: Driver
-    """Opened."""
+    """Open driver."""
     untouched: np.ndarray | None = None
-    """Frames that are known to be without contact; None: the first that come have to be."""
+    """Frames known to be without contact; None: the first to arrive must be."""
     begin: Callable[[], None] = lambda: None
-    """Lets happen what there is to see, where somebody has to: an untouched moment comes first."""
+    """Starts the presses of a mock bench; called after the untouched frames."""
     over: Callable[[], bool] = lambda: False
-    """Whether nothing more will come."""
+    """Returns True if no more frames will come."""
     check: Callable[[], None] = lambda: None
-    """Notices emulators that ended; raises DeviceLost."""
+    """Raises DeviceLost if an emulator has ended."""
     shown_ns: Callable[[dict[str, Any]], int] = lambda sample: int(sample["t_ns"])
-    """Time that `wrench` is asked for, of a sample [ns]."""
+    """Returns the time of a sample for `wrench` [ns]."""
     wrench: Callable[[Times], np.ndarray] | None = None
-    """Wrench (n, 6) at times (n,) [ns], where it is known [N, N m]."""
+    """Returns the true wrench (n, 6) [N, N m] at times (n,) [ns]; None if unknown."""
 
 
 @contextlib.contextmanager
 def lab_bench(bench: Bench, clock: Clock) -> Iterator[Watched]:
-    """The sensor of a lab bench. Nothing moves: the arm is not even asked.
+    """Open the sensor of a lab bench. Nothing moves: no connection is made to the arm.
 
     Raises:
-        ConfigError, DeviceLost: It refuses, or does not answer.
+        ConfigError, DeviceLost: The sensor rejects its settings or does not answer.
     """
     stream = _stream(bench)
     driver = make_driver(bench, stream, clock)
@@ -65,10 +65,10 @@ def lab_bench(bench: Bench, clock: Clock) -> Iterator[Watched]:
 def mock_bench(
     content: dict[str, Any], where: str, folder: Path, clock: Clock, *, rate_hz: float | None
 ) -> Iterator[Watched]:
-    """The emulated sensor of a mock bench, which a finger presses once `begin` is called.
+    """Open the emulated sensor of a mock bench; a finger presses it once `begin` is called.
 
     Raises:
-        ConfigError, DeviceLost: A bench that is none, or an emulator that does not start.
+        ConfigError, DeviceLost: This is no mock bench, or an emulator does not start.
     """
     with (
         TouchedMock(content, where, folder, rate_hz=rate_hz) as mock,
@@ -87,10 +87,10 @@ def mock_bench(
 
 @contextlib.contextmanager
 def replayed(path: Path, folder: Path, clock: Clock) -> Iterator[Watched]:
-    """The sensor of a recorded session, at the recorded times.
+    """Open the sensor of a recorded session, played at the recorded times.
 
     Raises:
-        SessionError, DeviceLost: A session that cannot be played.
+        SessionError, DeviceLost: The session cannot be played.
     """
     with ReplayedSensor(path, folder, clock) as tape:
         untouched = tape.untouched()
@@ -111,7 +111,7 @@ def _stream(bench: Bench) -> str:
 
 
 def _stamped(sample: dict[str, Any]) -> int:
-    """When the World was as an emulated sensor shows it: taxels are read when they are sent."""
+    """Return the World's time shown by an emulated sensor; taxels are read when they are sent."""
     value = sample["value"]
     stamp = frame_stamp(value) if isinstance(value, bytes) else None
     return int(sample["t_ns"]) if stamp is None else stamp[1]

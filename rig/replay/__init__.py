@@ -1,1 +1,1 @@
-"""A recorded session played back through mock hardware: emulators send it, drivers record it."""
+"""Playback of a recorded session through emulators, recorded again by the real drivers."""

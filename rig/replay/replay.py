@@ -1,8 +1,8 @@
 """Replay of a session: its streams sent by emulators, recorded again by the real drivers.
 
-Passive: no arm is commanded. Runs are replayed one after the other, each with emulators, drivers
-and a clock anchor of its own, as `collect --resume` would record them; so device clocks and
-sequence numbers that start anew with a run do so in the replay.
+No arm is commanded. Runs are replayed one after the other, each with its own emulators, drivers
+and clock anchor, as `collect --resume` would record them; device clocks and sequence numbers that
+restart with a run therefore restart in the replay too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rig.replay.run import ReadingProgress, ReplayedRun
 logger = logging.getLogger(__name__)
 
 EXIT_DIFFERENT = 1
-# Attributes of the source that hold for the replay too.
+# Attributes of the source that also apply to the replay.
 _COPIED = (
     *("sensor", "indenter", "operator", "plan", "targets_wanted", "bench", "contact_frame"),
     *("calibration", "imported", "mock_sources"),
@@ -45,25 +45,25 @@ _OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "
 
 @dataclass(frozen=True, slots=True)
 class ReplayOrder:
-    """What the operator asked for."""
+    """Request of the operator."""
 
     source: Path
     """The session to replay."""
     out: Path
     """The session to write."""
     speed: float = 1.0
-    """Times the recorded one; 0: as fast as the drivers read."""
+    """Multiple of the recorded speed; 0: as fast as the drivers read."""
     without: tuple[str, ...] = ()
     """Streams to leave out."""
 
     @property
     def speed_name(self) -> float | str:
-        """As it is stored and shown."""
+        """Speed as it is stored and shown."""
         return self.speed if self.speed > 0 else "max"
 
 
 class Replay:
-    """One replay, from the first look at the source to the last printed line."""
+    """One replay, from checking the source to the final summary."""
 
     def __init__(self, order: ReplayOrder) -> None:
         self._order = order
@@ -74,7 +74,7 @@ class Replay:
         self._start_ns: dict[int, int] = {}
 
     def run(self) -> int:
-        """Replay; the exit code. Whatever ends it, what was recorded is closed and readable.
+        """Replay and return the exit code; recorded data is closed and readable however it ends.
 
         Raises:
             SessionError, DeviceLost, Interrupted: Before anything was recorded.
@@ -90,7 +90,7 @@ class Replay:
             try:
                 self._replay_runs(names, hashes, interrupt)
             except BaseException as error:
-                # Whatever it is: the session is closed before anything else.
+                # On any error, the session is closed before anything else.
                 stop = error
             if self._writer is None:
                 if stop is not None:
@@ -184,13 +184,13 @@ class Replay:
     ) -> None:
         if stop is not None:
             for name in names:
-                # A stream whose process was killed has rows that only a writer brings back.
+                # A stream whose process was killed has rows that only a writer recovers.
                 StreamWriter.open(writer.stream_path(name)).close()
         replay = Session(writer.path)
         runs = list(self._start_ns)
         for place, run in enumerate(runs):
             start_ns = self._start_ns[run]
-            # A run without any row has no counterpart: runs of the replay are numbered anew.
+            # A run without any row has no counterpart, so runs of the replay are renumbered.
             if place != run:
                 logger.warning("run %d of the source is run %d of the replay", run, place)
             self._maps[run] = retiming(
@@ -224,11 +224,11 @@ class Replay:
             status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
         writer.finish(status, reason, rate_hz=self._source.rate_hz * self._faster(replay, names))
         if self._order.speed == 1.0:
-            # At another speed the devices' clocks run as much slower than the host's.
+            # At another speed the devices' clocks are slower than the host's by that factor.
             fit_clocks(writer.path)
 
     def _faster(self, replay: Session, names: tuple[str, ...]) -> float:
-        """How many times faster than recorded it went."""
+        """Return the playback speed relative to the recording."""
         if self._order.speed > 0:
             return self._order.speed
         recorded = sum(span(self._source, names, run) for run in self._start_ns)

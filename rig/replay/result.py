@@ -1,4 +1,4 @@
-"""What a replay came to: the same bytes, and how far from the recorded times they arrived."""
+"""Results of a replay: equality of the bytes, and deviation from the recorded times."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Retiming:
-    """Recorded times of one run on the clock of its replay."""
+    """Maps recorded times of one run to the clock of its replay."""
 
     origin_ns: int
     """Recorded time of the run's first sample [ns]."""
     start_ns: int
-    """When it was due in the replay [ns]."""
+    """Time at which that sample was due in the replay [ns]."""
     speed: float
-    """Times the recorded one; 0: the tables below hold instead."""
+    """Multiple of the recorded speed; 0: the tables below are used instead."""
     recorded_ns: Ints
-    """Times of the rows of the run's densest stream (n,), as recorded [ns]."""
+    """Recorded times of the rows of the run's densest stream (n,) [ns]."""
     replayed_ns: Ints
-    """And as replayed (n,) [ns]."""
+    """Replayed times of the same rows (n,) [ns]."""
 
     def __call__(self, t_ns: Ints) -> Ints:
-        """`t_ns` (n,) on the replay's clock: one offset and the speed, or between rows [ns]."""
+        """Map `t_ns` (n,) to the replay's clock [ns], by offset and speed or between rows."""
         since = np.asarray(t_ns, np.int64) - self.origin_ns
         if self.speed == 1.0:
             return since + self.start_ns
@@ -39,7 +39,7 @@ class Retiming:
             return np.rint(since / self.speed).astype(np.int64) + self.start_ns
         if not len(self.recorded_ns):
             return since + self.start_ns
-        # Differences to the first: float64 holds those to the nanosecond, not times since boot.
+        # Differences from the first: float64 holds those to the nanosecond, not times since boot.
         first, first_new = self.recorded_ns[0], self.replayed_ns[0]
         known = np.maximum.accumulate(self.recorded_ns) - first
         between = np.interp(t_ns - first, known, self.replayed_ns - first_new)
@@ -49,7 +49,7 @@ class Retiming:
 def retiming(
     source: Session, replay: Session, names: tuple[str, ...], run: int, start_ns: int, speed: float
 ) -> Retiming:
-    """How the times of a run of `source` map to those of `replay`, as far as it was recorded."""
+    """Return the map from a run's times in `source` to `replay`, as far as it was recorded."""
     densest = max(names, key=lambda name: _length(source, name, run))
     old = source.streams[densest].t_ns[source.rows_of_run(densest, run)]
     new = replay.streams[densest].t_ns[replay.rows_of_run(densest, run)]
@@ -59,7 +59,7 @@ def retiming(
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Arrival less the recorded time on the replay's clock, over the rows of a stream [s]."""
+    """Arrival minus the recorded time on the replay's clock, over the rows of a stream [s]."""
 
     p50: float
     p99: float
@@ -69,13 +69,13 @@ class Timing:
 def timing(
     source: Session, replay: Session, name: str, maps: Mapping[int, Retiming]
 ) -> Timing | None:
-    """The timing error of a stream over all its runs; None without rows.
+    """Return the timing error of a stream over all its runs; None without rows.
 
     Args:
-        source: What was replayed.
-        replay: What came of it.
-        name: The stream.
-        maps: The times of each run.
+        source: The replayed session.
+        replay: Its replay.
+        name: Name of the stream.
+        maps: Time map of each run.
     """
     errors = []
     for run, to_new in maps.items():
@@ -93,12 +93,12 @@ def timing(
 def compared(
     source: Mapping[str, str], replay: Mapping[str, str], rows: Mapping[str, int]
 ) -> tuple[bool, list[str]]:
-    """Whether all digests are equal, and a line for each stream.
+    """Return True if all digests are equal, and a line for each stream.
 
     Args:
         source: Digests of the source's streams.
-        replay: Digests of the replay's.
-        rows: Rows of the replay's.
+        replay: Digests of the replay's streams.
+        rows: Row counts of the replay's streams.
     """
     lines = []
     for name, digest in source.items():
@@ -111,9 +111,9 @@ def compared(
 
 
 def timing_line(name: str, error: Timing) -> str:
-    """One line about the timing error of a stream."""
+    """Return a line about the timing error of a stream."""
     return (
-        f"{name:<7} arrival less recorded time: p50 {1e3 * error.p50:+.3f} ms  "
+        f"{name:<7} arrival minus recorded time: p50 {1e3 * error.p50:+.3f} ms  "
         f"p99 {1e3 * error.p99:+.3f} ms  largest {1e3 * error.largest:+.3f} ms"
     )
 
@@ -124,7 +124,7 @@ def _length(session: Session, name: str, run: int) -> int:
 
 
 def covered_ns(replay: Session, names: tuple[str, ...], run: int) -> int:
-    """Up to when every stream of a run has rows [ns]."""
+    """Return the time up to which every stream of a run has rows [ns]."""
     last = []
     for name in names:
         times = replay.streams[name].t_ns[replay.rows_of_run(name, run)]
@@ -133,7 +133,7 @@ def covered_ns(replay: Session, names: tuple[str, ...], run: int) -> int:
 
 
 def span(session: Session, names: tuple[str, ...], run: int) -> float:
-    """Time from the first to the last row of a run in any stream [s]."""
+    """Return the time from the first to the last row of a run in any stream [s]."""
     ends = []
     for name in names:
         times = session.streams[name].t_ns[session.rows_of_run(name, run)]

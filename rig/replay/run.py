@@ -1,4 +1,4 @@
-"""One run being replayed: emulators and drivers, from the first connection to the last row."""
+"""Replay of one run: emulators and drivers, from the first connection to the last row."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from rig.mock.players import Players
 
 logger = logging.getLogger(__name__)
 
-# How far a replay has come: when a run has ended, and when it never will.
+# Conditions for the end of a run, and for giving up on it.
 
-# After its emulator has sent all, a stream may take so long to have all rows [s].
+# Longest time for a stream's last rows to arrive after its emulator has sent them all [s].
 MISSING_TIMEOUT = 5.0
-# With rows left to send, nothing may happen for so long on top of the longest recorded gap [s].
+# Longest time without progress while rows are left, added to the longest recorded gap [s].
 STALL_TIMEOUT = 30.0
 _SAY_PROGRESS_NS = 2 * SECOND_NS
 
 
 class EndOfTape:
-    """Judges, from time to time, whether every stream has every row.
+    """Checks repeatedly if every stream has all its rows.
 
     Args:
         totals: Rows of the run, by stream.
-        gap: Longest time in which the tape itself holds no row [s].
+        gap: Longest time without a row in the recording itself [s].
     """
 
     def __init__(self, totals: Mapping[str, int], gap: float) -> None:
@@ -50,16 +50,16 @@ class EndOfTape:
     def reached(
         self, now_ns: int, taken: Mapping[str, int], positions: Mapping[str, np.void | None]
     ) -> bool:
-        """Whether all rows of all streams have been taken.
+        """Return True if all rows of all streams have been taken.
 
         Args:
-            now_ns: The time [ns].
+            now_ns: Current time [ns].
             taken: Rows taken by each stream's process.
             positions: POSITION of each emulator.
 
         Raises:
-            DeviceLost: A stream has more rows than the tape, or will never have all: names the
-                stream and how many rows are missing.
+            DeviceLost: A stream has more rows than were recorded, or will never have all. The
+                message names the stream and the number of missing rows.
         """
         for name, total in self._totals.items():
             if taken[name] > total:
@@ -87,15 +87,15 @@ class EndOfTape:
         stalled = (now_ns - max(self._changed_ns.values())) / SECOND_NS
         if not moving and stalled > STALL_TIMEOUT + self._gap:
             left = {name: total - taken[name] for name, total in self._totals.items()}
-            raise DeviceLost(f"replay: nothing happens for {stalled:.0f} s; rows missing: {left}")
+            raise DeviceLost(f"replay: no progress for {stalled:.0f} s; rows missing: {left}")
         return False
 
 
 class ReadingProgress:
-    """Says every other second how far reading of images has come.
+    """Logs the progress of reading images, every other second.
 
     Args:
-        what: The word for it.
+        what: Verb for the log line.
         clock: Clock.
     """
 
@@ -106,7 +106,7 @@ class ReadingProgress:
         self._due_ns = self._start_ns + _SAY_PROGRESS_NS
 
     def __call__(self, done: int, total: int) -> None:
-        """Say that `done` of `total` images are read, when it is time to."""
+        """Log that `done` of `total` images are read, if a line is due."""
         now_ns = self._clock.now_ns()
         if now_ns < self._due_ns:
             return
@@ -115,27 +115,27 @@ class ReadingProgress:
         logger.info("%s: image %d of %d, %s left", self._what, done, total, minutes(left))
 
 
-# Samples a driver hands on before the tape starts: what it needed to open.
+# Samples that a driver delivers before playback starts, because it needs them to open.
 _LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "camera": 0}
 _SETTLE_NS = SECOND_NS // 5
 _SETTLE_TIMEOUT = 10.0
+# Time from the cue to the start of playback; emulators poll the cue 200 times per second.
 _LEAD_NS = SECOND_NS // 10
-# The tape starts this long after the cue: emulators look for it 200 times a second.
 _LOOK_NS = SECOND_NS // 50
 _SAY_NS = 5 * SECOND_NS
 
 
 class ReplayedRun:
-    """Emulators and streams of one run, as a context manager.
+    """Context manager for the emulators and streams of one run.
 
     Args:
-        source: The session that is replayed.
+        source: The session to replay.
         names: Its streams to replay.
-        run: Which of its runs.
+        run: Number of the run.
         bench: Addresses of the emulators.
         folder: Empty run folder.
         clock: Clock.
-        speed: Times the recorded one; 0: as fast as read.
+        speed: Multiple of the recorded speed; 0: as fast as read.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class ReplayedRun:
         self.totals = {name: len(tape.rows) for name, tape in tapes.items()}
         ends = [int(tape.t_ns.max()) for tape in tapes.values() if len(tape.t_ns)]
         self.seconds = max(ends, default=0) / SECOND_NS
-        """Length of the tape as recorded [s]."""
+        """Recorded duration of the run [s]."""
         times = np.sort(np.concatenate([[0], *(tape.t_ns for tape in tapes.values())]))
         self._gap = float(np.diff(times).max(initial=0)) / SECOND_NS / (speed or 1.0)
         self._players: Players | None = None
@@ -194,13 +194,13 @@ class ReplayedRun:
                 players.close()
 
     def open(self, interrupt: InterruptFlag) -> dict[str, dict[str, Any]]:
-        """Open every driver; the facts of the devices, by stream.
+        """Open every driver and return the facts of the devices, by stream.
 
-        The camera's comes last: its driver waits for the next frame with a time-out that closing
-        would have to wait for as well, so that one is short.
+        The camera's is opened last: its driver waits for the next frame with a timeout that also
+        delays closing, so that timeout is short.
 
         Raises:
-            ConfigError, DeviceLost, Interrupted: What the first driver to fail found.
+            ConfigError, DeviceLost, Interrupted: A driver failed; the first failure is raised.
         """
         facts = {}
         early = [name for name in self._names if name != "camera"]
@@ -218,7 +218,7 @@ class ReplayedRun:
         return facts
 
     def spec(self, name: str, facts: dict[str, Any], attrs: dict[str, Any]) -> StreamSpec:
-        """How a stream is stored: its device as the driver found it, the rest as in the source."""
+        """Return a stream's storage spec: device as found by the driver, rest from the source."""
         rate_hz = self._source.streams[name].rate_hz
         return stream_spec(self._bench, name, facts, rate_hz, **attrs)
 
@@ -227,7 +227,7 @@ class ReplayedRun:
         self._handles[name].record(path)
 
     def cue(self) -> int:
-        """Start the tape; when its first row is due [ns]."""
+        """Start playback and return the time at which its first row is due [ns]."""
         players = self._started()
         self._base = {name: record.count for name, record in self._latest.items()}
         start_ns = self._clock.now_ns() + _LEAD_NS
@@ -235,10 +235,10 @@ class ReplayedRun:
         return start_ns
 
     def watch(self, interrupt: InterruptFlag) -> None:
-        """Return when every stream has every row.
+        """Wait until every stream has all its rows.
 
         Raises:
-            DeviceLost, SessionError, Interrupted: What ended it before.
+            DeviceLost, SessionError, Interrupted: The run ended before that.
         """
         players = self._started()
         end = EndOfTape(self.totals, self._gap)
@@ -258,10 +258,10 @@ class ReplayedRun:
             self._clock.sleep_until(now_ns + _LOOK_NS)
 
     def _settle(self, interrupt: InterruptFlag) -> None:
-        """Wait until what the drivers needed to open has gone through: no row may be among it.
+        """Wait until the samples that the drivers needed to open have passed; they hold no row.
 
         Raises:
-            DeviceLost: It does not come.
+            DeviceLost: A driver shows no sample.
         """
         begun_ns = changed_ns = self._clock.now_ns()
         before: dict[str, int] = {}

@@ -1,1 +1,1 @@
-"""The verbs of `python -m sim`: a file each, with `add_to` and `run`."""
+"""Subcommands of `python -m sim`: one file each, with `add_to` and `run`."""

@@ -1,4 +1,4 @@
-"""`python -m sim archive`: archives of simulated sensors, begun, resumed and drawn."""
+"""`python -m sim archive`: create, resume and draw archives of simulated sensors."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 EXIT_STOPPED, EXIT_INTERRUPTED = 2, 130
 GROUPS = ("homogeneous", "material", "heterogeneous")
-# Indenters with --smoke, and elements that a thickness is high.
+# Indenters with --smoke, and elements over the thickness.
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
 SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
-# Presses that a GPU solves at once: all of the paper's.
+# Presses that a GPU solves in one launch: all of the paper's.
 TOGETHER_GPU = 162
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the subcommand and its kinds of archive."""
     parser = verbs.add_parser(
         "archive",
         help="marker archives: the paper's states, its trajectories on our sensors; pictures",
         description="Makes archives of binary marker images with forces and displacement. Started "
-        "again with the same options it goes on where it was; so does `resume PATH`.",
+        "again with the same options, it continues where it stopped; so does `resume PATH`.",
     )
     kinds = parser.add_subparsers(dest="kind", required=True)
     states = kinds.add_parser(
@@ -49,34 +49,34 @@ def add_to(verbs: Verbs) -> None:
     )
     sensors.add_argument("--group", choices=GROUPS, help="sensors of one of the paper's tests")
     sensors.add_argument(
-        "--sensors", metavar="NAME,...", help="rows of sim/sensors or YAML files, in their place"
+        "--sensors", metavar="NAME,...", help="in place of --group: rows of sim/sensors, YAML files"
     )
     sensors.add_argument(
         "--scale",
         default="0.1",
         metavar="SHARE",
-        help="share of the targets, smoke or full (%(default)s)",
+        help="fraction of the targets, smoke or full (%(default)s)",
     )
-    sensors.add_argument("--steps", type=int, metavar="N", help="frames of a phase (10; smoke: 3)")
+    sensors.add_argument("--steps", type=int, metavar="N", help="frames per phase (10; smoke: 3)")
     _add_plan_options(sensors, None)
     sensors.set_defaults(run=_sensors)
-    resume = kinds.add_parser("resume", help="go on with an archive as it was begun")
+    resume = kinds.add_parser("resume", help="continue an archive with its original plan")
     resume.add_argument("path", type=Path)
     _add_run_options(resume)
     resume.set_defaults(run=_resume)
-    sheet = kinds.add_parser("sheet", help="a picture of every sensor and indenter of an archive")
+    sheet = kinds.add_parser("sheet", help="draw every sensor and indenter of an archive")
     sheet.add_argument("path", type=Path)
     sheet.add_argument("--out", type=Path, default=Path("docs/images/simulated.png"))
     sheet.set_defaults(run=_sheet)
 
 
 def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None:
-    group = parser.add_argument_group("what is made")
+    group = parser.add_argument_group("contents")
     group.add_argument("--indenters", metavar="NAME,...", help="some of the 18 (all)")
-    group.add_argument("--seed", type=int, default=0, help="of all that is drawn (%(default)s)")
+    group.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
     shown = out or "data/GROUP.markers.zarr"
     group.add_argument("--out", type=Path, default=out, metavar="PATH", help=f"archive ({shown})")
-    group = parser.add_argument_group("how presses are solved")
+    group = parser.add_argument_group("solver")
     group.add_argument(
         "--tier", choices=("layer", "fem"), help="layer: small strain, milliseconds (fem)"
     )
@@ -87,19 +87,22 @@ def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None
         help="height of an element of fem [mm] (a fifth of the thickness, 1.2 at most)",
     )
     group.add_argument(
-        "--tolerance", metavar="ERROR", help='in place of both: "3 %%", "0.05 N" or "0.5 px"'
+        "--tolerance",
+        metavar="ERROR",
+        help='accepted error, "3 %%", "0.05 N" or "0.5 px", in place of --tier and --spacing',
     )
     _add_run_options(parser)
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("who makes it")
+    group = parser.add_argument_group("execution")
     group.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
     group.add_argument(
         "--processes",
         type=int,
         metavar="N",
-        help="on a CPU, or of --tier layer for a GPU's images (2); with fem a GPU takes one",
+        help="worker processes on a CPU, or with --tier layer and images on a GPU (2); fem on a "
+        "GPU takes one",
     )
     group.add_argument(
         "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out"
@@ -173,7 +176,7 @@ def _make(options: argparse.Namespace, out: Path, plan: Plan) -> int:
 
 
 def _fill(options: argparse.Namespace, begun: Begun) -> int:
-    """Make what is missing, tell of it before, meanwhile and at the end; the exit code."""
+    """Make the missing units with progress and a summary, and return the exit code."""
     from recorder import SessionError
 
     try:
@@ -183,7 +186,7 @@ def _fill(options: argparse.Namespace, begun: Begun) -> int:
 
 
 def _filled(options: argparse.Namespace, begun: Begun) -> int:
-    """Make what is missing; 0 when the archive is whole, else the exit code."""
+    """Make the missing units; return 0 if the archive is then complete, else the exit code."""
     from recorder.processes import WorkerLost
     from sim.dataset import Stop, fill
     from sim.device import ready_device
@@ -199,10 +202,10 @@ def _filled(options: argparse.Namespace, begun: Begun) -> int:
             with Progress("archive", sys.stderr, kernels=kernels) as progress:
                 filled = fill(begun, maker, stop, progress)
         except KeyboardInterrupt:
-            print(f"interrupted; what was written is kept; {_go_on(begun)}", file=sys.stderr)
+            print(f"interrupted; written files are kept; {_go_on(begun)}", file=sys.stderr)
             return EXIT_INTERRUPTED
         except (OSError, WorkerLost) as error:
-            print(f"stopped: {error}; what was written is kept; {_go_on(begun)}", file=sys.stderr)
+            print(f"stopped: {error}; written files are kept; {_go_on(begun)}", file=sys.stderr)
             return EXIT_STOPPED
     if not filled.complete:
         print(f"interrupted, {filled.left} units are missing; {_go_on(begun)}", file=sys.stderr)
@@ -217,7 +220,7 @@ def _filled(options: argparse.Namespace, begun: Begun) -> int:
 
 
 def _summed(options: argparse.Namespace, begun: Begun) -> int:
-    """Tell what a whole archive is; the exit code."""
+    """Print the summary of a complete archive and return the exit code."""
     from sim.dataset.summary import summary
     from sim.progress import Progress
 
@@ -232,13 +235,13 @@ def _summed(options: argparse.Namespace, begun: Begun) -> int:
 
 
 def _go_on(begun: Begun) -> str:
-    return f"to go on: python -m sim archive resume {begun.path}"
+    return f"to continue: python -m sim archive resume {begun.path}"
 
 
 def _maker(
     options: argparse.Namespace, begun: Begun, processes: int, stop: Stop
 ) -> partial[Iterator[Made]]:
-    """Who makes units: this process, several, or a cluster."""
+    """Return the function that makes units: in this process, in several or on a cluster."""
     if options.scheduler:
         from sim.dataset.run import make_on_cluster
 
@@ -271,7 +274,7 @@ def _tell_cost(
     )
     seconds = taken.seconds(processes)
     if seconds is None:
-        print("how long that takes shows after the first unit", flush=True)
+        print("the time that this takes is estimated after the first unit", flush=True)
     else:
         print(
             f"about {duration(seconds)} with --processes {processes}, or half or twice as long",
@@ -280,7 +283,7 @@ def _tell_cost(
 
 
 def _on_cores(options: argparse.Namespace, begun: Begun) -> bool:
-    """Whether presses are solved on the CPU, wherever images are made."""
+    """Return True if presses are solved on the CPU, wherever images are made."""
     return bool(options.device == "cpu" or begun.plan.solving.tier == "layer")
 
 
@@ -322,7 +325,7 @@ def _indenters(listed: str | None, *, smoke: bool) -> tuple[str, ...]:
 
 
 def _share(text: str) -> tuple[bool, float]:
-    """Whether it is a smoke sample, and the share of the targets."""
+    """Return True if `text` requests a smoke sample, and the fraction of the targets."""
     if text in ("smoke", "full"):
         return text == "smoke", SMOKE_SHARE if text == "smoke" else 1.0
     try:

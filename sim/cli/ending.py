@@ -1,4 +1,4 @@
-"""How a verb of the simulator ends: its errors in words, and the exit code that says which."""
+"""Run a subcommand, print its errors and map them to exit codes."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ EXIT_DIVERGED = 1
 EXIT_WRONG_INPUT = 2
 EXIT_INTERRUPTED = 130
 
-# Last attempts that are told of when there is no solution.
+# Most recent attempts that are listed when there is no solution.
 TRIED_SHOWN = 5
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; errors are printed, the exit code says which they are."""
+    """Run the subcommand that `argv` names, print any error and return the exit code."""
     options = parser.parse_args(joined(argv))
     try:
         return int(options.run(options))

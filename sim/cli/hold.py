@@ -1,4 +1,4 @@
-"""`python -m sim hold`: press within a time, then hold still and watch the force relax."""
+"""`python -m sim hold`: press within a given time, then hold still while the force relaxes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser("hold", help="press within a time and hold: relaxation")
     group = parser.add_argument_group("motion")
     group.add_argument(
@@ -24,31 +24,31 @@ def add_to(verbs: Verbs) -> None:
         type=float,
         default=0.1,
         metavar="S",
-        help="time that the way down takes [s] (%(default)s)",
+        help="duration of the press [s] (%(default)s)",
     )
     group.add_argument(
         "--hold",
         type=float,
         default=2.0,
         metavar="S",
-        help="time at that depth [s] (%(default)s)",
+        help="duration of the hold [s] (%(default)s)",
     )
     group.add_argument(
         "--steps",
         type=int,
         default=10,
         metavar="N",
-        help="frames of the way down, and as many of the hold (%(default)s)",
+        help="frames of the press, and of the hold (%(default)s)",
     )
     add_scene_options(parser, viscosity="0.5:0.5")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press and hold, and show every frame; the exit code.
+    """Press and hold, show every frame and return the exit code.
 
     Raises:
-        SceneError, SimulationDiverged: Before anything was written.
+        SceneError, SimulationDiverged: Nothing has been written.
     """
     from sim.cli.report import run_motion
 

@@ -1,4 +1,4 @@
-"""`python -m sim loop`: press, shear, shear back, lift."""
+"""`python -m sim loop`: press, shear, shear back and lift."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser("loop", help="press, shear, return and lift: hysteresis and slip")
     group = parser.add_argument_group("motion")
     group.add_argument(
@@ -25,14 +25,14 @@ def add_to(verbs: Verbs) -> None:
         type=float,
         default=1.0,
         metavar="MM",
-        help="way to the side at that depth [mm] (%(default)s)",
+        help="lateral displacement at that depth [mm] (%(default)s)",
     )
     group.add_argument(
         "--angle",
         type=float,
         default=0.0,
         metavar="DEG",
-        help="direction of it, from x towards y [deg] (%(default)s)",
+        help="direction of the shear, from x towards y [deg] (%(default)s)",
     )
     group.add_argument(
         "--steps",
@@ -47,10 +47,10 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, shear, return and lift, and show every frame; the exit code.
+    """Press, shear, return and lift, show every frame and return the exit code.
 
     Raises:
-        SceneError, SimulationDiverged: Before anything was written.
+        SceneError, SimulationDiverged: Nothing has been written.
     """
     from sim.cli.report import run_motion
 

@@ -1,4 +1,4 @@
-"""Options that every verb which simulates has, and the scene that they describe."""
+"""Options common to all simulating subcommands, and the scene that they describe."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
-# What a person types, read: numbers, lists of numbers, pairs.
+# Readers of option values: numbers, lists of numbers, pairs.
 
 MM = 1e-3
 
 
 def metres(millimetres: float) -> float:
-    """A length in [m]; divided, so that 9 mm are 0.009 m to the last digit."""
+    """Convert a length to [m]; by division, so that 9 mm are 0.009 m to the last digit."""
     return millimetres / 1e3
 
 
 def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
-    """The reader of numbers between commas: `count` of them, or one and more."""
+    """Return a reader of comma-separated numbers: `count` of them, or one or more."""
     allowed = f"{count} numbers" if count else "numbers"
     example = ",".join(["1.5", "2", "0"][: count or 3])
 
@@ -52,7 +52,7 @@ def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
 
 
 def branches(text: str) -> tuple[tuple[float, float], ...] | None:
-    """Pairs `ratio:time` between commas; `none` is None."""
+    """Read comma-separated pairs `ratio:time`; `none` is None."""
     if text == "none":
         return None
     try:
@@ -65,9 +65,9 @@ def branches(text: str) -> tuple[tuple[float, float], ...] | None:
 
 
 def joined(argv: Sequence[str]) -> list[str]:
-    """`argv` with values such as `-4,0` tied to the option before them.
+    """Return `argv` with values such as `-4,0` joined to the option before them by `=`.
 
-    argparse would take them for options: it knows negative numbers, but no lists of them.
+    argparse would take them for options: it recognises negative numbers, but no lists of them.
     """
     tied: list[str] = []
     for word in argv:
@@ -79,9 +79,9 @@ def joined(argv: Sequence[str]) -> list[str]:
     return tied
 
 
-# Which indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
+# The indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
 
-# Measures that were given: lengths in [m], angles in [rad].
+# Given measures: lengths in [m], angles in [rad].
 Measures = dict[str, float]
 
 MEASURES = {
@@ -95,7 +95,7 @@ MEASURES = {
     "outer_radius": "outer radius of a tube [mm]",
     "inner_radius": "inner radius of a tube [mm]",
 }
-# Shapes by measure, and the measures that each must be given.
+# Shapes by measure, and the measures that each requires.
 NEEDS: dict[str, tuple[str, ...]] = {
     "sphere": ("radius",),
     "punch": ("radius",),
@@ -107,18 +107,18 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "tube": ("outer_radius", "inner_radius"),
     "plane": (),
 }
-# Edge radius of a shape by measure when none is given, as far as there is room: the same as most of
-# the named shapes have, since a sharp edge is never solved reproducibly.
+# Default edge radius of a shape by measure, as far as there is room. Most of the named shapes have
+# the same radius, since a sharp edge is never solved reproducibly.
 EDGE_MM = 0.3
 # Shapes without an edge to round.
 ROUND = ("sphere", "torus", "rounded-cone", "plane")
-# How the name of a file ends, in place of a shape.
+# Suffix of a file given in place of a shape.
 FILE = ".stl"
 FILE_OPTIONS = ("stl_unit", "stl_up")
 
 
 def add_indenter_options(parser: argparse.ArgumentParser) -> None:
-    """`--shape`, its measures or file, `--edge-radius`, `--tilt` and `--at`."""
+    """Add `--shape`, its measures or file, `--edge-radius`, `--tilt` and `--at`."""
     from sim.indenters import NAMES, UNITS, UPS
 
     group = parser.add_argument_group("indenter")
@@ -155,24 +155,24 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
         type=numbers(2),
         default=(0.0, 0.0),
         metavar="X,Y",
-        help="how the indenter leans, a rotation vector about x and y [deg] (0,0)",
+        help="tilt of the indenter, a rotation vector about x and y [deg] (0,0)",
     )
     group.add_argument(
         "--at",
         type=numbers(2),
         default=(0.0, 0.0),
         metavar="X,Y",
-        help="where the tip goes down, from the middle of the body [mm] (0,0)",
+        help="position of the press, from the middle of the body [mm] (0,0)",
     )
 
 
 def indenter_of(options: argparse.Namespace) -> Indenter:
-    """The indenter that the options describe, leaning as they say.
+    """Return the indenter that the options describe, with its tilt.
 
     Raises:
-        FileNotFoundError: There is no such STL file.
-        SceneError: An unknown shape, measures that it does not have or lacks, sizes or a file that
-            make no body, or a tilt that it cannot have.
+        FileNotFoundError: The STL file does not exist.
+        SceneError: The shape is unknown, has missing or unknown measures, sizes or a file that make
+            no body, or an impossible tilt.
     """
     upright = _upright(options)
     about_x, about_y = map(math.radians, options.tilt)
@@ -220,7 +220,7 @@ def _from_file(options: argparse.Namespace, given: set[str], edge: float | None)
             f"{_option(sorted(given)[0])}: given with --shape {options.shape}; allowed: no "
             "measure, the file has them"
         )
-    # Distances to the file's triangles are found by Warp, whichever the tier.
+    # Warp computes distances to the file's triangles, whichever the tier.
     ready_device(options.device)
     indenter = from_stl(
         options.shape,
@@ -273,7 +273,7 @@ PRECISIONS = ("auto", "float32", "float64")
 def add_scene_options(
     parser: argparse.ArgumentParser, *, friction: float = 0.0, viscosity: str = "none"
 ) -> None:
-    """Indenter, body, effects, numerics and output; `friction`, `viscosity` are the defaults."""
+    """Add options of scene, solver and output; `friction` and `viscosity` are defaults."""
     add_indenter_options(parser)
     _add_body_options(parser)
     _add_effect_options(parser, friction, viscosity)
@@ -282,21 +282,21 @@ def add_scene_options(
 
 
 def add_speed(group: argparse._ArgumentGroup) -> None:
-    """The option of verbs whose tip moves at one speed."""
+    """Add `--speed`, for subcommands whose tip moves at a constant speed."""
     group.add_argument(
         "--speed",
         type=float,
         default=10.0,
         metavar="MM/S",
-        help="speed of the tip, felt by viscosity and inertia only [mm/s] (%(default)s)",
+        help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
     )
 
 
 def check_motion(options: argparse.Namespace, units: dict[str, str]) -> None:
-    """Refuse measures of a motion, named with their units, that are not above 0; and its steps.
+    """Check that a motion's measures, named with their units, are above 0; and its steps.
 
     Raises:
-        SceneError: Names the option, what was given and what is allowed.
+        SceneError: A value is invalid; names the option, its value and the allowed ones.
     """
     for name, unit in units.items():
         value = getattr(options, name)
@@ -307,10 +307,10 @@ def check_motion(options: argparse.Namespace, units: dict[str, str]) -> None:
 
 
 def body_of(options: argparse.Namespace) -> Body:
-    """The body that the options describe.
+    """Return the body that the options describe.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
     x, y, z = options.size
     return Body(
@@ -326,10 +326,10 @@ def body_of(options: argparse.Namespace) -> Body:
 
 
 def effects_of(options: argparse.Namespace) -> Effects:
-    """The effects that the options ask for; friction 0 asks for none.
+    """Return the effects that the options request; friction 0 requests none.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
     friction, viscosity = options.friction, options.viscosity
     return Effects(
@@ -347,10 +347,10 @@ def effects_of(options: argparse.Namespace) -> Effects:
 
 
 def numerics_of(options: argparse.Namespace) -> Numerics | None:
-    """The numerics of tier `fem` that the options ask for; None for `layer` or a tolerance.
+    """Return the requested numerics of tier `fem`; None for `layer` or with a tolerance.
 
     Raises:
-        SceneError: An option that tier `layer` or a tolerance does not have.
+        SceneError: An option does not apply to tier `layer` or with a tolerance.
     """
     if options.tier == "layer":
         for name, default in (("mesh", None), ("precision", "auto"), ("device", "cpu")):
@@ -431,14 +431,14 @@ def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscos
         type=branches,
         default=branches(viscosity),
         metavar="RATIO:S[,...]",
-        help="branches that relax: stiffness over the stiffness at rest, and time [s]; or none "
+        help="relaxing branches: stiffness over the stiffness at rest, and time [s]; or none "
         f"({viscosity})",
     )
     group.add_argument(
         "--relaxes",
         choices=("all", "shear"),
         default="all",
-        help="whether pressure relaxes as well, or shear alone (%(default)s)",
+        help="all: pressure and shear relax; shear: shear alone (%(default)s)",
     )
     group.add_argument(
         "--inertia",
@@ -446,7 +446,7 @@ def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscos
         nargs="?",
         const=1.0,
         metavar="SCALE",
-        help="let mass resist, scaled by this factor (off; alone: 1)",
+        help="simulate inertia, with the mass scaled by this factor (off; alone: 1)",
     )
     group.add_argument(
         "--gravity",
@@ -454,21 +454,21 @@ def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscos
         nargs="?",
         const=(0.0, 0.0, -9.81),
         metavar="X,Y,Z",
-        help="let the body have weight, this acceleration [m/s^2] (off; alone: 0,0,-9.81)",
+        help="simulate the body's weight, with this acceleration [m/s^2] (off; alone: 0,0,-9.81)",
     )
     group.add_argument(
         "--effects",
         choices=("all", "needed"),
         default="all",
-        help="needed: leave out those that change less than a third of --tolerance, together "
+        help="needed: omit effects that together change less than a third of --tolerance "
         "(%(default)s)",
     )
     group.add_argument(
         "--plan-effects",
         action="store_true",
-        help="tell what each effect changes, force [%%, N] and markers [px], and its share of the "
-        "time, by coarse meshes; solve nothing else. With --tolerance also which ones would be "
-        "left out",
+        help="only estimate, by coarse meshes, how much each effect changes force [%%, N] and "
+        "markers [px], and its share of the time. With --tolerance, also report which effects "
+        "would be omitted",
     )
 
 
@@ -482,40 +482,40 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--tolerance",
         metavar="ERROR",
-        help='the error that is accepted, "2 %%", "0.05 N" or "0.5 px": in place of --mesh and '
-        "--precision; without --tier, layer where its estimate keeps it, else meshes of fem",
+        help='accepted error, "2 %%", "0.05 N" or "0.5 px", in place of --mesh and --precision; '
+        "without --tier, uses layer if its estimated error is within it, else fem",
     )
     group.add_argument(
-        "--error-bar", action="store_true", help="solve a coarser mesh too, and tell the error"
+        "--error-bar", action="store_true", help="solve a coarser mesh too and report the error"
     )
     group.add_argument(
         "--extrapolate",
         action="store_true",
-        help="solve a coarser mesh too, and tell the force that both lead to",
+        help="solve a coarser mesh too and extrapolate the force from both",
     )
     group.add_argument(
         "--mesh",
         type=float,
         metavar="MM",
-        help="edge of an element of fem [mm] (a sixth of the thickness)",
+        help="element size of fem [mm] (a sixth of the thickness)",
     )
     group.add_argument(
         "--precision",
         choices=PRECISIONS,
         default="auto",
-        help="of fem; auto goes from float32 to float64 where it must (%(default)s)",
+        help="of fem; auto switches from float32 to float64 where necessary (%(default)s)",
     )
     group.add_argument(
-        "--device", default="cpu", help="where fem runs: cpu, or cuda:0 and the like (%(default)s)"
+        "--device", default="cpu", help="device of fem: cpu, or cuda:0 and the like (%(default)s)"
     )
 
 
-# What `--fields` adds to `--json`.
+# Fields that `--fields` can add to `--json`.
 FIELDS = ("surface", "traction")
 
 
 def fields(text: str) -> tuple[str, ...]:
-    """Names out of `FIELDS` between commas."""
+    """Read comma-separated names from `FIELDS`."""
     names = tuple(text.split(","))
     if not set(names) <= set(FIELDS):
         raise argparse.ArgumentTypeError(
@@ -539,5 +539,5 @@ def _add_output_options(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="PNG", help="picture to write (default: VERB-SHAPE.png)"
     )
     group.add_argument(
-        "--save", type=Path, metavar="ZARR", help="keep everything in this new Zarr directory"
+        "--save", type=Path, metavar="ZARR", help="save the whole result in this new Zarr directory"
     )

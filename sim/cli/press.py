@@ -1,4 +1,4 @@
-"""`python -m sim press`: straight down, to one depth after the other."""
+"""`python -m sim press`: press straight down to a sequence of depths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser("press", help="press straight down: force, surface, pressure")
     group = parser.add_argument_group("motion")
     group.add_argument(
@@ -30,10 +30,10 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, and show the frame of every depth; the exit code.
+    """Press, show the frame of every depth and return the exit code.
 
     Raises:
-        SceneError, SimulationDiverged: Before anything was written.
+        SceneError, SimulationDiverged: Nothing has been written.
     """
     from sim.cli.report import run_motion
 

@@ -1,4 +1,4 @@
-"""What the verbs share: simulate the scene of the options, and hand its result over."""
+"""Simulate the scene of a command's options, then print, draw and save the result."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from sim.result import Quality, Result
 from sim.scene import Motion, Scene
 from sim.simulate import plan, simulate
 
-# A result in millimetres and newtons: one JSON object, or a table to read.
+# Results in millimetres and newtons, as one JSON object or as a table.
 
 Array = NDArray[np.float64]
 
-# An edge radius below this share of an element is worth a note.
+# An edge radius below this fraction of an element is worth a note.
 EDGE_NOTE_SHARE = 0.999
 
 
 def as_json(
     result: Result, *, first: int, seconds: float, wanted: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Everything from frame `first` on, as plain JSON values; of the fields those that are wanted.
+    """Return all frames from `first` on as plain JSON values, with the fields in `wanted`.
 
     Args:
-        result: What was simulated.
-        first: First frame that counts.
-        seconds: Wall-clock time of the whole.
-        wanted: `surface`, `traction` or both: (F, X, Y, 3), with the places that they are at.
+        result: Result of the simulation.
+        first: First frame to include.
+        seconds: Total wall-clock time.
+        wanted: `surface`, `traction` or both: (F, X, Y, 3), with the positions of their points.
     """
     scene, frames = result.scene, slice(first, None)
     tip = np.array(scene.motion.tip, float)[frames] * 1e3
@@ -79,7 +79,7 @@ def as_json(
 
 
 def _plan_of_effects(result: Result) -> dict[str, Any]:
-    """What was found of each effect asked for, where only the needed ones were solved."""
+    """Return the estimates of the requested effects, if only needed ones were simulated."""
     found = result.record.get("effects")
     return {"effects_plan": found} if isinstance(found, dict) else {}
 
@@ -96,7 +96,7 @@ def _fields(result: Result, frames: slice, wanted: Sequence[str]) -> dict[str, A
 
 
 def table(result: Result, *, first: int) -> list[str]:
-    """Lines of a table with a row for each frame from `first` on; empty columns are left out."""
+    """Return a table's lines, one row per frame from `first` on, without empty columns."""
     motion, quality, force = result.scene.motion, result.quality, result.force
     tip = np.array(motion.tip, float) * 1e3
     timed = {"viscosity", "inertia"} & set(result.scene.effects.key)
@@ -131,7 +131,7 @@ def table(result: Result, *, first: int) -> list[str]:
 
 
 def heading(result: Result) -> str:
-    """One line on what was simulated, and how."""
+    """Return one line that describes the scene, the tier, the mesh and the device."""
     scene, body = result.scene, result.scene.body
     size = "x".join(f"{side * 1e3:g}" for side in (body.size_x, body.size_y, body.thickness))
     dome = f", dome {body.dome_radius * 1e3:g} mm" if body.dome_radius else ""
@@ -149,13 +149,13 @@ def heading(result: Result) -> str:
 
 
 def stages(result: Result, seconds: float) -> str:
-    """One line on where the time went."""
+    """Return one line with the total time and the time of each stage."""
     parts = ", ".join(f"{name} {value:.2f}" for name, value in result.record["seconds"].items())
     return f"{seconds:.2f} s ({parts})"
 
 
 def notes(result: Result) -> list[str]:
-    """What a reader of the numbers should know about them; empty when there is nothing."""
+    """Return remarks on the accuracy and validity of the result; may be empty."""
     solid = result.scene.indenter.solid
     said = [] if solid is None else list(solid.notes)
     if result.tier == "fem":
@@ -193,7 +193,7 @@ def notes(result: Result) -> list[str]:
 
 
 def _plain(values: NDArray[Any]) -> list[Any]:
-    """Lists of numbers; None where a number is not finite, which JSON cannot say."""
+    """Return lists of numbers, with None for non-finite ones, which JSON cannot represent."""
     return [_plain_item(value) for value in values.tolist()]
 
 
@@ -206,12 +206,12 @@ def _plain_item(value: Any) -> Any:
 
 
 def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -> int:
-    """Simulate `motion` with the rest of the options, show and keep the result; the exit code.
+    """Simulate `motion` with the other options, show and save the result, return the exit code.
 
-    `first` is the first frame that is told of.
+    `first` is the first frame that is shown.
 
     Raises:
-        SceneError, SimulationDiverged: Before anything was written.
+        SceneError, SimulationDiverged: Nothing has been written.
     """
     began = time.perf_counter()
     if options.fields and not options.json:
@@ -255,14 +255,14 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
 
 
 def _tell_effects(scene: Scene, options: argparse.Namespace) -> int:
-    """Print what each effect is worth; the exit code."""
+    """Print the estimated contribution of each effect and return the exit code."""
     from sim.device import ready_device
 
     for name in ("save", "out"):
         if getattr(options, name) is not None:
             raise SceneError(
                 f"--{name}: {getattr(options, name)} with --plan-effects; allowed: without, there "
-                "is nothing to keep"
+                "is nothing to save"
             )
     if options.tier is not None:
         raise SceneError(f"--tier: {options.tier!r} with --plan-effects; allowed: without, fem")
@@ -296,7 +296,7 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
 
 
 def _picture_path(options: argparse.Namespace) -> Path | None:
-    """Where the picture goes; None when none is wanted."""
+    """Return the path of the picture, or None if no picture is requested."""
     path: Path | None = options.out
     if path is None:
         return None if options.json else Path(f"{options.verb}-{Path(options.shape).stem}.png")
@@ -306,7 +306,7 @@ def _picture_path(options: argparse.Namespace) -> Path | None:
 
 
 def _make_room(save: Path | None, picture: Path | None) -> None:
-    """Find out before the work whether its results can be written."""
+    """Check, before simulating, that the results can be written."""
     if save is not None and save.exists():
         raise SceneError(f"--save: {save} exists; allowed: a new path")
     for path in (save, picture):

@@ -1,7 +1,7 @@
-"""Archives of simulated sensors: the paper's states, and its trajectories on sensors of ours.
+"""Archives of simulated sensors: the paper's states, and its trajectories on our sensors.
 
-A plan says what an archive holds; it is stored in the archive, and everything follows from it.
-Units of it are made by one process, by several, or by a cluster, in any order and twice.
+A plan determines the contents of an archive and is stored in it. Its units can be made by one
+process, by several, or by a cluster, in any order and more than once.
 """
 
 from sim.dataset.generate import Made, make_unit

@@ -1,4 +1,4 @@
-"""One unit of an archive: its presses solved, what every sensor sees of them, and both written."""
+"""Make one unit of an archive: solve its presses, render every sensor's images, write both."""
 
 from __future__ import annotations
 
@@ -43,24 +43,24 @@ from sim.sensors import (
     readout,
 )
 
-# What each sensor of an archive gives of a deformation: masks, fields, and its references.
+# The readings of each sensor of an archive: masks, displacement fields and references.
 
 Array = NDArray[np.float64]
 Packed = NDArray[np.uint8]
 Fields = NDArray[np.float16]
 
-# Columns from one taxel to the next in the image of discs (`recorder.markers.draw_discs`).
+# Distance between taxels in the image of discs [columns] (`recorder.markers.draw_discs`).
 TAXEL_PITCH_PX = 128
 
 
 class Reader:
-    """Reads one sensor of an archive; keeps what is computed once."""
+    """Reader of one sensor of an archive; keeps constant data between calls."""
 
     def __init__(self, sensor: SimulatedSensor, seed: int, device: str) -> None:
-        """Mount the sensor as its life has it."""
+        """Mount the sensor with the variations in its `life`."""
         self.sensor = sensor
         self._readout = readout(sensor, seed=seed, device=device)
-        # A reference is chosen with care: it has no errors of segmentation and no noise.
+        # A lab picks a good reference, so it has no segmentation errors and no noise.
         careful = replace(sensor, life=replace(sensor.life, segmentation=None))
         taxels = isinstance(self._readout, TaxelReadout)
         self._still = readout(careful, seed=None if taxels else seed, device=device)
@@ -76,10 +76,10 @@ class Reader:
 
     @property
     def camera(self) -> Camera:
-        """The camera as it is mounted.
+        """The camera as mounted.
 
         Raises:
-            SceneError: A sensor of taxels.
+            SceneError: The sensor has taxels.
         """
         if isinstance(self._readout, CameraReadout):
             return self._readout.camera
@@ -87,17 +87,17 @@ class Reader:
 
     @property
     def keeps_fields(self) -> bool:
-        """Whether there is a displacement to keep: a camera's."""
+        """True if the sensor has displacement fields to store; only cameras do."""
         return isinstance(self._readout, CameraReadout)
 
     def references(self) -> Packed:
-        """Packed masks of the untouched sensor (P, K, 38400), one per place of its creep."""
+        """Return packed masks (P, K, 38400) of the untouched sensor, one per creep offset."""
         still = SurfaceField.untouched(self.sensor.body)
         masks = [self._still.masks(crept(still, offset))[0] for offset in self._creep]
         return np.stack([pack(each) for each in masks], axis=1)
 
     def packed(self, top: SurfaceField, recording: Recording) -> Packed:
-        """Packed masks (P, F, 38400) of the frames of a recording."""
+        """Return packed masks (P, F, 38400) of the frames of a recording."""
         top = crept(top, self._creep[self.reference(recording)])
         first = recording.number * len(recording)
         if isinstance(self._readout, CameraReadout):
@@ -105,13 +105,13 @@ class Reader:
         return np.moveaxis(pack(self._readout.masks(top, first)), 1, 0)
 
     def reference(self, recording: Recording) -> int:
-        """Number of the reference of a recording."""
+        """Return the index of the reference of a recording."""
         return recording.session_point if len(self._creep) > 1 else 0
 
     def displacement(self, top: SurfaceField) -> Fields | None:
-        """Fields (F, rows, columns, 2) [px], from the reference of the recording; None of taxels.
+        """Return fields (F, rows, columns, 2) [px] from the recording's reference; None for taxels.
 
-        A skin that crept before the press is named by where it lies, so its creep is not in them.
+        The reference already includes creep from before the press, so the fields do not.
         """
         if isinstance(self._readout, CameraReadout):
             return self._readout.displacement(top)
@@ -120,15 +120,15 @@ class Reader:
 
 @functools.lru_cache(maxsize=32)
 def reader(sensor: SimulatedSensor, seed: int, device: str) -> Reader:
-    """The reader of a sensor; made once in a process."""
+    """Return the reader of a sensor, cached within the process."""
     return Reader(sensor, seed, device)
 
 
 def creep(sensor: SimulatedSensor, seed: int) -> Array:
-    """How far the skin lies from its place at each contact point of its session (K, 2) [m].
+    """Return the offset of the skin at each contact point of its session (K, 2) [m].
 
-    One walk over all indenters, in their order: a point stands where it stood in the whole session,
-    whichever of them are simulated.
+    Offsets follow one random walk over all indenters in their order, so that a point's offset does
+    not depend on which indenters are simulated.
     """
     if sensor.life.drift is None or sensor.trajectory is None:
         return np.zeros((1, 2))
@@ -136,9 +136,9 @@ def creep(sensor: SimulatedSensor, seed: int) -> Array:
 
 
 def crept(top: SurfaceField, offset: Array) -> SurfaceField:
-    """The field of a skin that crept by `offset` [m] before the indenter pressed.
+    """Return the field of a skin that crept by `offset` [m] before the indenter pressed.
 
-    The indenter stays where it is: u(X) becomes offset + u(X + offset).
+    The indenter does not move with it: u(X) becomes offset + u(X + offset).
     """
     if not offset.any():
         return top
@@ -146,27 +146,27 @@ def crept(top: SurfaceField, offset: Array) -> SurfaceField:
     return SurfaceField(top.x - offset[0], top.y - offset[1], top.displacement + shift)
 
 
-# Where displacement is kept.
+# Pixels at which displacement is stored.
 LATTICE = Lattice()
 
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What a unit took."""
+    """Statistics of a finished unit."""
 
     number: int
-    """Of the unit."""
+    """Number of the unit."""
     images: int
-    """Masks that it wrote."""
+    """Number of masks written."""
     solving: float
-    """CPU time of its presses [s]; on a GPU the time that they took."""
+    """CPU time of the presses [s]; on a GPU, wall-clock time."""
     seeing: float
-    """The same of images, fields, packing and writing."""
+    """The same for images, fields, packing and writing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Rows of one unit of files of one sensor."""
+    """Rows of one sensor within one unit of files."""
 
     packed: Packed
     table: Mapping[str, Any]
@@ -181,11 +181,11 @@ def make_unit(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Made:
-    """Solve, look and write; what is written already stays. Equal bytes every time on a CPU.
+    """Solve, render and write one unit; existing files are kept. Reproducible to the byte on a CPU.
 
     Raises:
-        SceneError: A scene that cannot be.
-        OSError: The disk is full, or the archive went away.
+        SceneError: A scene is invalid.
+        OSError: The disk is full, or the archive was removed.
     """
     clock = time.process_time if device == "cpu" else time.perf_counter
     family = families(plan)[unit.family]
@@ -210,7 +210,7 @@ def _write(
     solved: Sequence[Solved],
     device: str,
 ) -> int:
-    """Write the rows of one sensor; how many masks."""
+    """Write the rows of one sensor and return the number of masks."""
     seen = reader(sensor, plan.seed, device)
     recordings = [
         (press, each, one)
@@ -223,7 +223,7 @@ def _write(
         parts = [_rows(plan, sensor, seen, press, each, one) for press, each, one in some]
         for index, name in enumerate(names(sensor)):
             images += sum(len(part.source) for part in parts)
-            # Patterns of one sensor share its fields: the first has them.
+            # Patterns of one sensor share its fields, which are stored with the first.
             fields = [part.displacement for part in parts if part.displacement is not None]
             writer.sensors[name].write(
                 number,
@@ -246,7 +246,7 @@ def _rows(
     solved: Solved,
     recording: Recording,
 ) -> Rows:
-    """Rows of one recording; `packed` holds every pattern (P, F, 38400)."""
+    """Return the rows of one recording; `packed` holds all patterns (P, F, 38400)."""
     count, frames = len(recording), list(recording.frames)
     tip = np.array(press.motion.tip)[frames]
     wrench = np.full((count, 6), np.nan)

@@ -1,4 +1,4 @@
-"""What an archive of simulated sensors is made from: one frozen value, stored in the archive."""
+"""Plan of an archive of simulated sensors: one frozen value, stored in the archive."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
 
 
-# A press that is simulated once, and which of its frames become rows of an archive.
+# A press that is simulated once, and those of its frames that become rows of an archive.
 
 NO_PHASE = -1
 NO_LOCATION = -1
@@ -34,60 +34,60 @@ class Recording:
     """Frames of one target: rows of an archive that are compressed together."""
 
     target: int
-    """Its number within the indenter, as in the whole plan."""
+    """Number of the target within the indenter, as in the whole plan."""
     number: int
-    """Its number among all that a sensor could ever have: what is drawn for a frame follows it."""
+    """Number among all recordings that the sensor could have; seeds a frame's random draws."""
     session_point: int
-    """Number of its contact point in the sensor's life, 0 where nothing creeps."""
+    """Number of the contact point in the sensor's session."""
     frames: tuple[int, ...]
     """Frames of the press's motion."""
     phases: tuple[int, ...]
-    """Code of the phase of each, or -1."""
+    """Code of each frame's phase, or -1."""
     locations: tuple[int, ...]
-    """Location of each, or -1."""
+    """Location of each frame, or -1."""
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Return the number of rows."""
         return len(self.frames)
 
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """One indenter on one motion, as the robot was told."""
+    """One indenter on one motion, as commanded to the robot."""
 
     indenter: str
     motion: Motion
     recordings: tuple[Recording, ...]
-    """All of equal length."""
+    """Recordings of equal length."""
 
 
-# How the presses of an archive are solved, and what is tried where one finds no solution.
+# Solving the presses of an archive, with other settings where the first find no solution.
 
 ArchiveTier = Literal["layer", "fem"]
 
-# Largest element unless said otherwise [m]: the edges of a thick body's indenters ask for it.
+# Default for the largest element [m]: indenters' edges need it on a thick body.
 SPACING_MAX = 1.2e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Solving:
-    """Tier and mesh, or the error that is accepted in place of both.
+    """Tier and mesh, or an accepted error in place of both.
 
     Raises:
-        SceneError: A value outside of what is allowed, or both.
+        SceneError: A value is out of range, or settings exclude each other.
     """
 
     tier: ArchiveTier = "fem"
     spacing: float | None = None
-    """Height of an element [m]; None: as many as `cells` say, but 1.2 mm at most."""
+    """Height of an element [m]; None: the thickness over `cells`, but 1.2 mm at most."""
     cells: int = 5
-    """Elements that one thickness is high, without a spacing: 0.8 mm in the paper's gel."""
+    """Elements over the thickness, without a spacing: 0.8 mm in the paper's gel."""
     for_edges: bool = True
-    """Whether elements are narrower where the indenter comes (`sim.fem.numerics.FOR_EDGES`)."""
+    """True if elements are narrower around the indenter (`sim.fem.numerics.FOR_EDGES`)."""
     one_topology: bool = False
-    """Whether all meshes of one call are alike, so that a GPU solves them in one launch."""
+    """True if all meshes of one call have the same topology, for one launch on a GPU."""
     tolerance: str | None = None
-    """Such as "3 %": each press on meshes as fine as that takes (`sim.tolerance`)."""
+    """Accepted error such as "3 %"; each press gets the meshes that it needs (`sim.tolerance`)."""
 
     def __post_init__(self) -> None:
         if self.tier not in get_args(ArchiveTier):
@@ -106,7 +106,7 @@ class Solving:
             tolerance_of(self.tolerance)
 
     def numerics(self, body: Body) -> Numerics | None:
-        """Settings of `fem` for a body; None for `layer`."""
+        """Return the settings of `fem` for a body; None for `layer`."""
         if self.tier == "layer":
             return None
         from sim.fem.numerics import FOR_EDGES, Grading, Numerics
@@ -122,18 +122,18 @@ class Solving:
 
     @property
     def scales_with_modulus(self) -> bool:
-        """Whether forces may be scaled with the modulus: not where an error in newton is asked."""
+        """True if forces may be scaled with the modulus; not with a tolerance in newtons."""
         return self.tolerance is None or not self.tolerance.strip().endswith("N")
 
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """What became of one press."""
+    """Outcome of one press."""
 
     result: Result | None
-    """None where no attempt found a solution."""
+    """Result, or None if no attempt found a solution."""
     how: dict[str, Any]
-    """How it was made, as plain values without times: what is kept with each of its frames."""
+    """Provenance as plain values without times; stored with each frame."""
 
 
 def solve(
@@ -143,10 +143,10 @@ def solve(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> list[Solved]:
-    """Solve scenes of bodies that are equally thick, each again in other ways if it must be.
+    """Solve scenes of bodies of equal thickness, and retry failed ones with other settings.
 
     Raises:
-        SceneError: What `simulate` refuses.
+        SceneError: `simulate` rejects a scene.
     """
     if solving.tolerance is not None:
         return [_within(scene, solving.tolerance, device) for scene in scenes]
@@ -160,7 +160,7 @@ def solve(
 
 
 def _attempts(first: Numerics, body: Body) -> list[tuple[str, Numerics]]:
-    """What is tried after the first settings, in words and as settings."""
+    """Return the settings to try after the first ones, each with a description."""
     careful = replace(
         first, precision="float64", step_travel=body.thickness / 100, newton_max=120, halvings=16
     )
@@ -182,7 +182,7 @@ def _again(
     attempts: Sequence[tuple[str, Numerics]],
     device: str,
 ) -> Solved:
-    """The first solution: `outcome` itself, or that of one of `attempts`."""
+    """Return the first solution: `outcome`, or that of the first of `attempts` to succeed."""
     if isinstance(outcome, Result):
         return Solved(outcome, _how(outcome))
     failed = [_reason("as asked for", outcome)]
@@ -195,9 +195,9 @@ def _again(
 
 
 def _within(scene: Scene, tolerance: str, device: str) -> Solved:
-    """Solved on meshes finer and finer until the tolerance is kept."""
+    """Solve on finer and finer meshes until the error is within the tolerance."""
     try:
-        # Images are of the skin, whose error 'layer' does not state.
+        # Images show the skin, whose error 'layer' does not estimate.
         result = simulate(scene, "fem", tolerance=tolerance, device=device)
     except SimulationDiverged as diverged:
         failed = [_reason(f"within {tolerance}", diverged)]
@@ -222,19 +222,19 @@ def _how(result: Result) -> dict[str, Any]:
 
 def _reason(attempt: str, diverged: SimulationDiverged) -> str:
     if diverged.dump is not None:
-        # The provenance says all there is to say; a dump of every attempt would fill the disk.
+        # The provenance is sufficient; dumps of all attempts would fill the disk.
         shutil.rmtree(diverged.dump.parent, ignore_errors=True)
     return f"{attempt}: {_one_line(str(diverged))}"
 
 
 def _one_line(text: str) -> str:
-    """The first line of a message, without the path of a dump: that differs from run to run."""
+    """Return a message as one line, without the path of a dump, which differs between runs."""
     return " ".join(text.split("state:")[0].split()).rstrip(" ;,.")
 
 
 @functools.cache
 def described(solving: Solving, body: Body) -> str:
-    """How presses on a body are solved, in a few words."""
+    """Return a short description of how presses on a body are solved."""
     if solving.tolerance is not None:
         return f"within {solving.tolerance}"
     numerics = solving.numerics(body)
@@ -246,19 +246,19 @@ def described(solving: Solving, body: Body) -> str:
 
 Work = Literal["states", "targets"]
 
-# Indenters that models of the paper are tested on and never trained on.
+# Held-out indenters: the paper's models are tested but never trained on them.
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
 STEPS_MAX = 1000
-# Presses that are solved and written together at most: the nine places of the paper's states.
+# Most presses that are solved and written together: the nine places of the paper's states.
 UNIT_PRESSES = 9
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything that decides what an archive holds, byte by byte on one kind of machine.
+    """Plan that determines every byte of an archive on one kind of machine.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     work: Work
@@ -268,17 +268,17 @@ class Plan:
     indenters: tuple[str, ...] = NAMES
     """Names, in the order of `sim.indenters.NAMES`."""
     solving: Solving = field(default_factory=Solving)
-    """How presses are solved."""
+    """Tier and mesh, or tolerance, of the presses."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of all random draws."""
     steps: int = 10
-    """Frames of a phase of a target; states have none."""
+    """Frames per phase of a target; states have no phases."""
     share: float = 1.0
-    """Share of the targets that is taken, spread evenly over points, depths and directions."""
+    """Fraction of the targets to use, spread evenly over points, depths and directions."""
     unit_presses: int = UNIT_PRESSES
-    """Presses of one indenter whose frames share a file, at most."""
+    """Most presses of one indenter whose frames share a file."""
     together: int = UNIT_PRESSES
-    """Presses that are solved in one call, at most, but whole files: a GPU wants many."""
+    """Most presses solved in one call, rounded to whole files; a GPU needs many."""
 
     def __post_init__(self) -> None:
         if self.work not in get_args(Work):
@@ -304,21 +304,21 @@ class Plan:
         )
 
     def document(self) -> dict[str, Any]:
-        """The plan as plain JSON values."""
+        """Return the plan as plain JSON values."""
         return to_json(self)
 
     @classmethod
     def of(cls, document: Any) -> Plan:
-        """The plan that `document` gave.
+        """Return the plan that `document()` stored.
 
         Raises:
-            SceneError: Not such a document.
+            SceneError: The document is not a plan.
         """
         return from_json(cls, document, "plan")
 
 
 def names(sensor: SimulatedSensor) -> tuple[str, ...]:
-    """What a sensor is called in an archive: by its patterns where they are all that matters."""
+    """Return a sensor's names in an archive: its patterns, if only they identify its data."""
     signal = sensor.signal
     simulated = sensor.trajectory is None
     if isinstance(signal, CameraSignal) and (simulated or len(signal.patterns) > 1):
@@ -327,12 +327,12 @@ def names(sensor: SimulatedSensor) -> tuple[str, ...]:
 
 
 def code(indenter: str) -> int:
-    """Code of an indenter in every archive, a part of them or not."""
+    """Return the code of an indenter, the same in archives with all or some indenters."""
     return NAMES.index(indenter)
 
 
 def differing(one: dict[str, Any], other: dict[str, Any], where: str = "") -> list[str]:
-    """Keys in which two documents of plans differ, down to the innermost: `sensors[0].seed`."""
+    """Return the innermost keys in which two plan documents differ, such as `sensors[0].seed`."""
     found: list[str] = []
     for key in sorted(one.keys() | other.keys()):
         found += _differing(one.get(key, ...), other.get(key, ...), f"{where}{key}")
@@ -356,18 +356,18 @@ def _check_names(what: str, found: list[str]) -> None:
 # The real trajectories: press, shear, shear back, release; and the force-depth presses.
 #
 # A target is one press of `4 steps + 1` frames: p0, clear of the surface, then `steps` frames of
-# each phase. The force-depth presses come last: one path that goes down and up again `repeats`
-# times, each repeat a target beyond the others, as long as they are, without a location.
+# each phase. The force-depth presses come last: one path that goes down and up `repeats` times.
+# Each repeat is a target numbered after the others, of the same length, without a location.
 
-# The paper's force-depth presses are made with it.
+# Indenter of the paper's force-depth presses.
 FORCE_DEPTH_INDENTER = "prism"
 
 
 def target_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
-    """All presses of a sensor: the chosen targets indenter by indenter, then force and depth.
+    """Return a sensor's presses: the chosen targets by indenter, then the force-depth presses.
 
     Raises:
-        SceneError: A sensor without a trajectory.
+        SceneError: The sensor has no trajectory.
     """
     if each.trajectory is None:
         raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
@@ -383,10 +383,10 @@ def target_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
 
 
 def chosen_targets(trajectory: PressShear, share: float) -> tuple[Target, ...]:
-    """A share of the targets, one at least: evenly over points, depths and directions.
+    """Return a fraction of the targets, at least one, spread over points, depths and directions.
 
-    One after the other, always one whose point, depth, direction and pairs of them came least
-    often so far, so that a smaller share is a part of a larger one.
+    Greedily picks the target whose point, depth, direction and pairs of them have occurred least
+    often so far, so that a smaller fraction is a subset of a larger one.
     """
     targets = list(trajectory.targets())
     count = max(1, round(share * len(targets)))
@@ -405,7 +405,7 @@ def chosen_targets(trajectory: PressShear, share: float) -> tuple[Target, ...]:
 
 
 def session_points(trajectory: PressShear) -> int:
-    """Contact points at which all indenters have pressed by the end of a sensor's session."""
+    """Return the number of contact points in a sensor's session, over all indenters."""
     from sim.indenters import NAMES
 
     return len(NAMES) * len(trajectory.points)
@@ -420,7 +420,7 @@ def _traits(target: Target) -> tuple[tuple[object, ...], ...]:
 def _often(
     met: dict[tuple[object, ...], int], traits: Sequence[tuple[object, ...]]
 ) -> tuple[int, int]:
-    """How often single traits came, and pairs of them."""
+    """Return the total counts of single traits and of pairs of them."""
     often = [met.get(trait, 0) for trait in traits]
     return sum(often[:3]), sum(often[3:])
 
@@ -445,14 +445,14 @@ def _target_press(
 
 @functools.lru_cache(maxsize=4096)
 def _motion(trajectory: PressShear, target: Target, steps: int, speed: float) -> Motion:
-    """All indenters and most sensors of a group walk the same way."""
+    """Return the motion of a target, cached: all indenters and most sensors of a group share it."""
     return from_target(trajectory, target, steps=steps, speed=speed)
 
 
 def _force_depth(
     plan: Plan, each: SimulatedSensor, trajectory: PressShear, spec: ForceDepth
 ) -> Press:
-    """Loading and unloading in `2 steps` frames each, again and again without a pause."""
+    """Return the force-depth press: repeated loading and unloading, `2 steps` frames each."""
     half = 2 * plan.steps
     places: list[Point] = [next(spec.targets()).origin]
     recordings = []
@@ -479,7 +479,7 @@ def _force_depth(
 
 
 def _along(start: Point, end: Point, steps: int) -> list[Point]:
-    """Points behind `start`, `steps` of them, evenly up to `end`."""
+    """Return `steps` evenly spaced points after `start`, up to and including `end`."""
     points: list[Point] = []
     for index in range(1, steps + 1):
         x, y, z = (a + (b - a) * index / steps for a, b in zip(start, end, strict=True))
@@ -493,25 +493,25 @@ def _number(each: SimulatedSensor, trajectory: PressShear, indenter: str, target
 
 
 def _session_point(trajectory: PressShear, indenter: str, point: int) -> int:
-    """Indenter by indenter and point by point, as a lab would; force and depth with the prism's."""
+    """Return a contact point's number in the lab's order: by indenter, then by point."""
     points = trajectory.points
     place = points.index(point) if point in points else 0
     return code(indenter) * len(points) + place
 
 
-# The paper's simulated states: 18 indenters, 9 places, 5 depths, a location each.
+# The paper's simulated states: 18 indenters, 9 places, 5 depths, each with its own location.
 
-# Where the tip goes down, x and y [mm]; the target is the number of the place.
+# Places of the presses, x and y [mm]; a target is the index of a place.
 PLACES = tuple((x, y) for x in PLACES_MM for y in PLACES_MM)
-# States of one indenter.
+# Number of states of one indenter.
 STATES = len(PLACES) * len(DEPTHS_MM)
 
 
 def gel(patterns: tuple[str, ...] | None = None) -> SimulatedSensor:
-    """The paper's gel with the friction of its presses, under some patterns or all 12.
+    """Return the paper's gel with the friction of its presses, with some patterns or all 12.
 
     Raises:
-        SceneError: An unknown pattern.
+        SceneError: A pattern is unknown.
     """
     each = sensor("gel")
     each = replace(each, effects=replace(each.effects, friction=Friction(FRICTION)))
@@ -521,7 +521,7 @@ def gel(patterns: tuple[str, ...] | None = None) -> SimulatedSensor:
 
 
 def state_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
-    """All presses of a sensor: indenter by indenter, each to all depths at all places."""
+    """Return a sensor's presses by indenter, one per place, each to all depths."""
     return tuple(
         _state_press(each, indenter, target)
         for indenter in plan.indenters
@@ -546,59 +546,59 @@ def _state_press(each: SimulatedSensor, indenter: str, target: int) -> Press:
     return Press(indenter, motion, (recording,))
 
 
-# Which sensors share their deformations, and how the work is cut into units.
+# Families of sensors that share deformations, and the division of the work into units.
 
-# What presses are solved with where forces are proportional to the modulus [Pa].
+# Modulus to simulate where forces are proportional to the modulus [Pa].
 MODULUS = Body().modulus
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Sensors that differ in what is measured of a deformation only, or in modulus.
+    """Sensors that share their deformations: they differ only in readout or in modulus.
 
-    Without mass and weight a layer that is twice as stiff takes the same shape under the same
-    motion, with twice the force: friction, contact and the branches of viscosity are ratios.
+    Without mass and weight, a layer that is twice as stiff deforms equally under the same motion,
+    with twice the force: friction, contact and the viscous branches are ratios.
     """
 
     sensors: tuple[SimulatedSensor, ...]
     presses: tuple[Press, ...]
     unit_presses: int
-    """Recordings of a unit of files."""
+    """Number of recordings in a unit of files."""
 
     @property
     def rows_each(self) -> int:
-        """Rows of a recording."""
+        """Number of rows per recording."""
         return len(self.presses[0].recordings[0])
 
     @property
     def recordings(self) -> int:
-        """Recordings of each of its sensors."""
+        """Number of recordings per sensor."""
         return sum(len(press.recordings) for press in self.presses)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its sensors in the archive, pattern by pattern."""
+        """Names of its sensors in the archive, one per pattern where there are several."""
         return tuple(name for each in self.sensors for name in names(each))
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """Presses that are solved in one call, and written whole."""
+    """Presses that are solved in one call and written as whole files."""
 
     number: int
-    """Its place in the plan."""
+    """Position in the plan."""
     family: int
     first: int
-    """Number of its first press in the family."""
+    """Index of the first press in the family."""
     last: int
-    """Number of the press behind its last."""
+    """Index after the last press."""
     files: range
-    """Units of the archive that it writes, of every sensor of the family."""
+    """File units of the archive that it writes, for every sensor of the family."""
 
 
 @functools.cache
 def families(plan: Plan) -> tuple[Family, ...]:
-    """The sensors of a plan by what they share, in their order."""
+    """Return the sensors of a plan grouped by shared deformations, in order."""
     together: dict[Hashable, list[SimulatedSensor]] = {}
     for each in plan.sensors:
         together.setdefault(_deformation(plan, each), []).append(each)
@@ -607,7 +607,7 @@ def families(plan: Plan) -> tuple[Family, ...]:
 
 @functools.cache
 def units(plan: Plan) -> tuple[Unit, ...]:
-    """All units of a plan; every cut is the plan's, whatever has been done of it."""
+    """Return all units of a plan; they depend on the plan alone, not on finished work."""
     cut: list[Unit] = []
     for index, family in enumerate(families(plan)):
         step = max(1, plan.together // family.unit_presses) * family.unit_presses
@@ -617,7 +617,7 @@ def units(plan: Plan) -> tuple[Unit, ...]:
             files = range(first // family.unit_presses, -(-last // family.unit_presses))
             cut.append(Unit(len(cut), index, first, last, files))
         if len(single) < len(family.presses):
-            # The presses of several recordings come last, behind whole units of the others.
+            # Presses with several recordings come last, after whole units of the others.
             files = range(
                 len(single) // family.unit_presses, -(-family.recordings // family.unit_presses)
             )
@@ -626,7 +626,7 @@ def units(plan: Plan) -> tuple[Unit, ...]:
 
 
 def scenes(plan: Plan, family: Family, presses: tuple[Press, ...]) -> list[Scene]:
-    """What is simulated: as the first sensor is mounted, with the modulus that all share."""
+    """Return the scenes to simulate, for the mount of the first sensor and the common modulus."""
     lead = family.sensors[0]
     made = [lead.placed(named(press.indenter), press.motion, seed=plan.seed) for press in presses]
     if not _proportional(plan, lead):
@@ -636,7 +636,7 @@ def scenes(plan: Plan, family: Family, presses: tuple[Press, ...]) -> list[Scene
 
 
 def force_scale(plan: Plan, sensor: SimulatedSensor) -> float:
-    """What forces of a family's scenes are multiplied by for one of its sensors."""
+    """Return the factor from forces in a family's scenes to those of one of its sensors."""
     return sensor.body.modulus / MODULUS if _proportional(plan, sensor) else 1.0
 
 
@@ -645,13 +645,13 @@ def _family(plan: Plan, sensors: tuple[SimulatedSensor, ...]) -> Family:
     of_one = sum(
         press.indenter == plan.indenters[0] and len(press.recordings) == 1 for press in made
     )
-    # Units end with an indenter, so that every one of them is full.
+    # A unit holds presses of one indenter, in a size that divides them, so that all are full.
     size = max(n for n in range(1, plan.unit_presses + 1) if of_one % n == 0)
     return Family(sensors, made, size)
 
 
 def _deformation(plan: Plan, each: SimulatedSensor) -> Hashable:
-    """Equal for sensors whose presses take the same shape."""
+    """Return a key that is equal for sensors with the same deformations."""
     body = replace(each.body, modulus=MODULUS) if _proportional(plan, each) else each.body
     life = each.life.mount, each.life.grip
     own = each.name if any(life) else ""
@@ -659,7 +659,7 @@ def _deformation(plan: Plan, each: SimulatedSensor) -> Hashable:
 
 
 def _proportional(plan: Plan, each: SimulatedSensor) -> bool:
-    """Whether forces are proportional to the modulus at the same deformation."""
+    """Return True if forces are proportional to the modulus at the same deformation."""
     effects = each.effects
     massless = effects.inertia is None and effects.gravity is None
     return massless and plan.solving.scales_with_modulus

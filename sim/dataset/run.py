@@ -1,4 +1,4 @@
-"""An archive filled with what it lacks, by whoever makes units, and closed."""
+"""Create or resume an archive, make its missing units and close it."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ from sim.scene import Scene
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.tiers import FEWER
 
-# An archive begun from a plan, or found again with its plan in it.
+# Archives: created from a plan, or reopened with the plan stored in them.
 
-# Attribute of an archive that holds what it is made from, and "made_by" what made it.
+# Attribute of an archive that holds its plan, and value of its attribute "made_by".
 PLAN = "plan"
 MADE_BY = "tactile-rig sim archive"
-# Chance of a frame in which segmentation misses more markers than the marker check lets pass.
+# Probability that segmentation misses more markers of a frame than the marker check tolerates.
 LEAST_LIKELY = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
 class Begun:
-    """An archive to be filled."""
+    """An archive to fill, with its plan."""
 
     path: Path
     plan: Plan
 
     def missing(self) -> tuple[Unit, ...]:
-        """Units of which some file is not there."""
+        """Return the units with missing files."""
         missing = ArchiveWriter(self.path).missing()
         if not missing:
             return ()
@@ -76,11 +76,12 @@ class Begun:
 
 
 def begin(path: Path, plan: Plan, device: str = "cpu") -> Begun:
-    """Create the archive of a plan, or go on with the one that the same plan began.
+    """Create the archive of a plan, or reopen the one that the same plan created.
 
     Raises:
-        SceneError: Something else lies there, or an archive of another plan: names every key.
-        OSError: No room, or no leave to write there.
+        SceneError: The path holds something else, or an archive of another plan; the message names
+            every key that differs.
+        OSError: The disk is full, or the path is not writable.
     """
     if path.exists():
         begun = found(path)
@@ -100,10 +101,10 @@ def begin(path: Path, plan: Plan, device: str = "cpu") -> Begun:
 
 
 def found(path: Path) -> Begun:
-    """The archive at `path` and the plan in it.
+    """Open the archive at `path` and the plan in it.
 
     Raises:
-        SceneError: None there, not one of simulated sensors, or a plan that is not understood.
+        SceneError: There is no archive, it is not of simulated sensors, or its plan is invalid.
     """
     try:
         attrs = MarkerArchive(path).attrs
@@ -119,14 +120,14 @@ def found(path: Path) -> Begun:
     ]
     if changed:
         raise SceneError(
-            f"{path}: was begun when the patterns {', '.join(changed)} were others; allowed: the "
-            "version of this program that began it, or another path"
+            f"{path}: was begun with other definitions of the patterns {', '.join(changed)}; "
+            "allowed: the version of this program that began it, or another path"
         )
     return Begun(path, plan)
 
 
 def archive_plan(plan: Plan, device: str = "cpu") -> ArchivePlan:
-    """The archive of a plan as the recorder has it, references rendered."""
+    """Return the recorder's plan of the archive, with rendered references."""
     by_name = {
         made.name: made for family in families(plan) for made in _sensor_plans(plan, family, device)
     }
@@ -181,29 +182,29 @@ def _sensor_attrs(each: SimulatedSensor, seen: Reader, index: int) -> dict[str, 
 
 
 def _marker_count(each: SimulatedSensor, references: Packed) -> MarkerCount | None:
-    """How markers are counted: as many may be missing as segmentation misses now and then."""
+    """Return the marker check; its tolerance allows for markers that segmentation misses."""
     if not isinstance(each.signal, CameraSignal):
         return None
     errors = each.life.segmentation
     if errors is None:
         return MarkerCount()
-    # As if every marker lay in the rim as well: never too few.
+    # An upper bound: every marker counts as lying in the rim as well.
     missed = count_markers(unpack(references[0])) * (errors.missing + errors.rim_missing)
     return MarkerCount(tolerance=int(poisson.isf(LEAST_LIKELY, missed)) if missed > 0 else 0)
 
 
-# Ctrl-C while an archive is made: once ends after the units in flight, twice ends at once.
+# Ctrl-C while an archive is made: the first ends after the units in flight, the second at once.
 
 
 class Stop:
-    """Takes Ctrl-C while it is open: a context manager, of the main thread alone."""
+    """Context manager that handles Ctrl-C, in the main thread only."""
 
     def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
-        """Call `say` once when units in flight are waited for."""
+        """Call `say` with a line of text at the first Ctrl-C, when units in flight remain."""
         self._say = say
         self._before: Any = None
         self.asked = False
-        """Whether no unit should begin any more."""
+        """True if no further unit should begin."""
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -226,38 +227,38 @@ class Stop:
         self._say("stopping: the units in flight are finished first; Ctrl-C again stops at once")
 
 
-# Told how much of the presses of the unit in hand is solved, where there is one at a time.
+# Called with the share of the current unit's presses that is solved (units made one at a time).
 Inside = Callable[[float], None]
-# Makes units and tells of each that is done.
+# Makes units and yields the statistics of each when it is done.
 Maker = Callable[[Sequence[Unit], Inside], Iterator[Made]]
 
 
 @dataclass(frozen=True, slots=True)
 class Filled:
-    """What one run did."""
+    """Summary of one run."""
 
     complete: bool
-    """Whether the archive is; not when it was stopped."""
+    """True if the archive is complete, False if the run was stopped before."""
     images: int
-    """Masks that this run wrote."""
+    """Number of masks that this run wrote."""
     seconds: float
-    """Time that it took."""
+    """Duration of the run [s]."""
     solving: float
-    """CPU time of presses [s]; on a GPU the time that they took."""
+    """CPU time of presses [s]; on a GPU, wall-clock time."""
     seeing: float
-    """The same of images, fields, packing and writing."""
+    """The same for images, fields, packing and writing."""
     left: int
-    """Units that are still missing."""
+    """Number of units still missing."""
 
 
 def fill(begun: Begun, maker: Maker, stop: Stop, progress: Callable[[float], None]) -> Filled:
-    """Make what is missing and close the archive.
+    """Make the missing units and close the archive.
 
     Args:
         begun: The archive.
         maker: Makes the missing units.
-        stop: Whether the maker left some on purpose.
-        progress: Called with the share of all rows that are there.
+        stop: Request to stop, after which units may be missing on purpose.
+        progress: Called with the fraction of all rows that are written.
     """
     began = time.perf_counter()
     missing = begun.missing()
@@ -268,7 +269,7 @@ def fill(begun: Begun, maker: Maker, stop: Stop, progress: Callable[[float], Non
     made: list[Made] = []
 
     def inside(share: float) -> None:
-        """Presses are nearly all of a unit, and units are made in their order here."""
+        """Report progress within a unit; presses take most of its time, units come in order."""
         now = missing[len(made)].number
         progress((done + share * weights[now]) / whole)
 
@@ -295,9 +296,9 @@ def _rows(begun: Begun, unit: Unit) -> int:
     return sum(len(one) for press in presses for one in press.recordings)
 
 
-# Units made on this machine: one after the other, or one a process at a time.
+# Units made on this machine: one after the other, or one at a time per process.
 
-# What keeps a worker to one core, and its sums in one order.
+# Environment that keeps a worker to one core, and its sums in a fixed order.
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
@@ -309,14 +310,14 @@ def make_here(
     device: str,
     stop: Stop,
 ) -> Iterator[Made]:
-    """Make units one by one in this process, as a GPU wants it.
+    """Make units one by one in this process, as a GPU needs.
 
     Args:
         begun: The archive.
-        units: What is missing of it.
-        inside: Called with the share of the unit's presses that are solved.
-        device: Where.
-        stop: Asked between units.
+        units: Its missing units.
+        inside: Called with the fraction of the unit's presses that are solved.
+        device: Device to solve and render on.
+        stop: Request to stop, checked between units.
 
     Raises:
         SceneError, OSError: As `make_unit`.
@@ -336,29 +337,29 @@ def make_in_processes(
     stop: Stop,
     device: str = "cpu",
 ) -> Iterator[Made]:
-    """Make units in the order in which they are done; each process has one thread.
+    """Make units in parallel and yield each when it is done; each process has one thread.
 
     Args:
         begun: The archive.
-        units: What is missing of it.
-        inside: Not called: several units are in hand.
-        processes: How many at most.
-        stop: Asked before each unit.
-        device: Where images are made; presses too, but those of `layer`.
+        units: Its missing units.
+        inside: Not called, because several units are in progress.
+        processes: Most processes to use.
+        stop: Request to stop, checked before each unit.
+        device: Device for images, and for presses except those of `layer`.
 
     Raises:
-        SceneError, OSError: As `make_unit`; units in flight are given up.
-        WorkerLost: A process was killed, by a lack of memory for example.
+        SceneError, OSError: As `make_unit`; units in flight are abandoned.
+        WorkerLost: A process was killed, for example for lack of memory.
     """
     rest = iter(units)
     pending: set[Future[Made]] = set()
     done = 0
-    # Images are made by Warp, whatever the tier.
+    # Warp renders the images of every tier.
     workers = Workers(max(1, min(processes, len(units))), ready_device, device, fewer=FEWER)
     workers.done = f"0 of {len(units)} units"
     with workers:
         while True:
-            # No more than are worked on, so that a stop is one.
+            # Submit only units that can start at once, so that a stop takes effect.
             while len(pending) < processes and not stop.asked:
                 unit = next(rest, None)
                 if unit is None:
@@ -376,7 +377,7 @@ def make_in_processes(
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Processes that are started inside have one thread for sums of matrices."""
+    """Limit processes started inside to one thread for linear algebra."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     try:
@@ -389,14 +390,14 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-# Units made by the workers of a Dask cluster, which write them to a file system that all share.
+# Units made by the workers of a Dask cluster, which write them to a shared file system.
 #
-# A worker that is killed loses nothing: its unit runs again elsewhere, and a unit that two of them
-# write is the same twice.
+# If a worker is killed, its unit runs again elsewhere. If two workers write a unit, both write the
+# same data.
 
-# How long the first worker is waited for [s].
+# Timeout for the first worker to connect [s].
 WORKERS_WITHIN = 30.0
-# A worker with several threads makes one unit at a time all the same.
+# Held while a unit is made: one at a time, even in a worker with several threads.
 _ONE_AT_A_TIME = threading.Lock()
 
 
@@ -409,20 +410,21 @@ def make_on_cluster(
     device: str,
     stop: Stop,
 ) -> Iterator[Made]:
-    """Make units, in the order in which they are done.
+    """Make units on a Dask cluster and yield each when it is done.
 
     Args:
         begun: The archive; its path is the same for every worker.
-        units: What is missing of it.
-        inside: Not called: several units are in hand.
-        address: Of the scheduler, such as `tcp://host:8786`.
-        device: Where each worker makes its units.
-        stop: Once asked, units that no worker has are left.
+        units: Its missing units.
+        inside: Not called, because several units are in progress.
+        address: Address of the scheduler, such as `tcp://host:8786`.
+        device: Device of each worker.
+        stop: Request to stop, after which no further units are submitted.
 
     Raises:
-        SceneError: Dask is not installed, or nobody answers; and as `make_unit`.
+        SceneError: Dask is not installed, or the scheduler or its workers do not respond; or as
+            `make_unit`.
         OSError: As `make_unit`.
-        WorkerLost: A unit took several workers with it, so that Dask gave up.
+        WorkerLost: Several workers were killed by the same unit, so Dask stopped retrying it.
     """
     distributed = _distributed()
     try:
@@ -442,7 +444,7 @@ def make_on_cluster(
         flying: dict[str, Any] = {}
         try:
             while True:
-                # Twice as many as there are threads, so that nobody waits for us.
+                # Keep two units per thread submitted, so that no worker idles.
                 room = 2 * max(1, sum(client.nthreads().values()))
                 while len(flying) < room and not stop.asked:
                     unit = next(rest, None)
@@ -480,8 +482,8 @@ def _result(distributed: Any, future: Any) -> Made:
         made: Made = future.result()
     except distributed.KilledWorker as error:
         raise WorkerLost(
-            f"{future.key}: every worker that took it was killed, most likely for lack of memory; "
-            "allowed: more memory each, or fewer presses together"
+            f"{future.key}: every worker that ran it was killed, most likely for lack of memory; "
+            "allowed: more memory per worker, or fewer presses together"
         ) from error
     return made
 
@@ -497,47 +499,47 @@ def _distributed() -> Any:
     return distributed
 
 
-# What an archive will take, told before it is begun.
+# Cost estimate of an archive, printed before it is begun.
 
-# Presses of a family whose seconds are foretold; the others take their mean.
+# Presses of a family whose time is estimated; their mean serves for the others.
 SAMPLES = 3
 # CPU time of a press by `layer`, and of each of its frames [s].
 SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
-# CPU time of an element in an iteration of Newton's method [s], and iterations a step: of 20
-# presses with friction they took 5 to 20, and an element 5 to 10 us.
+# CPU time per element and Newton iteration [s], and iterations per step. 20 presses with friction
+# took 5 to 20 iterations, and 5 to 10 us per element.
 SECONDS_ITERATION, ITERATIONS = 6e-6, 8
-# CPU time of a frame, of each of its masks, and of one with errors of segmentation [s].
+# CPU time of a frame, of each of its masks, and extra with segmentation errors [s].
 SECONDS_VIEW, SECONDS_MASK, SECONDS_SEGMENTED = 15e-3, 3e-3, 25e-3
-# What a mask and a displacement field take when compressed: means over the paper's states.
+# Compressed size of a mask and of a displacement field: means over the paper's states.
 BYTES_MASK, BYTES_FIELD = 2_800, 12_600
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What is still to be done."""
+    """Estimated cost of the remaining work."""
 
     presses: int
-    """Scenes to solve."""
+    """Number of scenes to solve."""
     frames: int
-    """Frames of them, of all families."""
+    """Number of their frames, over all families."""
     images: int
-    """Masks that are made of the frames."""
+    """Number of masks to render from the frames."""
     size: float
-    """Bytes, about."""
+    """Approximate size in bytes."""
     solving: float | None
-    """CPU time of the presses [s], about; None where nothing is known of such presses."""
+    """Approximate CPU time of the presses [s]; None if there is no estimate."""
     seeing: float
-    """The same of images [s]."""
+    """The same for images [s]."""
     how: tuple[str, ...]
-    """How presses are solved, in words, for each kind of body."""
+    """Description of the solver's settings for each kind of body."""
 
     def seconds(self, processes: int) -> float | None:
-        """Time that so many processes take, about [s]."""
+        """Return the approximate time with that number of processes [s]."""
         return None if self.solving is None else (self.solving + self.seeing) / processes
 
 
 def cost(plan: Plan, missing: Sequence[Unit], device: str = "cpu") -> Cost:
-    """What units take; presses are foretold on device `cpu` only, within a factor of two or so."""
+    """Estimate the cost of units; time of presses only on `cpu`, to about a factor of two."""
     presses = frames = images = 0
     size = seeing = 0.0
     solving: float | None = 0.0
@@ -574,7 +576,7 @@ def _seconds_seeing(each: SimulatedSensor) -> float:
 
 
 def _seconds_press(plan: Plan, family: Family, device: str) -> float | None:
-    """Mean time of a press [s]; None where that is not known: on a GPU, or within a tolerance."""
+    """Return the mean time of a press [s]; None if unknown: on a GPU, or with a tolerance."""
     if device != "cpu" or plan.solving.tolerance is not None:
         return None
     places = np.linspace(0, len(family.presses) - 1, SAMPLES + 2).round().astype(int)[1:-1]

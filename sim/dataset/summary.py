@@ -1,4 +1,4 @@
-"""What became of an archive: its size, what has no solution, what the marker check says."""
+"""Summary of an archive: its size, its presses without a solution, its marker check."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from recorder.archive import ArchivedSensor, marker_flags
 from recorder.markers import unpack
 from recorder.plot import INK, PAPER, SOFT, font
 
-# Frames, and presses without a solution, that are told of one by one.
+# Most flagged frames, and most presses without a solution, that are listed one by one.
 SHOWN = 5
 
 
 def summary(
     path: Path, *, check: bool = True, progress: Callable[[float], None] = lambda share: None
 ) -> Iterator[str]:
-    """Lines on a whole archive.
+    """Yield the lines of the summary of a complete archive.
 
     Args:
-        path: Where it is.
-        check: Whether markers are counted, a millisecond an image.
-        progress: Called with the share of the sensors that are counted.
+        path: Path of the archive.
+        check: True to count markers, about a millisecond per image.
+        progress: Called with the fraction of the sensors that are counted.
 
     Raises:
-        SessionError: A damaged archive.
+        SessionError: The archive is damaged.
     """
     archive = MarkerArchive(path)
     images = sum(len(sensor) for sensor in archive.values())
@@ -42,7 +42,7 @@ def summary(
 
 
 def _presses(archive: MarkerArchive) -> Iterator[str]:
-    """Presses that were solved in another way than asked for, and those that were not."""
+    """Yield the presses that needed other settings than requested, and those without a solution."""
     again: dict[str, None] = {}
     lost: dict[str, None] = {}
     for sensor in archive.values():
@@ -55,7 +55,7 @@ def _presses(archive: MarkerArchive) -> Iterator[str]:
             if number in missing:
                 lost[f"{press}: {made['failed'][-1]}"] = None
             else:
-                again[f"{press}: solved with {made.get('again', 'a dearer choice')}"] = None
+                again[f"{press}: solved with {made.get('again', 'a costlier choice')}"] = None
     yield from _some(f"{len(again)} presses were solved again in another way", list(again))
     yield from _some(f"{len(lost)} presses have no solution, their rows are not valid", list(lost))
 
@@ -91,24 +91,24 @@ def _some(title: str, lines: list[str]) -> Iterator[str]:
         yield f"  and {len(lines) - SHOWN} more: `python -m recorder check`, and `sources`"
 
 
-# One picture for each sensor and indenter of an archive: its deepest state, small multiples.
+# Small multiples: one picture of the deepest state for each sensor and indenter of an archive.
 
-# Size of a picture, and the space around it [px].
+# Size of a picture, and the gap between pictures [px].
 TILE, GAP = (144, 108), 6
-# Room for the names [px].
+# Margins for the names [px].
 LEFT, TOP = 92, 30
 MARKER, GROUND = (240, 240, 236), (22, 26, 34)
 COLOURS = 16
 
 
 def draw_sheet(archive_path: Path, out: Path) -> None:
-    """Write a PNG: a row for each sensor or pattern, a column for each indenter.
+    """Write a PNG with a row for each sensor or pattern and a column for each indenter.
 
-    Shown is the deepest frame that is valid, the one nearest to the middle of several, and of these
-    the last before it goes up again.
+    Each picture shows the deepest valid frame: of several, the one nearest to the middle, and of
+    these the last before the indenter rises.
 
     Raises:
-        SessionError: Not an archive, or one that is not complete.
+        SessionError: Not an archive, or an incomplete one.
     """
     archive = MarkerArchive(archive_path)
     shown = {name: _deepest(sensor) for name, sensor in archive.items()}
@@ -135,10 +135,10 @@ def draw_sheet(archive_path: Path, out: Path) -> None:
 
 
 def _deepest(sensor: ArchivedSensor) -> dict[int, int]:
-    """The row that is shown of each indenter, by its code."""
+    """Return the row to show of each indenter, by the indenter's code."""
     table = sensor.table
     aside = np.hypot(*table["position"].T)
-    # Frames of the way up come after the shear: a press is deepest until then.
+    # The release comes after the shear; until then a press is deepest.
     going_down = table["phase"] <= 1
     order = np.lexsort((table["frame"], -aside.round(6), table["depth"].round(9)))
     rows = {}

@@ -1,4 +1,4 @@
-"""Effects a scene may call for; each is one file, and absent from the kernels when it is off."""
+"""Physical effects of a scene: one file each, compiled out of the kernels when off."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ KINDS = {"friction": Friction, "viscosity": Viscosity, "inertia": Inertia, "grav
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """What is simulated beyond frictionless, quasi-static elasticity. None is off."""
+    """Effects beyond frictionless, quasi-static elasticity; None is off."""
 
     friction: Friction | None = None
     """Coulomb friction between indenter and skin."""
     viscosity: Viscosity | None = None
-    """Relaxation of the material: force depends on speed, loading lies above unloading."""
+    """Relaxation of the material: force depends on speed, and is higher while loading."""
     inertia: Inertia | None = None
-    """Mass: the body swings and waves travel."""
+    """Mass: the body oscillates and waves propagate."""
     gravity: Gravity | None = None
     """Weight: the body sags."""
 
@@ -37,5 +37,5 @@ class Effects:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """Names of the effects that are on, in fixed order; kernels are cached by them."""
+        """Names of the active effects in fixed order, used as key of the kernel cache."""
         return tuple(name for name in self.__slots__ if getattr(self, name) is not None)

@@ -1,4 +1,4 @@
-"""What an effect declares of itself, so that its absence can be proved and its cost be read."""
+"""Declarations of an effect's arrays and kernel code, to state its cost and verify its absence."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ Per = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """An array that the `fem` tier keeps for an effect; of length zero when the effect is off."""
+    """Array that tier `fem` keeps for an effect; its length is zero when the effect is off."""
 
     name: str
-    """Path of the attribute, from the solver's `State`."""
+    """Path of the attribute, relative to the solver's `State`."""
     per: Per
-    """What the array has a place for."""
+    """Entity that each entry belongs to."""
     numbers: int
-    """Numbers at each place."""
+    """Number of values per entry."""
 
 
 @dataclass(frozen=True, slots=True)
 class Snippet:
-    """Where lines of an effect stand in kernels: a kernel factory and its flag.
+    """Location of an effect's code in kernels: a kernel factory and its flag.
 
-    In the factory's source they are the blocks `if wp.static(FLAG):`, without an `else`: cut out,
-    what is left is the kernel without the effect.
+    In the factory's source it consists of the blocks `if wp.static(FLAG):`, without an `else`.
+    Removing them gives the kernel without the effect.
     """
 
     module: str
@@ -36,6 +36,6 @@ class Snippet:
     factory: str
     """Name of the factory."""
     flag: str
-    """The factory's argument that compiles them in."""
+    """Argument of the factory that compiles the code in."""
     user: str = "sim.fem.assembly"
     """Module that calls the factory."""

@@ -1,4 +1,4 @@
-"""Coulomb friction: at every contact point the shear traction is at most mu times the pressure."""
+"""Coulomb friction: at every contact point, shear traction is at most mu times the pressure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Friction:
     """Coulomb friction with one coefficient for stick and slip.
 
     Raises:
-        SceneError: A coefficient outside of 0 to 10.
+        SceneError: The coefficient is not within 0 to 10.
     """
 
     STATE: ClassVar[tuple[Memory, ...]] = (
@@ -30,11 +30,11 @@ class Friction:
     LIMIT: ClassVar[str] = "coefficient -> 0: frictionless contact"
 
     coefficient: float
-    """Shear traction over pressure at which a point slips, 0 to 10."""
+    """Ratio of shear traction to pressure at which a point slips, 0 to 10."""
 
     def __post_init__(self) -> None:
         check_range("friction", "coefficient", self.coefficient, 0.0, 10.0)
 
     def weakened(self, share: float) -> Friction:
-        """The effect with `share` of its coefficient: as `share` -> 0 it does nothing."""
+        """Return the effect with its coefficient scaled by `share`; vanishes as `share` -> 0."""
         return replace(self, coefficient=share * self.coefficient)

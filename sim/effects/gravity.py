@@ -1,4 +1,4 @@
-"""Gravity: the body's weight, and the sag it starts from."""
+"""Gravity: the body's weight, and its initial sag."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from sim.errors import SceneError, check_range
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """A constant acceleration on the body's mass; the first frame is already in balance with it.
+    """Constant acceleration of the body's mass; the first frame is already in equilibrium with it.
 
     Raises:
-        SceneError: A component that is not within +-1000 m/s^2.
+        SceneError: A component is not within +-1000 m/s^2.
     """
 
     STATE: ClassVar[tuple[Memory, ...]] = (Memory("weight", "environment", 3),)
@@ -24,7 +24,7 @@ class Gravity:
     LIMIT: ClassVar[str] = "acceleration -> 0: a weightless body"
 
     acceleration: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    """In the contact frame [m/s^2]; a sensor looking down has +9.81 in z."""
+    """Acceleration in the contact frame [m/s^2]; +9.81 in z for a sensor that faces down."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.acceleration, tuple | list) or len(self.acceleration) != 3:
@@ -33,6 +33,6 @@ class Gravity:
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")
 
     def weakened(self, share: float) -> Gravity:
-        """The effect with `share` of its acceleration: as `share` -> 0 it does nothing."""
+        """Return the effect with its acceleration scaled by `share`; vanishes as `share` -> 0."""
         x, y, z = self.acceleration
         return replace(self, acceleration=(share * x, share * y, share * z))

@@ -11,10 +11,10 @@ from sim.errors import check_range
 
 @dataclass(frozen=True, slots=True)
 class Inertia:
-    """Lumped mass, backward Euler in time: steady at any step, damping what it cannot resolve.
+    """Lumped mass with backward Euler: stable at any time step, damps motion it cannot resolve.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     STATE: ClassVar[tuple[Memory, ...]] = (
@@ -33,5 +33,5 @@ class Inertia:
         check_range("inertia", "scale", self.scale, 0.0, 1e6)
 
     def weakened(self, share: float) -> Inertia:
-        """The effect with `share` of its mass: as `share` -> 0 it does nothing."""
+        """Return the effect with its mass scaled by `share`; vanishes as `share` -> 0."""
         return replace(self, scale=share * self.scale)

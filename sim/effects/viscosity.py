@@ -1,4 +1,4 @@
-"""Viscosity: the material relaxes along a Prony series beside its elasticity at rest."""
+"""Viscosity: the material relaxes by a Prony series, in parallel with its elasticity at rest."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from sim.errors import SceneError, check_kind, check_range
 
 @dataclass(frozen=True, slots=True)
 class Viscosity:
-    """Maxwell branches beside the spring: E(t) = E (1 + sum_i ratio_i exp(-t / time_i)).
+    """Maxwell branches parallel to a spring: E(t) = E (1 + sum_i ratio_i exp(-t / time_i)).
 
     E is `Body.modulus`, the modulus at rest. Form: Simo & Hughes, Computational Inelasticity
     (1998), section 10.3, on the second Piola-Kirchhoff stress.
 
     Raises:
-        SceneError: No branch, more than 4, or a value outside of what is allowed.
+        SceneError: There is no branch or more than 4, or a value is out of range.
     """
 
     STATE: ClassVar[tuple[Memory, ...]] = (
@@ -36,20 +36,20 @@ class Viscosity:
     LIMIT: ClassVar[str] = "ratios -> 0: an elastic body"
 
     ratios: tuple[float, ...]
-    """Stiffness of each branch over the stiffness at rest, 0 to 100."""
+    """Ratio of each branch's stiffness to the stiffness at rest, 0 to 100."""
     times: tuple[float, ...]
     """Relaxation time of each branch [s], 1e-6 to 1e6."""
     relaxes: Literal["all", "shear"] = "all"
-    """`all`: Poisson's ratio keeps its value at all times (Lee & Radok's assumption); `shear`: the
-    answer to a change of volume is elastic. The `layer` tier knows `all` only."""
+    """`all`: Poisson's ratio is constant in time (Lee & Radok's assumption); `shear`: the response
+    to volume changes is elastic. Tier `layer` supports `all` only."""
 
     def __post_init__(self) -> None:
         for name in ("ratios", "times"):
             check_kind(f"viscosity.{name}", getattr(self, name), tuple | list, "a tuple of numbers")
         if not 1 <= len(self.ratios) <= 4 or len(self.ratios) != len(self.times):
             raise SceneError(
-                f"viscosity: {len(self.ratios)} ratios and {len(self.times)} times; allowed: as "
-                "many of both, 1 to 4"
+                f"viscosity: {len(self.ratios)} ratios and {len(self.times)} times; allowed: the "
+                "same number of both, 1 to 4"
             )
         for index, (ratio, time) in enumerate(zip(self.ratios, self.times, strict=True)):
             check_range("viscosity", f"ratios[{index}]", ratio, 0.0, 100.0)
@@ -58,5 +58,5 @@ class Viscosity:
             raise SceneError(f"viscosity.relaxes: {self.relaxes!r}; allowed: 'all', 'shear'")
 
     def weakened(self, share: float) -> Viscosity:
-        """The effect with `share` of its branches' stiffness: as `share` -> 0 it does nothing."""
+        """Return the effect with its ratios scaled by `share`; vanishes as `share` -> 0."""
         return replace(self, ratios=tuple(share * ratio for ratio in self.ratios))

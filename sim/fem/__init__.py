@@ -1,6 +1,6 @@
-"""Finite elements at large strain: the exact tier.
+"""Finite elements at large strain: the most accurate tier.
 
-Its settings are here; its solver, which needs Warp, is `sim.fem.solver`.
+The settings are in this package; the solver, which needs Warp, is in `sim.fem.solver`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 # mypy: ignore-errors
 # Warp's arrays and kernels are typed at run time; mypy cannot follow them.
-"""Everything on the device for one batch: mesh, material, state; and the forces that follow.
+"""Device data of one batch: mesh, material and state, and the resulting forces.
 
 Units: lengths in thicknesses T, stresses in moduli E, forces in E T^2, times in seconds. So the
-arithmetic is the same whatever units or stiffness a scene has.
+arithmetic does not depend on the units or stiffness of a scene.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
-# Where a tip touches nothing, in thicknesses.
+# Position at which a tip touches nothing, in thicknesses.
 AWAY = (0.0, 0.0, 1e3)
 
-# What the sums over a state say of each environment of a batch.
+# Sums over a state, for each environment of a batch.
 
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """The columns that `residual_kernel` writes, by name; forces in E T^2."""
+    """Columns that `residual_kernel` writes, by name; forces in E T^2."""
 
     totals: Array
-    """(B, `SUMS`)."""
+    """All columns (B, `SUMS`)."""
 
     @property
     def square(self) -> Array:
-        """Square of what is out of balance (B,)."""
+        """Square of the out-of-balance forces (B,)."""
         return self.totals[:, 0]
 
     @property
@@ -66,7 +66,7 @@ class Sums:
 
     @property
     def slope(self) -> Array:
-        """-(out of balance) . direction (B,)."""
+        """-(out-of-balance force) . direction (B,)."""
         return self.totals[:, 2]
 
     @property
@@ -85,7 +85,7 @@ class Sums:
         return self.totals[:, 7:10]
 
 
-# The state of a batch: where everything is, and what the effects that are on remember.
+# State of a batch: positions, and the history of the effects that are on.
 #
 # An effect that is off has arrays of length zero: no memory, no work.
 
@@ -106,36 +106,36 @@ class State:
             return wp.zeros(shape, dtype=dtype, device=device)
 
         self.everyone = wp.ones(count, dtype=wp.int32, device=device)
-        """A mask with every environment."""
+        """Mask with every environment."""
         self.tip = zeros(count, vec3)
         """Tip of the indenter (B,)."""
         self.tip_old = zeros(count, vec3)
-        """The same at the last accepted step (B,)."""
+        """Tip at the last accepted step (B,)."""
         self.tip_before = np.zeros((count, 3))
-        """Where it was at the last accepted step (B, 3)."""
+        """Tip at the last accepted step (B, 3), on the host."""
         self._tip_after = np.zeros((count, 3))
         self._tip_now = np.zeros((count, 3))
         self.u = zeros((count, nodes), vec3)
         """Displacement of the nodes (B, N)."""
         self.u_old = zeros((count, nodes), vec3)
-        """The same at the last accepted step."""
+        """Displacement at the last accepted step."""
         self._u_before = zeros((count, nodes), vec3)
         self.pressure = zeros(points, real)
         """Contact pressure (B, S, P)."""
         self.carried = zeros(points, real)
-        """The part of it that needs no penetration (B, S, P)."""
+        """Multiplier: the part of the pressure that needs no penetration (B, S, P)."""
         self._carried_old = zeros(points, real)
         self.normal = zeros(points, vec3)
         """Unit normal out of the indenter where there is contact (B, S, P)."""
 
         rubbing = points if "friction" in on else none3
         self.push = zeros(points, vec3)
-        """Pressure as a vector at the last accepted step (B, S, P); `Assembly.work` keeps it."""
+        """Pressure as a vector at the last accepted step (B, S, P); updated by `Assembly.work`."""
 
         self.traction = zeros(rubbing, vec3)
         """Shear traction on the body (B, S, P); of length zero without friction."""
         self.traction_old = zeros(rubbing, vec3)
-        """The same at the last accepted step."""
+        """Shear traction at the last accepted step."""
         self.limit = zeros(rubbing, real)
         """Pressure that limits friction (B, S, P)."""
         self._limit_relaxed = zeros(rubbing, real)
@@ -148,13 +148,13 @@ class State:
             self._branches.history if self._branches else zeros(none3, mat33),
             self._branches.bulk_history if self._branches else zeros(none2, real),
         )
-        """Factors on stress and pressure (B,), and their histories: the element kernels' inputs."""
+        """Factors on stress and pressure (B,), and their histories: inputs of element kernels."""
 
         moving = (count, nodes) if "inertia" in on else none2
         self.rates = np.zeros(count)
-        """The same as `inertia_rate`, on the host."""
+        """`inertia_rate` on the host."""
         self.predicted = zeros(moving, vec3)
-        """Where the nodes would be without forces (B, N)."""
+        """Displacement that the nodes would have without forces (B, N)."""
         self._duration_old = np.ones(count)
         self.inertia_rate = zeros(count if "inertia" in on else 0, real)
         """Mass of a unit volume over step squared (B,)."""
@@ -182,7 +182,7 @@ class State:
         """Weight of a unit volume (B,); of length zero without gravity."""
 
     def friction(self, stick) -> tuple:
-        """The contact kernel's friction arguments."""
+        """Return the friction arguments of the contact kernel."""
         return (
             self._coefficient,
             stick,
@@ -193,7 +193,7 @@ class State:
         )
 
     def start(self, tip: np.ndarray) -> None:
-        """Put the tips where they are before the first step (B, 3)."""
+        """Put the tips at their positions before the first step (B, 3)."""
         self.tip_before[:] = self._tip_after[:] = tip
         self.tip_old.assign(self._array(tip, self.tip.dtype))
         self.put_tip(np.ones(len(tip), bool))
@@ -204,9 +204,9 @@ class State:
         """Prepare the step of the chosen environments (B,) bool to `tip` (B, 3).
 
         Args:
-            chosen: Those whose step begins.
-            tip: Where their tips go; `put_tip` moves them.
-            duration: Time of the step that each environment is in, begun now or before (B,) [s].
+            chosen: Environments whose step begins.
+            tip: Targets of their tips; `put_tip` moves them.
+            duration: Time of the current step of each environment, begun now or before (B,) [s].
             guess: Share of the last accepted change of `u` that `u` begins with (B,).
         """
         self._tip_after[chosen] = tip[chosen]
@@ -217,7 +217,7 @@ class State:
         self._foresee(active, duration)
 
     def _remember(self, active, duration: np.ndarray) -> None:
-        """What the material remembers of earlier steps, `duration` (B,) [s] after the last one."""
+        """Set the material's history, `duration` (B,) [s] after the last step."""
         if self._branches is not None:
             for factor, values in zip(
                 self.viscous[:2], self._branches.begin(active, duration), strict=True
@@ -225,7 +225,7 @@ class State:
                 factor.assign(self._array(values, self._real))
 
     def _foresee(self, active, duration: np.ndarray) -> None:
-        """Where mass goes by itself in the step of `duration` (B,) [s]."""
+        """Predict the motion of mass without forces in the step of `duration` (B,) [s]."""
         if "inertia" in self._effects:
             step = np.maximum(duration, 1e-12)
             self.rates = self._mass / step**2
@@ -234,10 +234,10 @@ class State:
             extrapolate(active, share, self.u_old, self._u_before, self.predicted)
 
     def put_within(self, chosen: np.ndarray, share: float, duration: np.ndarray, way) -> None:
-        """Let the chosen (B,) remember what they do after a share of their step.
+        """Set history and predicted motion of the chosen (B,) for a share of their step.
 
-        `duration` (B,) [s] is that of the whole step, and `way` (B, N) how far the nodes go in it,
-        with one acceleration throughout.
+        `duration` (B,) [s] is that of the whole step, and `way` (B, N) the displacement of the
+        nodes over it, with constant acceleration.
         """
         active = self._mask(chosen)
         self._remember(active, np.where(chosen, share, 1.0) * duration)
@@ -247,16 +247,16 @@ class State:
             walk(active, back, self.predicted, way, self.predicted)
 
     def put_weight(self, share: np.ndarray) -> None:
-        """Let the bodies have these shares of their weight (B,)."""
+        """Set the share of their weight that bodies have (B,)."""
         self.weight.assign(self._array(self._weight * share[:, None], self.weight.dtype))
 
     def put_tip_away(self, chosen: np.ndarray) -> None:
-        """Put the tips of the chosen environments (B,) where they touch nothing."""
+        """Move the tips of the chosen environments (B,) to where they touch nothing."""
         self._tip_now[chosen] = AWAY
         self.tip.assign(self._array(self._tip_now, self.tip.dtype))
 
     def put_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
-        """Put the tips of the chosen environments (B,) where their step ends, or where it began."""
+        """Put the tips of the chosen environments (B,) at the end of their step, or its start."""
         if not chosen.any():
             return
         self._tip_now[chosen] = (self.tip_before if before else self._tip_after)[chosen]
@@ -264,32 +264,32 @@ class State:
 
     @property
     def step(self) -> np.ndarray:
-        """How far the tips go in their step (B, 3)."""
+        """Displacement of the tips over their step (B, 3)."""
         return self._tip_after - self.tip_before
 
     def travel(self, chosen: np.ndarray):
-        """The same on the device (B,); 0 for those that are not chosen."""
+        """Return `step` on the device (B,); 0 for environments that are not chosen."""
         return self._array(np.where(chosen[:, None], self.step, 0.0), self.tip.dtype)
 
     def carry(self, active) -> None:
-        """Let the present pressure be the one that needs no penetration."""
+        """Set the multiplier to the current pressure."""
         copy_active(active, self.pressure, self.carried)
 
     def give_up(self, active) -> None:
-        """Forget what the step has changed; `begin_step` resets the rest."""
+        """Roll back the changes of the step; `begin_step` resets the rest."""
         copy_active(active, self._carried_old, self.carried)
 
     def settle_limit(self, active) -> None:
-        """Take the pressure of the state last evaluated as the limit of friction."""
+        """Set the limit of friction to the pressure of the last evaluated state."""
         copy_active(active, self.pressure, self.limit)
 
     def relax_limit(self, active, share: float) -> None:
-        """Move the limit of friction by `share` of the way from where it was relaxed to last."""
+        """Move the limit of friction by `share` of the way from its last relaxed value."""
         blend(active, share, self.pressure, self._limit_relaxed)
         copy_active(active, self._limit_relaxed, self.limit)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh, material) -> None:
-        """Make the present state of the chosen environments (B,) the start of their next step."""
+        """Make the current state of the chosen environments (B,) the start of their next step."""
         active = self._mask(chosen)
         if self._branches is not None:
             self._branches.keep(mesh, material, active, self.u)
@@ -314,16 +314,16 @@ class State:
 
 
 def _inverses(meshes: Sequence[Mesh]) -> list[np.ndarray]:
-    """Inverse Jacobians of each mesh (E, 8, 3, 3); (E, 1, 3, 3) where all elements are boxes.
+    """Return inverse Jacobians of each mesh (E, 8, 3, 3); (E, 1, 3, 3) if all elements are boxes.
 
-    Those are alike at all Gauss points, which a mesh tells by repeating them without a copy.
+    Those of boxes are equal at all Gauss points, and their mesh repeats them without a copy.
     """
     boxes = all(mesh.inverse.strides[1] == 0 for mesh in meshes)
     return [mesh.inverse[:, :1] if boxes else mesh.inverse for mesh in meshes]
 
 
 class Assembly:
-    """The equations of B presses on meshes of one topology: residual, tangent, preconditioner."""
+    """Equations of B presses on meshes of one topology: residual, tangent, preconditioner."""
 
     def __init__(
         self,
@@ -338,7 +338,7 @@ class Assembly:
         self.meshes = list(meshes)
         """Mesh of each environment (B,)."""
         self.mesh = mesh = variants[0]
-        """One of them, for all that they share."""
+        """First of the meshes, for all that they share."""
         self.numerics, self.device = numerics, device
         self.precision = precision
         self.real = real = PRECISIONS[precision]
@@ -388,7 +388,7 @@ class Assembly:
         self._shift = wp.zeros(environments, dtype=real, device=device)
         self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
         self.element_energy = wp.zeros((environments, elements), dtype=real, device=device)
-        # Elements beside a round body stay as they are here.
+        # Elements outside a round body keep this value.
         self._element_det = wp.ones((environments, elements), dtype=real, device=device)
         self.face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
         self.face_energy = wp.zeros((environments, faces), dtype=real, device=device)
@@ -399,13 +399,13 @@ class Assembly:
         self._sums = wp.zeros((environments, self._runs, SUMS), dtype=wp.float64, device=device)
         self._totals = wp.zeros((environments, SUMS), dtype=wp.float64, device=device)
         self.face_overlap = wp.zeros((environments, faces, COLUMNS), dtype=real, device=device)
-        """What `overlap` found on each face (B, S, `COLUMNS`) [T]."""
+        """Overlap of each face, as written by `overlap` (B, S, `COLUMNS`) [T]."""
         self._most_overlap = wp.zeros((environments, COLUMNS), dtype=real, device=device)
         self._field = wp.zeros((environments, count), dtype=vec3, device=device)
         self.sums = Sums(np.zeros((environments, SUMS)))
-        """Sums over the state last evaluated."""
+        """Sums over the last evaluated state."""
         self.residual = wp.zeros((environments, count), dtype=vec3, device=device)
-        """Out-of-balance force of the state last evaluated (B, N) [E T^2]."""
+        """Out-of-balance force of the last evaluated state (B, N) [E T^2]."""
         poisson = max(scene.body.poisson for scene in scenes)
         self.stencil = Stencil(
             mesh,
@@ -413,18 +413,18 @@ class Assembly:
             environments,
             device,
             viscous="viscosity" in self.effects,
-            # Short steps make inertia stiff without a bound, and float16 has one.
+            # Short steps make inertia stiff without a bound, and the range of float16 is bounded.
             half=False if "inertia" in self.effects or poisson > HALF_POISSON else None,
         )
-        """Tangent of the state last linearised."""
+        """Tangent of the last linearised state."""
         self.lines = Lines(mesh, real, environments, device)
-        """Its preconditioner."""
+        """Preconditioner of the tangent."""
         self.coefficients = [getattr(s.effects.friction, "coefficient", 0.0) for s in scenes]
         self.state = State(self, scenes)
-        """What the state of the batch is."""
+        """State of the batch."""
 
     def evaluate(self, active, u, direction) -> Sums:
-        """Forces at displacement `u` and their sums; `direction` (B, N) is what the slope is of."""
+        """Compute forces at `u` and return their sums; the slope is along `direction` (B, N)."""
         wp.launch(
             self._element,
             dim=(self.environments, len(self.mesh.elements)),
@@ -439,7 +439,7 @@ class Assembly:
         return self.evaluate_contact(active, u, direction)
 
     def evaluate_contact(self, active, u, direction) -> Sums:
-        """As `evaluate`, where only the friction limit changed since the last one."""
+        """Evaluate again after only the friction limit has changed."""
         state = self.state
         wp.launch(
             self._contact[0],
@@ -505,12 +505,14 @@ class Assembly:
         return self.sums
 
     def overlap(self, active, *, samples: int, states: int = 1) -> Array:
-        """How far skin overlaps indenter and base plane (B, `COLUMNS`); see `sim.fem.overlap`.
+        """Return the overlap of skin with indenter and base plane (B, `COLUMNS`).
+
+        See `sim.fem.overlap`.
 
         Args:
-            active: Of which environments.
-            samples: Along each side of a face.
-            states: How many on the way from the last accepted state, the present one included.
+            active: Mask of environments.
+            samples: Samples along each side of a face.
+            states: Number of states from the last accepted one to the current one, which counts.
         """
         state = self.state
         self._most_overlap.zero_()
@@ -537,9 +539,9 @@ class Assembly:
         return self._most_overlap.numpy().astype(float)
 
     def work(self, chosen: np.ndarray) -> np.ndarray:
-        """Work of the indenter over the step that led to the state last evaluated (B,) [E T^3].
+        """Return the indenter's work over the step to the last evaluated state (B,) [E T^3].
 
-        By the trapezoid rule; to be asked for once a step of those that are chosen (B,).
+        By the trapezoid rule. Call it once per step of the chosen environments (B,).
         """
         state = self.state
         wp.launch(
@@ -568,8 +570,8 @@ class Assembly:
     def push(self, active, travel) -> None:
         """Write the forces of contact that moves by `travel` (B,) into `residual`.
 
-        Contact and its stiffness are those of the state last evaluated: what it would press with
-        if the body stood still. Solved for, they say where the body goes with the tip.
+        Contact and its stiffness are those of the last evaluated state, so these are the forces on
+        a body that stands still. Solving for them gives the motion of the body with the tip.
         """
         fill(active, travel, self._field)
         self._shove(active, self._field)
@@ -597,18 +599,19 @@ class Assembly:
         )
 
     def make_convex(self, convex: np.ndarray) -> None:
-        """Leave out of coming tangents, where `convex` (B,) says so, what may be negative in them.
+        """Drop terms that may be negative from coming tangents, for environments `convex` (B,).
 
-        That is how the indenter's curvature turns pressure, and what pressure adds to the stiffness
-        of elements beyond a bound (`element.tangent_functions`). Forces stay as they are.
+        These are the rotation of the pressure by the indenter's curvature, and the part that
+        pressure adds to the stiffness of elements beyond a bound (`element.tangent_functions`).
+        Forces do not change.
         """
         self._convex.assign(convex.astype(np.int32))
 
     def linearise(self, active, u, damping: np.ndarray, anew=None) -> None:
-        """Fill `stencil` and `lines` with the tangent of the state last evaluated, which is `u`.
+        """Fill `stencil` and `lines` with the tangent of the last evaluated state, which is `u`.
 
-        `damping` (B,) [E / T^2] stiffens it against any motion, not the residual. The elastic part
-        is that of `u` where `anew` (B,) says so, or everywhere; else as it was last.
+        `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual. The
+        elastic part is updated to `u` where `anew` (B,) is set, or everywhere; else it is kept.
         """
         self._shift.assign((self.state.rates + damping).astype(numpy_of(self.real)))
         self.stencil.assemble(
@@ -624,7 +627,7 @@ class Assembly:
         self.lines.factor(active, self.stencil.matrix)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
-        """Make the present state of the chosen environments (B,) the start of their next step."""
+        """Make the current state of the chosen environments (B,) the start of their next step."""
         self.state.accept(
             chosen,
             duration,
@@ -633,7 +636,7 @@ class Assembly:
         )
 
     def _element_inputs(self) -> tuple:
-        """Mesh and material: the first arguments of both element kernels."""
+        """Return mesh and material: the first arguments of both element kernels."""
         geometry = (self._inverse, self._weight, self._variant)
         return (
             self._elements,

@@ -1,13 +1,13 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Preconditioned conjugate gradients on all environments at once, each stopping on its own.
+"""Preconditioned conjugate gradients on all environments at once, each stopping independently.
 
-No number leaves the device but which environments are still running, looked at every `LOOK`
-iterations; the iterations between are one graph, recorded once for as many rows as are launched:
-five kernels each, which Python need not launch one by one. Rows hold the number of an environment,
-or -1: when half of them are through, the others move together and half as many are launched, since
-threads that have nothing to do take time as well. Dot products are float64 whatever the precision
-of the vectors.
+The only data read back from the device are the indices of running environments, every `LOOK`
+iterations. The iterations in between are one graph of five kernels each, recorded once per number
+of launched rows, so Python need not launch every kernel. A row holds the index of an environment,
+or -1. When half of the environments have finished, the others move together and half as many rows
+are launched, since idle threads take time as well. Dot products are float64 whichever precision the
+vectors have.
 """
 
 import functools
@@ -18,25 +18,25 @@ import warp as wp
 from sim.fem.mesh import CENTRE, Mesh
 from sim.scalars import matrix_of, vector_of
 
-# Iterations between looks at who is still running: free on the CPU, a stop on a GPU.
+# Iterations between checks for running environments: free on the CPU, a stop on a GPU.
 LOOK = {"cpu": 1, "cuda": 8}
 
-# Mark in place of the accuracy to reach: stop here, the tangent is not convex.
+# Mark that replaces the target accuracy: stop here, the tangent is not convex.
 CONCAVE = 1e300
-# Threads of a GPU that add up the shares of one environment's sum.
+# GPU threads that add up the partial sums of one environment.
 LANES = 128
-# Numbers of each environment: r.z, r.r to reach, step, change of direction, slope.
+# Scalars per environment: r.z, target of r.r, step length, direction update (beta), slope.
 SCALARS = 5
 
 
 @functools.cache
 def _cg_kernels(real, lanes: int):
-    """Kernels for one precision; `lanes` threads add up a sum: 1, or a whole block of them."""
+    """Return the kernels for one precision; `lanes` threads add up a sum: 1, or a whole block."""
     vec3 = vector_of(real)
 
     @wp.func
     def total(sums: wp.array3d(dtype=wp.float64), env: int, lane: int, which: int):
-        """The whole of a dot product, from its shares."""
+        """Return a dot product from its partial sums."""
         whole = wp.float64(0.0)
         for part in range(lane, sums.shape[1], lanes):
             whole += sums[env, part, which]
@@ -105,12 +105,12 @@ def _cg_kernels(real, lanes: int):
             if curvature > wp.float64(0.0):
                 scalars_out[env, 2] = scalars_out[env, 0] / curvature
             else:
-                # Not convex along p: keep what was found; at the very start go along p itself.
+                # Not convex along p: keep the solution so far; in the first iteration step along p.
                 scalars_out[env, 2] = wp.float64(0.0)
                 if count_out[env] == 0:
                     scalars_out[env, 2] = wp.float64(1.0)
                 scalars_out[env, 1] = wp.float64(CONCAVE)
-            # The right-hand side times p is r.z: every later residual is at right angles to it.
+            # The right-hand side times p is r.z: all later residuals are orthogonal to it.
             scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
             count_out[env] = count_out[env] + 1
 
@@ -153,19 +153,19 @@ def _cg_kernels(real, lanes: int):
 
 
 class ConjugateGradient:
-    """Solves tangent x = residual for B environments of N nodes; owns its vectors.
+    """Solver of tangent x = residual for B environments of N nodes; it owns its vectors.
 
     Args:
         real: Warp's scalar type.
-        environments: How many, B.
-        nodes: How many, N.
-        device: Where.
-        stencil: The tangent: `product(which, p, product, sums)` writes tangent p and the shares of
-            p . tangent p, (B, `stencil.parts`, 1), of the environments `which` (R,) names.
-        columns: The preconditioner: `advance` goes a step along p and writes z and the shares of
-            r.z and r.r, (B, `columns.parts`, 2).
-        gather: Whether fewer rows are launched as environments end. On a GPU, when not said.
-        record: Whether iterations are a graph: `stencil` and `columns` only launch kernels.
+        environments: Number of environments, B.
+        nodes: Number of nodes, N.
+        device: Device of the vectors.
+        stencil: Tangent: `product(which, p, product, sums)` writes tangent p and the partial sums
+            of p . tangent p, (B, `stencil.parts`, 1), for the environments `which` (R,).
+        columns: Preconditioner: `advance` steps along p and writes z and the partial sums of r.z
+            and r.r, (B, `columns.parts`, 2).
+        gather: Launch fewer rows as environments end; by default only on a GPU.
+        record: Record iterations as a graph; `stencil` and `columns` must only launch kernels.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class ConjugateGradient:
         self._stencil, self._columns = stencil, columns
         self._shape = shape
         self.solution = wp.zeros(shape, dtype=vec3, device=device)
-        """Where the answer is (B, N)."""
+        """Solution (B, N)."""
         self._r = wp.zeros(shape, dtype=vec3, device=device)
         self._p = wp.zeros(shape, dtype=vec3, device=device)
         self._z = wp.zeros(shape, dtype=vec3, device=device)
@@ -205,13 +205,13 @@ class ConjugateGradient:
         self._lanes = LANES if self._device.is_cuda else 1
 
     def solve(self, active, residual, accuracy, most: int) -> np.ndarray:
-        """Fill `solution` of active environments; the iterations of each (B,).
+        """Fill `solution` of active environments and return their numbers of iterations (B,).
 
         Args:
-            active: Which environments, int32 (B,); not changed.
+            active: Mask of environments, int32 (B,); not changed.
             residual: Right-hand side (B, N).
-            accuracy: |r| / |residual| to reach, float64 NumPy (B,).
-            most: Iterations at most; the graph that they end in is finished.
+            accuracy: Target of |r| / |residual|, float64 NumPy (B,).
+            most: Most iterations; the graph in which this is reached is completed.
         """
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
         self._gather(np.flatnonzero(active.numpy()), anew=True)
@@ -232,9 +232,9 @@ class ConjugateGradient:
         return self._count.numpy().copy()
 
     def verdict(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the last solve (B,): -(right-hand side) . solution; whether it ended concave.
+        """Return -(right-hand side) . solution, and True for solves that ended concave (B,).
 
-        Concave: it met a direction along which the tangent is not convex.
+        Those met a direction along which the tangent is not convex.
         """
         scalars = self._scalars.numpy()
         return scalars[:, 4].copy(), scalars[:, 1] >= CONCAVE
@@ -243,8 +243,8 @@ class ConjugateGradient:
         """Launch at most twice as many rows as are running, if rows are gathered at all.
 
         Args:
-            running: Numbers of environments.
-            anew: They are not those of before.
+            running: Indices of environments.
+            anew: True if they are not those of the previous call.
         """
         rows = self._shape[0]
         while self._gathers and rows > 1 and len(running) <= rows // 2:
@@ -262,7 +262,7 @@ class ConjugateGradient:
             return
         rows = len(self._which), self._columns.ways
         if rows not in self._graphs:
-            self._once()  # compiles what is not compiled, which a recording must not
+            self._once()  # compiles kernels, which a recording must not
             with wp.ScopedCapture(self._device) as capture:
                 for _time in range(times):
                     self._once()
@@ -309,18 +309,18 @@ class ConjugateGradient:
 
 # Preconditioner: the tangent without its couplings between vertical columns, solved exactly.
 #
-# The nodes of a column make a block-tridiagonal system, factored as L D L^T with one 3x3 pivot a
+# The nodes of a column form a block-tridiagonal system, factored as L D L^T with one 3x3 pivot per
 # node (Golub & Van Loan, Matrix Computations, 4th ed., section 4.5.1). The blocks are those of the
-# state: made of the undeformed body's, columns need more iterations than single nodes do.
+# current state: with those of the undeformed body, columns need more iterations than single nodes.
 #
 # Where the tangent is not convex, a pivot may have eigenvalues that are zero or negative. Those are
-# lifted, to their absolute values at least; L D L^T with positive pivots is positive definite
-# whatever L is.
+# raised to their absolute values or more; L D L^T with positive pivots is positive definite for any
+# L.
 
-# Columns that one block of a GPU's threads takes, whose sums it adds up.
+# Columns per block of GPU threads, which adds up their sums.
 BLOCK = 64
-# Least eigenvalue of a pivot over the mean diagonal of its block. Shear against bulk modulus at nu
-# = 0.4999 makes 1e-4 of it; below 1e-6 float32 has no digits left.
+# Least eigenvalue of a pivot over the mean diagonal of its block. The ratio of shear to bulk
+# modulus at nu = 0.4999 makes it 1e-4; below 1e-6 float32 has no digits left.
 PIVOT_LEAST = 1e-5
 
 
@@ -332,7 +332,7 @@ def _column_kernels(real):
 
     @wp.func
     def positive(a: mat33):
-        """Whether a symmetric matrix is positive definite, by its leading minors."""
+        """True if a symmetric matrix is positive definite, by its leading minors."""
         return (
             a[0, 0] > real(0.0)
             and a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0] > real(0.0)
@@ -341,7 +341,7 @@ def _column_kernels(real):
 
     @wp.func
     def lifted(a: mat33, floor: real):
-        """The symmetric matrix with every eigenvalue at least `floor` and its absolute value."""
+        """Return the symmetric matrix with eigenvalues raised to max(absolute value, `floor`)."""
         vectors, values = wp.eig3(a)
         for i in range(3):
             values[i] = wp.max(wp.abs(values[i]), floor)
@@ -349,7 +349,7 @@ def _column_kernels(real):
 
     @wp.kernel(enable_backward=False, module="unique")
     def factor(
-        # Mesh, and how the numbers of nodes run along a line
+        # Mesh, and the numbering of nodes along a line
         free: wp.array(dtype=wp.int32),
         inner: int,
         outer: int,
@@ -372,7 +372,7 @@ def _column_kernels(real):
             upper = mat33()
             block = matrix[env, n, CENTRE]
             size = wp.abs(block[0, 0]) + wp.abs(block[1, 1]) + wp.abs(block[2, 2])
-            # Nodes beside a round body have no stiffness and nowhere to go.
+            # Nodes outside a round body have no stiffness and do not move.
             if free[n] == 1 and size > real(0.0):
                 floor = least * third * size
                 pivot = block - below
@@ -396,7 +396,7 @@ def _column_kernels(real):
         y: vec3,
         z_out: wp.array2d(dtype=vec3),
     ):
-        """Keep the solution by L, `y`, of the line's node k; what is to be taken from the next."""
+        """Store `y`, the solution by L at the line's node k; return its part to subtract next."""
         z_out[env, n] = y
         return wp.transpose(upper[env, line, k]) * y
 
@@ -411,7 +411,7 @@ def _column_kernels(real):
         stride: int,
         z_out: wp.array2d(dtype=vec3),
     ):
-        """Solve by D L^T, backwards from what L left in `z_out`; the line's r.z and r.r."""
+        """Solve by D L^T, backwards from L's solution in `z_out`; return the line's r.z and r.r."""
         length = pivot.shape[2]
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
@@ -427,25 +427,25 @@ def _column_kernels(real):
 
     @wp.kernel(enable_backward=False, module="unique")
     def along(
-        # How the numbers of nodes run along a line, and where the shares of the sums begin
+        # Numbering of nodes along a line, and the first index of the partial sums
         inner: int,
         outer: int,
         stride: int,
         first: int,
-        # In: who takes part; factors; residual
+        # In: environments; factors; residual
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
         pivot: wp.array3d(dtype=mat33),
         upper: wp.array3d(dtype=mat33),
         r: wp.array2d(dtype=vec3),
-        # Out: what this line makes of the residual
+        # Out: the residual preconditioned by this line
         own_out: wp.array2d(dtype=vec3),
         # In and out: preconditioned residual, to which that is added
         z_out: wp.array2d(dtype=vec3),
-        # Out: shares of r.z
+        # Out: partial sums of r.z
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        """Add to z what the lines along x or y make of the residual."""
+        """Add to z the residual preconditioned by the lines along x or y."""
         row, line = wp.tid()
         env = which[row]
         if env < 0:
@@ -475,7 +475,7 @@ def _column_kernels(real):
         solution_out: wp.array2d(dtype=vec3),
         r_out: wp.array2d(dtype=vec3),
     ):
-        """What a thread for each node does before `sweep`: neighbours in memory go together."""
+        """Step each node's solution and residual before `sweep`, with coalesced memory access."""
         row, n = wp.tid()
         env = which[row]
         if env < 0:
@@ -491,7 +491,7 @@ def _column_kernels(real):
         pivot: wp.array3d(dtype=mat33),
         upper: wp.array3d(dtype=mat33),
         r: wp.array2d(dtype=vec3),
-        # Out: preconditioned residual, and shares of r.z and r.r
+        # Out: preconditioned residual, and partial sums of r.z and r.r
         z_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
@@ -526,7 +526,7 @@ def _column_kernels(real):
         # In and out:
         solution_out: wp.array2d(dtype=vec3),
         r_out: wp.array2d(dtype=vec3),
-        # Out: preconditioned residual, and shares of r.z and r.r
+        # Out: preconditioned residual, and partial sums of r.z and r.r
         z_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
@@ -551,15 +551,15 @@ def _column_kernels(real):
 
 
 class _Factors:
-    """Factors of the lines of nodes along one axis, of B environments on one grid.
+    """Factors of the lines of nodes along one axis, for B environments on one grid.
 
     Args:
-        mesh: Grid, and which nodes are held.
+        mesh: Grid with its fixed nodes.
         axis: 0, 1 or 2: x, y or z.
         real: Warp's scalar type.
-        environments: How many, B.
-        device: Where.
-        parallel: Whether line numbers run fastest in memory.
+        environments: Number of environments, B.
+        device: Device of the factors.
+        parallel: Store the factors with line numbers running fastest.
     """
 
     def __init__(
@@ -568,14 +568,14 @@ class _Factors:
         self._kernel = _column_kernels(real)[0]
         self._environments, self._device = environments, device
         x, y, z = (cells + 1 for cells in mesh.cells)
-        # First nodes that stand side by side, and the way from one lot of them to the next; the way
-        # from node to node along the line.
+        # Number of adjacent lines and the offset from one group of them to the next; the offset
+        # from node to node along a line.
         self.order = ((y * z, 0, y * z), (z, y * z, z), (1, z, 1))[axis]
-        """How the numbers of nodes run along lines."""
+        """Numbering of nodes along lines: group size, group offset, node offset."""
         self._next_slot = (CENTRE + 9, CENTRE + 3, CENTRE + 1)[axis]
         length = (x, y, z)[axis]
         self.lines = len(mesh.nodes) // length
-        """How many lines there are."""
+        """Number of lines."""
         shape = (length, self.lines) if parallel else (self.lines, length)
         stored = wp.zeros((2, environments, *shape), matrix_of(real), device=device)
         stored = stored.transpose((0, 1, 3, 2)) if parallel else stored
@@ -594,22 +594,23 @@ class _Factors:
 
 
 class Columns:
-    """Vertical columns as the preconditioner of B environments on one grid; owns its factors."""
+    """Preconditioner of vertical columns for B environments on one grid; it owns its factors."""
 
     ways = 1
-    """Along how many axes lines are solved."""
+    """Number of axes along which lines are solved."""
 
     def __init__(
         self, mesh: Mesh, real, environments: int, device: str, *, parallel: bool | None = None
     ) -> None:
-        """Make room for the factors: 72 bytes for each node and environment in float32.
+        """Allocate the factors: 72 bytes per node and environment in float32.
 
         Args:
-            mesh: Grid, and which nodes are held.
+            mesh: Grid with its fixed nodes.
             real: Warp's scalar type.
-            environments: How many, B.
-            device: Where.
-            parallel: Whether column numbers run fastest in memory. On a GPU, when not said.
+            environments: Number of environments, B.
+            device: Device of the factors.
+            parallel: Store the factors with column numbers running fastest; by default only on a
+                GPU.
         """
         self._device = device
         on_gpu = self._on_gpu = wp.get_device(device).is_cuda
@@ -617,22 +618,22 @@ class Columns:
         parallel = on_gpu if parallel is None else parallel
         found = self._factors = _Factors(mesh, 2, real, environments, device, parallel=parallel)
         self.parts = -(-found.lines // BLOCK) if on_gpu else found.lines
-        """How many shares `advance` writes of each sum."""
+        """Number of partial sums that `advance` writes for each sum."""
 
     def factor(self, active, matrix) -> None:
         """Factor the columns of active environments, from the blocks (B, N, 27) of a `Stencil`."""
         self._factors.make(active, matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
-        """Go a step of conjugate gradients, and precondition the residual that it leaves.
+        """Take a step of conjugate gradients, and precondition the new residual.
 
         Args:
-            which: Numbers of environments, int32 (R,); -1: none.
+            which: Indices of environments, int32 (R,); -1: none.
             scalars: Length of the step in column 2 (B, 3 or more), float64.
             along: Search direction and the tangent times it, two (B, N).
-            vectors: Solution and residual, which the step changes, and where the preconditioned
-                residual goes, three (B, N).
-            sums: Where the shares of r.z and r.r go (B, `parts`, 2), float64.
+            vectors: Solution and residual, which the step changes, and output of the preconditioned
+                residual, three (B, N).
+            sums: Output of the partial sums of r.z and r.r (B, `parts`, 2), float64.
         """
         if not self._on_gpu:
             wp.launch(
@@ -663,26 +664,26 @@ class Columns:
 
 # Where columns alone need hundreds of iterations, lines along x and y are solved as well.
 #
-# Couplings between columns are the strong ones where elements are narrow and tall (under a blade),
-# and in bodies that keep their volume (what a column is pressed by goes into its neighbours).
-# Solutions along the three axes are added up (additive Schwarz: Smith, Bjorstad & Gropp, Domain
-# Decomposition, 1996), which makes a third to a fifth of the iterations, each 1.5 to 2 times as
-# long.
+# Couplings between columns are strong where elements are narrow and tall (under a blade), and in
+# nearly incompressible bodies (pressure on a column is passed to its neighbours). The solutions
+# along the three axes are added up (additive Schwarz: Smith, Bjorstad & Gropp, Domain
+# Decomposition, 1996). That reduces the iterations to between a third and a fifth, each taking 1.5
+# to 2 times as long.
 
-# Iterations of one solve from which an environment has lines along all axes. On a GPU one thread
-# walks along each line: an iteration takes five times as long, which pays only as a last resort.
+# Iterations of one solve from which an environment gets lines along all axes. On a GPU one thread
+# runs along each line: an iteration takes five times as long, so this is only a last resort.
 HARD_FROM = {"cpu": 150, "cuda": 2000}
 
 
 class Lines:
-    """Columns, and for environments that are hard lines along x and y too; interface of `Columns`.
+    """Columns, with lines along x and y for hard environments; interface of `Columns`.
 
     Args:
-        mesh: Grid, and which nodes are held.
+        mesh: Grid with its fixed nodes.
         real: Warp's scalar type.
-        environments: How many, B.
-        device: Where.
-        parallel: Whether line numbers run fastest in memory. On a GPU, when not said.
+        environments: Number of environments, B.
+        device: Device of the factors.
+        parallel: Store the factors with line numbers running fastest; by default only on a GPU.
     """
 
     def __init__(
@@ -695,20 +696,20 @@ class Lines:
         self._hard_from = HARD_FROM["cuda" if wp.get_device(device).is_cuda else "cpu"]
         x, y, z = (cells + 1 for cells in mesh.cells)
         self.parts = self._columns.parts + y * z + x * z
-        """How many shares `advance` writes of each sum."""
+        """Number of partial sums that `advance` writes for each sum."""
         self.hard = np.zeros(environments, bool)
-        """Which environments have lines along all axes (B,)."""
+        """True for environments that have lines along all axes (B,)."""
         self._hard = wp.zeros(environments, dtype=wp.int32, device=device)
         self._factors: list[_Factors] = []
         self._own = None
 
     @property
     def ways(self) -> int:
-        """Along how many axes lines are solved, of some environment."""
+        """Number of axes along which lines are solved in any environment."""
         return 3 if self._factors else 1
 
     def learn(self, used: np.ndarray) -> None:
-        """Take what solves with columns have used (B,) for how hard each environment is."""
+        """Mark environments as hard by the iterations that their last solves have taken (B,)."""
         hard = self.hard | (used >= self._hard_from)
         if (hard == self.hard).all():
             return
@@ -725,7 +726,7 @@ class Lines:
         self._own = wp.zeros(shape, vector_of(real), device=device)
 
     def factor(self, active, matrix) -> None:
-        """As `Columns.factor`."""
+        """Factor as `Columns.factor` does, with lines along x and y of hard environments."""
         self._columns.factor(active, matrix)
         if not self._factors:
             return
@@ -735,7 +736,7 @@ class Lines:
             factors.make(chosen, matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
-        """As `Columns.advance`."""
+        """Step as `Columns.advance` does, with lines along x and y of hard environments."""
         self._columns.advance(which, scalars, along, vectors, sums)
         _solution, r, z = vectors
         first = self._columns.parts

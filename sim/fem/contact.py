@@ -1,18 +1,18 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Contact with a rigid signed distance function at Gauss points of the faces, and friction there.
+"""Contact with a rigid signed distance function at Gauss points of the faces, with friction.
 
-Normal: augmented Lagrangian (Simo & Laursen 1992): pressure = carried + penalty * penetration where
-that is positive, along the gradient of the distance. `carried` is the pressure of an earlier state
-of the same point: brought up to date until the penetration is gone, it leaves a soft penalty, whose
-equations are easy to solve, with the answer of a stiff one.
+Normal: augmented Lagrangian (Simo & Laursen 1992). The pressure is multiplier + penalty *
+penetration where that is positive, along the gradient of the distance. The multiplier is the
+pressure of an earlier state of the same point. Updating it until the penetration vanishes gives the
+solution of a stiff penalty with a soft one, whose equations are easier to solve.
 
-Friction: the traction of the last converged step, moved on by a tangential spring and cut back to
+Friction: the traction of the last converged step, advanced by a tangential spring and cut back to
 coefficient * pressure (return mapping; Wriggers, Computational Contact Mechanics, 2006, section
-5.2). The pressure in that limit is an input, so that the derivative stays symmetric; the Newton
-loop brings it up to date until it is the pressure of the same state.
+5.2). The pressure in that limit is an input, which keeps the derivative symmetric; the Newton loop
+updates it until it is the pressure of the same state.
 
-Everything per untouched area. One thread a face of one environment.
+All quantities are per undeformed area. One thread per face of each environment.
 """
 
 import functools
@@ -23,12 +23,12 @@ import warp as wp
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.scalars import matrix_of, vector_of
 
-# Distance over which the turning of the normal is measured, in thicknesses.
+# Step of the finite difference of the normal, in thicknesses.
 REACH = 2e-3
 
 
 def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shape functions (P, 4) and weights (P,) of `points` x `points` Gauss points on a face."""
+    """Return shape functions (P, 4) and weights (P,) at `points` x `points` Gauss points."""
     place, weight = np.polynomial.legendre.leggauss(points)
     first = np.stack([1 - place, 1 + place], axis=1) / 2
     shape = np.einsum("pi,qj->pqij", first, first).reshape(-1, 4)
@@ -37,7 +37,7 @@ def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.cache
 def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
-    """Kernels (contact, tangent); without `friction` no trace of it is compiled.
+    """Return the kernels (contact, tangent); without `friction` none of its code is compiled.
 
     `traits` are those of the indenters' table.
     """
@@ -51,14 +51,14 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
 
     @wp.func
     def bend(table: table_type, env: int, place: vec3, normal: vec3, along: vec3):
-        """How the normal turns along a tangent, in the tangent plane."""
+        """Return the derivative of the normal along a tangent, in the tangent plane."""
         ahead = distance(table, env, place + along * reach)
         turn = (vec3(ahead[0], ahead[1], ahead[2]) - normal) / reach
         return turn - normal * wp.dot(normal, turn)
 
     @wp.func
     def curvature(table: table_type, env: int, place: vec3, normal: vec3):
-        """Derivative of the normal, symmetric, by differences."""
+        """Return the derivative of the normal, symmetric, by finite differences."""
         helper = vec3(one, zero, zero)
         if wp.abs(normal[0]) > real(0.7):
             helper = vec3(zero, one, zero)
@@ -106,7 +106,7 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
         if active[env] == 0:
             return
         m = variant[env]
-        if face_area[m, s] == zero:  # beside a round body
+        if face_area[m, s] == zero:  # outside a round body
             return
         n0 = faces[s, 0]
         n1 = faces[s, 1]

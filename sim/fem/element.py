@@ -7,9 +7,9 @@ W = G/2 (J^(-2/3) tr(F^T F) - 3) + K/2 ((theta^2 - 1)/2 - ln theta), theta = def
 Full displacement elements lock near nu = 0.5; these do not.
 
 The displacement of an element is written in the 7 modes xi, eta, zeta, xi eta, eta zeta, xi zeta,
-xi eta zeta (its Walsh-Hadamard transform), whose gradients at the Gauss points are sums with signs:
-less than half the arithmetic of 8 nodes times 8 points. Everything is in units of the body's
-thickness and modulus, one thread an element of one environment.
+xi eta zeta (its Walsh-Hadamard transform), whose gradients at the Gauss points are signed sums:
+less than half the arithmetic of 8 nodes times 8 points. All quantities are in units of the body's
+thickness and modulus, with one thread per element of each environment.
 """
 
 import functools
@@ -24,7 +24,7 @@ GAUSS_POINTS = 8
 
 @functools.cache
 def column_function(real):
-    """`column(m, j)`: a column of a matrix, as a vector."""
+    """Return the function `column(m, j)`: a column of a matrix, as a vector."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
 
@@ -37,7 +37,7 @@ def column_function(real):
 
 @functools.cache
 def nodal_function(real, kind):
-    """`nodal(m1, ..., m7)` -> 8 values by corner, of vectors or matrices: `modes_of` transposed."""
+    """Return `nodal(m1, ..., m7)` -> 8 corner vectors or matrices: `modes_of` transposed."""
     eighth = real(0.125)
     g = real(0.5773502691896258)
     gg = real(1.0 / 3.0)
@@ -51,7 +51,7 @@ def nodal_function(real, kind):
         a5 = m5 * (eighth * g)
         a6 = m6 * (eighth * g)
         a7 = m7 * (eighth * gg)
-        # Corner (i, j, k) takes every mode with the product of its signs.
+        # Each corner (i, j, k) sums all modes, each with the product of its signs.
         l0 = -a1 - a2 + a4
         h0 = -a3 + a5 + a6 - a7
         l1 = -a1 + a2 - a4
@@ -67,7 +67,7 @@ def nodal_function(real, kind):
 
 @functools.cache
 def mode_functions(real):
-    """`modes_of(elements, u, env, e)` -> 7 vectors; `scatter(...)` writes its transpose."""
+    """Return `modes_of(elements, u, env, e)` -> 7 vectors, and `scatter(...)`, its transpose."""
     vec3 = vector_of(real)
     eighth = real(0.125)
     g = real(0.5773502691896258)
@@ -130,7 +130,7 @@ def mode_functions(real):
 
 @functools.cache
 def kinematics(real):
-    """`strain`, `cofactor`, `deformed`, `mean_change`, `pressure_of`, which every kernel needs."""
+    """Return the shared `strain`, `cofactor`, `deformed`, `mean_change` and `pressure_of`."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
@@ -139,7 +139,7 @@ def kinematics(real):
     def strain(
         m1: vec3, m2: vec3, m3: vec3, m4: vec3, m5: vec3, m6: vec3, m7: vec3, q: int, inv: mat33
     ):
-        """Gradient of the displacement at Gauss point q, as a matrix."""
+        """Return the displacement gradient at Gauss point q, and the signs of its coordinates."""
         sx = real(2 * (q >> 2) - 1)
         sy = real(2 * ((q >> 1) & 1) - 1)
         sz = real(2 * (q & 1) - 1)
@@ -157,7 +157,7 @@ def kinematics(real):
 
     @wp.func
     def det_less_one(h: mat33):
-        """det(1 + h) - 1 without the cancellation that would cost float32 half its digits."""
+        """Return det(1 + h) - 1 without the cancellation that costs float32 half its digits."""
         minors = (
             h[0, 0] * h[1, 1]
             - h[0, 1] * h[1, 0]
@@ -170,7 +170,7 @@ def kinematics(real):
 
     @wp.func
     def deformed(h: mat33):
-        """F = 1 + h, its cofactor, J - 1, J and |F|^2."""
+        """Return F = 1 + h, its cofactor, J - 1, J and |F|^2."""
         f = h + wp.identity(n=3, dtype=real)
         less = det_less_one(h)
         return f, cofactor(f), less, one + less, wp.ddot(f, f)
@@ -190,7 +190,7 @@ def kinematics(real):
         u6: vec3,
         u7: vec3,
     ):
-        """Rest volume of an element, the change over it, and the least J at its Gauss points."""
+        """Return an element's rest volume, mean volume change, and least J at its Gauss points."""
         last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
         volume = real(0.0)
         change = real(0.0)
@@ -205,7 +205,7 @@ def kinematics(real):
 
     @wp.func
     def pressure_of(bulk: real, theta: real):
-        """Derivative of the energy by the volume, at the mean change of volume."""
+        """Return the derivative of the energy by the volume, at the mean change of volume."""
         return half * bulk * theta * (two + theta) / (one + theta)
 
     return strain, cofactor, deformed, mean_change, pressure_of
@@ -213,9 +213,9 @@ def kinematics(real):
 
 @functools.cache
 def element_kernels(real, viscous: bool):
-    """Kernel of the forces for one precision and combination of effects.
+    """Return the kernel of the forces for one precision and combination of effects.
 
-    `viscous` compiles the Prony history in; without it no trace of it is left.
+    `viscous` compiles the Prony history in; without it none of that code is compiled.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -223,7 +223,7 @@ def element_kernels(real, viscous: bool):
     strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
     half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
-    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
+    # Divided here: inside a kernel the quotient would be float32 for any `real`.
     power = real(-2.0 / 3.0)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -254,7 +254,7 @@ def element_kernels(real, viscous: bool):
         if active[env] == 0:
             return
         m = variant[env]
-        if weight[m, e, 0] == real(0.0):  # beside a round body
+        if weight[m, e, 0] == real(0.0):  # outside a round body
             return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         volume, theta, lowest = mean_change(
@@ -283,7 +283,7 @@ def element_kernels(real, viscous: bool):
             w = weight[m, e, q]
             g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), power)
             energy += w * half * (g * square - three * shear[env])
-            # F - cof(F) tr(F^T F) / 3J, written in h = F - 1: nothing cancels at small strain
+            # F - cof(F) tr(F^T F) / 3J in terms of h = F - 1: no cancellation at small strain
             trace = wp.trace(h)
             excess = (two * trace + wp.ddot(h, h) - three * less) * (third / j)
             stress = h + wp.transpose(h) - cofactor(h) - c * excess
@@ -308,32 +308,32 @@ def element_kernels(real, viscous: bool):
     return residual
 
 
-# The tangent of an element as 3x3 blocks between its nodes, added to the stencil of each node.
+# Tangent of an element as 3x3 blocks between its nodes, added to the stencil of each node.
 #
-# The derivative of the forces of `element_kernels`, written out. With G_r = row r of the inverse
-# Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference directions
-# r and s at one Gauss point is
+# It is the derivative of the forces of `element_kernels`, written out. With G_r = row r of the
+# inverse Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference
+# directions r and s at one Gauss point is
 #
 # g (G_r.G_s) 1 - 2g/3J (f_r c_s^T + c_r f_s^T) + 5g |F|^2/9J^2 c_r c_s^T + (p - g |F|^2/3J) dcof
 #
-# where dcof v = v x F(G_r x G_s); mean dilatation adds one product of vectors for each element. The
-# modes b = 1..7 of an element are products of reference coordinates, a bit each; the derivative of
-# mode b along r is mode b without bit r. So a block between modes is a sum of Walsh-Hadamard
+# where dcof v = v x F(G_r x G_s); mean dilatation adds one outer product per element. The modes
+# b = 1..7 of an element are products of reference coordinates, one bit each; the derivative of mode
+# b along r is mode b without bit r. So a block between modes is a sum of Walsh-Hadamard
 # coefficients, over the Gauss points, of the blocks above, and a second transform leads from modes
 # to nodes: about 10,000 operations an element, where 8 nodes times 8 points would take 40,000.
 
 
 @functools.cache
 def tangent_functions(real, viscous: bool):
-    """`of_mean` and `at_point`, the parts that both ways to put a tangent together have in common.
+    """Return `of_mean` and `at_point`, shared by the two kernels that assemble tangents.
 
-    `viscous` as for `element_kernels`.
+    `viscous` as in `element_kernels`.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     _strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
-    # Divided here: inside a kernel the quotient would be float32 whatever `real` is.
+    # Divided here: inside a kernel the quotient would be float32 for any `real`.
     third, power, five_thirds = real(1.0 / 3.0), real(-2.0 / 3.0), real(5.0 / 3.0)
 
     @wp.func
@@ -355,7 +355,7 @@ def tangent_functions(real, viscous: bool):
         u6: vec3,
         u7: vec3,
     ):
-        """Pressure of an element, and its derivative by the mean change of volume, over volume."""
+        """Return an element's pressure, and its derivative by mean volume change, per volume."""
         volume, theta, _lowest = mean_change(
             inverse, weight, kind, e, corners, u1, u2, u3, u4, u5, u6, u7
         )
@@ -380,10 +380,10 @@ def tangent_functions(real, viscous: bool):
         e: int,
         q: int,
     ):
-        """At Gauss point q the vectors c_r, e_r, the metric, and the columns that turn.
+        """Return the vectors c_r and e_r, the metric, and the columns of `turn` at Gauss point q.
 
         With them the block between reference directions r and s is e_r c_s^T + c_r e_s^T +
-        metric_rs, less the product with the column that belongs to both.
+        metric_rs, less the cross product with the column that belongs to both.
         """
         f, c, _less, j, square = deformed(h)
         g = shear[env] * wp.pow(j, power)
@@ -393,16 +393,16 @@ def tangent_functions(real, viscous: bool):
         mixed = w * over * five_thirds * square / j
         across = wp.transpose(inv)
         cr = c * across
-        # Half of the c c^T term to either side makes it a product with its transpose.
+        # Half of the c c^T term on either side makes it a product with its transpose.
         er = cr * (mixed * half) - (f * across) * (w * two * over)
         metric = (inv * across) * (w * g)
         if wp.static(viscous):
             metric += (inv * history[env, e, q] * across) * w
-        # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times what turns them
+        # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times their factor
         turning = pressure - over * square
         if convex == 1:
-            # The largest stretch squared is at most that of matrices of this trace and norm
-            # (Wolkowicz & Styan 1980).
+            # The square of the largest stretch is at most that of matrices with this trace and
+            # norm (Wolkowicz & Styan 1980).
             stretch = wp.transpose(f) * f
             mean = square * third
             spread = wp.max(wp.ddot(stretch, stretch) * third - mean * mean, real(0.0))
@@ -416,9 +416,10 @@ def tangent_functions(real, viscous: bool):
 
 @functools.cache
 def element_blocks_kernel(real, viscous: bool):
-    """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node.
+    """Return the kernel that adds elements' tangents to the stencils.
 
-    On the CPU, where threads run one after the other, a launch may hold every element.
+    No two elements of a launch may share a node. On the CPU, where threads run one after the other,
+    a launch may hold all elements.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -430,12 +431,12 @@ def element_blocks_kernel(real, viscous: bool):
 
     @wp.func
     def spread(bits: int):
-        """Steps along x, y, z packed in 3 bits, as an offset in the 27 slots of a stencil."""
+        """Return the offset in a stencil's 27 slots for steps along x, y, z packed in 3 bits."""
         return 9 * (bits >> 2) + 3 * ((bits >> 1) & 1) + (bits & 1)
 
     @wp.func
     def share(b: int):
-        """Value of one corner in mode b, but for its sign, once its derivative is taken."""
+        """Return a corner's value in mode b, except for its sign, after taking the derivative."""
         size = (b >> 2) + ((b >> 1) & 1) + (b & 1)
         value = eighth
         if size > 1:
@@ -446,7 +447,7 @@ def element_blocks_kernel(real, viscous: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def element_blocks(
-        # Mesh, by variant; which elements, from where on, and which nodes move
+        # Mesh, by variant; order of the elements, first one of the launch, nodes that move
         elements: wp.array2d(dtype=wp.int32),
         inverse: wp.array3d(dtype=mat33),
         weight: wp.array3d(dtype=real),
@@ -475,7 +476,7 @@ def element_blocks_kernel(real, viscous: bool):
             return
         e = order[first + position]
         kind = variant[env]
-        if weight[kind, e, 0] == real(0.0):  # beside a round body
+        if weight[kind, e, 0] == real(0.0):  # outside a round body
             return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         # Blocks (r, s) in the order 00 11 22 01 02 12, and gradients of the volume, by Gauss
@@ -618,24 +619,24 @@ def element_blocks_kernel(real, viscous: bool):
     return element_blocks
 
 
-# The tangent of an element, a row of 3x3 blocks a thread: what a GPU assembles.
+# Tangent of an element with one row of 3x3 blocks per thread, as a GPU assembles it.
 #
-# The same blocks as those of `element_blocks_kernel`, a row a thread: 8 blocks stay in registers.
-# All 64 of an element do not: a GPU's threads then wait for memory.
+# The blocks are those of `element_blocks_kernel`. The 8 blocks of a row stay in registers; all 64
+# of an element do not, and a GPU's threads would wait for memory.
 #
 # With A the reference derivatives of the shape function of the row's node, B those of a mode of the
 # other, and the rest as above, one Gauss point adds
 #
 #     (A . metric B) 1 + e_A c_B^T + c_A e_B^T - skew(turn (A x B))
 #
-# It is linear in B, so it is worked out for three directions; modes sum those over the Gauss points
-# as they do forces, and blocks are to modes as forces to theirs (`nodal_function`). It takes some
-# 65,000 operations an element; node by node it would be 90,000.
+# It is linear in B, so it is computed for three directions. Modes sum those over the Gauss points
+# as they do forces, and `nodal_function` turns modes into blocks as it does into forces. It takes
+# about 65,000 operations an element; node by node it would be 90,000.
 
 
 @functools.cache
 def element_rows_kernel(real, viscous: bool):
-    """Kernel that adds elements' tangents to the stencils, no two of a launch sharing a node."""
+    """Return the kernel that adds tangents by rows; no two elements of a launch share a node."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
@@ -648,7 +649,7 @@ def element_rows_kernel(real, viscous: bool):
 
     @wp.func
     def slope(q: int, b: int):
-        """Derivatives of corner b's shape function at Gauss point q, in reference coordinates."""
+        """Return the reference derivatives of corner b's shape function at Gauss point q."""
         apart = q ^ b
         x = wp.where((apart >> 2) & 1 == 0, near, far)
         y = wp.where((apart >> 1) & 1 == 0, near, far)
@@ -660,13 +661,13 @@ def element_rows_kernel(real, viscous: bool):
 
     @wp.func
     def along(same: real, ea: vec3, c: vec3, ca: vec3, e: vec3, turned: vec3):
-        """What one Gauss point adds between the row's node and a derivative along one direction."""
+        """Return one Gauss point's block of the row's node and a derivative along a direction."""
         straight = wp.identity(n=3, dtype=real) * same
         return straight + wp.outer(ea, c) + wp.outer(ca, e) - wp.skew(turned)
 
     @wp.func
     def spread(bits: int):
-        """Steps along x, y, z packed in 3 bits, as an offset in the 27 slots of a stencil."""
+        """Return the offset in a stencil's 27 slots for steps along x, y, z packed in 3 bits."""
         return 9 * (bits >> 2) + 3 * ((bits >> 1) & 1) + (bits & 1)
 
     @wp.func
@@ -687,7 +688,7 @@ def element_rows_kernel(real, viscous: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def element_rows(
-        # Mesh, by variant; which elements, from where on, and which nodes move
+        # Mesh, by variant; order of the elements, first one of the launch, nodes that move
         elements: wp.array2d(dtype=wp.int32),
         inverse: wp.array3d(dtype=mat33),
         weight: wp.array3d(dtype=real),
@@ -718,7 +719,7 @@ def element_rows_kernel(real, viscous: bool):
         if free[elements[e, a]] == 0:
             return
         kind = variant[env]
-        if weight[kind, e, 0] == real(0.0):  # beside a round body
+        if weight[kind, e, 0] == real(0.0):  # outside a round body
             return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         pressure, stiffness = of_mean(
@@ -741,7 +742,7 @@ def element_rows_kernel(real, viscous: bool):
         )
 
         # Blocks of the row and gradients of the volume, by modes of the other node, summed over
-        # Gauss points as the forces are: names, because registers have no numbers.
+        # Gauss points as the forces are. Separate names, because registers cannot be indexed.
         k1 = mat33()
         k2 = mat33()
         k3 = mat33()
@@ -818,13 +819,13 @@ def element_rows_kernel(real, viscous: bool):
     return element_rows
 
 
-# Prony branches at the Gauss points: what they remember, and how a step changes it.
+# Prony branches at the Gauss points: their stored stresses, and the change over a step.
 #
 # Simo & Hughes, Computational Inelasticity (1998), section 10.3: the stress of branch i after a
 # step dt is h = exp(-dt/time) h_old + ratio a (S - S_old) with a = (1 - exp(-dt/time)) time / dt, S
 # the second Piola-Kirchhoff stress at rest. So within a step the stress is S (1 + sum ratio a) +
-# history, where history = sum(exp(-dt/time) h_old) - sum(ratio a) S_old does not change: that is
-# all the element kernels see. The pressure of an element relaxes in the same way.
+# history, where history = sum(exp(-dt/time) h_old) - sum(ratio a) S_old does not change. Element
+# kernels need nothing else. The pressure of an element relaxes in the same way.
 
 
 @functools.cache
@@ -895,7 +896,7 @@ def _kernels(real):
         if active[env] == 0:
             return
         m = variant[env]
-        if weight[m, e, 0] == real(0.0):  # beside a round body
+        if weight[m, e, 0] == real(0.0):  # outside a round body
             return
         u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
         for q in range(points):
@@ -927,7 +928,7 @@ def _kernels(real):
 
 
 class Branches:
-    """The Prony branches of every Gauss point of a batch; up to 4 branches."""
+    """Prony branches of every Gauss point of a batch; up to 4 branches."""
 
     def __init__(self, real, scenes, elements: int, device: str) -> None:
         mat33 = matrix_of(real)
@@ -951,15 +952,15 @@ class Branches:
         self.history = wp.zeros(points, dtype=mat33, device=device)
         """Stress that does not change within the step (B, E, 8) [E]."""
         self.bulk_history = wp.zeros((count, elements), dtype=real, device=device)
-        """The same of the pressure (B, E) [E]."""
+        """Pressure that does not change within the step (B, E) [E]."""
         self._decay = self._gain = self._bulk_gain = None
 
     def begin(self, active, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fill `history` of `active` environments for a step of `duration` (B,) [s].
 
         Returns:
-            Factors on stress and pressure (B,), for everyone: whoever is not active must be given
-            the duration of the step it is in.
+            Factors on stress and pressure (B,) of all environments: for those that are not active,
+            pass the duration of their current step.
         """
         share = np.maximum(duration, 1e-12)[:, None] / self._times
         gain = self._ratios * -np.expm1(-share) / share
@@ -985,7 +986,7 @@ class Branches:
         return 1 + gain.sum(1), 1 + (gain * self._bulk).sum(1)
 
     def keep(self, mesh, material, active, u) -> None:
-        """Take over the state `u` of `active` environments as the end of the step.
+        """Store the state `u` of `active` environments as the end of the step.
 
         `mesh` is (elements, inverse, weight, variant), `material` (shear, bulk).
         """

@@ -1,22 +1,23 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""The tangent assembled on the 27-point stencil of the grid of nodes, and its product with vectors.
+"""Tangent assembled on the 27-point stencil of the grid of nodes, and its product with vectors.
 
 `matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s (`fem.mesh`).
-Where the grid ends, and in rows and columns of held nodes, blocks are zero. Assembling, once per
-Newton iteration, costs about as much as 3 products without a matrix; each product is then some ten
-times cheaper on a CPU.
+Blocks outside the grid, and in rows and columns of fixed nodes, are zero. Assembly, once per Newton
+iteration, costs about as much as 3 matrix-free products; each product is then about ten times
+cheaper on a CPU.
 
-Nothing is added atomically: elements add to the elastic part, on a GPU one colour of eight after
-the other, so that no two at a time share a node, and row by row; `finish` adds to a copy of it what
-belongs to a node. Contact is what changes most, so the elastic part may be kept for a while: half
-of a press on a CPU is assembling. On a GPU it is a sixth, and memory is what runs out.
+There are no atomic additions. Elements add to the elastic part; on a GPU one of eight colours after
+the other, so that no two at a time share a node, and row by row. `finish` adds the nodal terms to a
+copy of it. Contact changes most, so the elastic part may be kept for a while: assembly takes half
+of a press on a CPU. On a GPU it takes a sixth, and memory is the limit.
 
 On a GPU, in float32 and up to `HALF_NODES` and `HALF_POISSON`, products read the matrix rounded to
-float16: half the bytes of what takes most of conjugate gradients' time. They solve for a Newton
-step to no more than three digits, and its residual is that of the equations themselves. On finer
-meshes, and in bodies that keep their volume, what is rounded outweighs the softest motions, and
-Newton's method takes three times the iterations or does not end (docs/decisions/0025).
+float16, which halves the memory traffic that takes most of conjugate gradients' time. They solve
+for a Newton step to no more than three digits, and its residual is computed from the exact
+equations. On finer meshes, and in nearly incompressible bodies, the rounding outweighs the softest
+motions, and Newton's method takes three times the iterations or does not end
+(docs/decisions/0025).
 """
 
 import functools
@@ -30,12 +31,12 @@ from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots,
 from sim.fem.vectors import RUN
 from sim.scalars import matrix_of, vector_of
 
-# A row of the stencil in a CPU's wide registers, times a vector.
+# Product of a row of the stencil with a vector, in a CPU's wide registers.
 #
-# A row is 27 blocks of 3x3 in a piece, 243 numbers. Compiled block by block, a product takes twice
-# as long (docs/results/speed.md). So rows are written here as the lanes of eight that Clang offers
-# for every CPU. Three neighbours in a line are next to each other in memory: nine times three
-# blocks make a row.
+# A row is 27 contiguous blocks of 3x3, 243 numbers. Compiled block by block, a product takes twice
+# as long (docs/results/speed.md). So rows are written here as vectors of eight lanes, which Clang
+# offers for every CPU. Three neighbours in a line are next to each other in memory: nine times
+# three blocks make a row.
 
 _NATIVE = {wp.float32: "float", wp.float64: "double"}
 
@@ -76,10 +77,10 @@ _LINE = """
 
 @functools.cache
 def wide_row(real):
-    """`line(offsets, matrix, v, env, n)` for one precision: row n of a matrix times a vector.
+    """Return `line(offsets, matrix, v, env, n)` for one precision: a row of a matrix times v.
 
-    Of a matrix (B, N, 27) and v (B, N), as the slow one of `_kernels`. The 27 blocks of a row must
-    be next to each other.
+    For a matrix (B, N, 27) and v (B, N), as the slow version in `_kernels`. The 27 blocks of a row
+    must be contiguous.
     """
     vec3 = vector_of(real)
 
@@ -95,19 +96,19 @@ def wide_row(real):
     return line
 
 
-# Nodes of a mesh whose products read the tangent in float16, and Poisson's ratio of its body, at
-# most. Scenes drawn by chance on up to 64,000 elements took as many iterations with it, one on
-# 110,000 three times as many; with 0.499 float32 found no state that it finds without.
+# Most nodes of a mesh whose products read the tangent in float16, and largest Poisson's ratio of
+# its body. Random scenes on up to 64,000 elements took as many iterations with it, one on 110,000
+# three times as many; with 0.499 float32 did not converge where it otherwise does.
 HALF_NODES, HALF_POISSON = 60_000, 0.49
-# Nodes that one block of a GPU's threads takes, whose sums it adds up.
+# Nodes per block of GPU threads, which adds up their sums.
 BLOCK = 128
 
 
 @functools.cache
 def _kernels(real, stored, wide: bool):
-    """Kernels for one precision; `stored` is the scalar type of the matrix that products read.
+    """Return the kernels for one precision; `stored` is the scalar type of the matrix they read.
 
-    Those that are `wide` take a whole row of blocks that lie next to each other, as on a CPU.
+    `wide` kernels read a whole row of contiguous blocks, as on a CPU.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -134,7 +135,7 @@ def _kernels(real, stored, wide: bool):
         free: wp.array(dtype=wp.int32),
         node_mass: wp.array2d(dtype=real),
         variant: wp.array(dtype=wp.int32),
-        # Contact: shape functions, which faces, stiffness of their points
+        # Contact: shape functions, touched faces, stiffness of their points
         shape: wp.array2d(dtype=real),
         touched: wp.array2d(dtype=wp.int32),
         contact: wp.array3d(dtype=mat33),
@@ -189,7 +190,7 @@ def _kernels(real, stored, wide: bool):
         env: int,
         n: int,
     ):
-        """One row of the matrix times v; past the ends blocks are zero and any node will do."""
+        """Return a row of the matrix times v; blocks outside the grid are zero for any node."""
         last = v.shape[1] - 1
         total = vec3()
         for near in range(9):
@@ -235,7 +236,7 @@ def _kernels(real, stored, wide: bool):
         which: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=kept33),
         v: wp.array2d(dtype=vec3),
-        # Out: matrix times v, and v . (matrix v) of each block of threads, a node each
+        # Out: matrix times v, and v . (matrix v) of each block of threads, one node per thread
         product_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
@@ -256,7 +257,7 @@ def _kernels(real, stored, wide: bool):
 
 
 class Stencil:
-    """The tangents of B environments on one grid; owns the matrix."""
+    """Tangents of B environments on one grid; it owns the matrix."""
 
     def __init__(
         self,
@@ -270,20 +271,20 @@ class Stencil:
         half: bool | None = None,
         keep: bool | None = None,
     ) -> None:
-        """Make room: 972 bytes for each node, environment and matrix in float32.
+        """Allocate 972 bytes per node, environment and matrix in float32.
 
         Args:
-            mesh: Grid and what is around each node; its geometry is given with every assembly.
+            mesh: Grid and its neighbour tables; the geometry is an argument of every assembly.
             real: Warp's scalar type.
-            environments: How many, B.
-            device: Where.
-            viscous: Whether stresses have a history.
-            parallel: Whether threads run at once: colour by colour, a row of an element each, and
-                node numbers fastest in memory. On a GPU, when not said.
-            half: Whether products read a copy of the matrix in float16, 486 bytes more; not good
-                above `HALF_POISSON`. In float32 on a GPU, up to `HALF_NODES`, when not said.
-            keep: Whether the elastic part is a matrix of its own, which can be kept. On a CPU, when
-                not said.
+            environments: Number of environments, B.
+            device: Device of the matrix.
+            viscous: True if stresses have a history.
+            parallel: Assemble by colour with one row of an element per thread, and store the matrix
+                with node numbers running fastest; by default only on a GPU.
+            half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
+                above `HALF_POISSON`. By default only in float32 on a GPU, up to `HALF_NODES`.
+            keep: Store the elastic part in a separate matrix, so that it can be kept; by default
+                only on a CPU.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)
@@ -299,15 +300,15 @@ class Stencil:
         kernels = _kernels(real, kept, not self._parallel and not half)
         self._clear, self._finish, self._store, self._product, self._block_product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
-        """How many shares `product` writes of each sum."""
+        """Number of partial sums that `product` writes for each sum."""
         if self._parallel:
             order, self._begins = colour_order(mesh.cells)
         else:
             order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
         self.matrix = self._room(mat33)
-        """Blocks (B, N, 27) of the state last assembled."""
+        """Blocks (B, N, 27) of the last assembled state."""
         self.keeps = not self._on_gpu if keep is None else keep
-        """Whether an elastic part can be kept."""
+        """True if an elastic part can be kept."""
         self._elastic = self._room(mat33) if self.keeps else self.matrix
         self._read = self._room(matrix_of(kept)) if half else self.matrix
         self._order = self._integers(order)
@@ -322,19 +323,18 @@ class Stencil:
         """Fill `matrix` of active environments with the tangent at `u`.
 
         Args:
-            active: Which environments, int32 (B,).
+            active: Mask of environments, int32 (B,).
             u: Displacement (B, N).
-            geometry: Of M meshes: inverse Jacobians (M, E, 8), or (M, E, 1) of boxes, weights
-                (M, E, 8) and node volumes (M, N); and which of them each environment has, int32
-                (B,).
+            geometry: For M meshes: inverse Jacobians (M, E, 8), or (M, E, 1) for boxes, weights
+                (M, E, 8) and node volumes (M, N); and the mesh of each environment, int32 (B,).
             material: Shear and bulk modulus (B,), factor, bulk factor, history and bulk history,
-                as the element kernels take them.
-            contact: Shape functions (P, 4), how many points of a face touch (B, S) and the
-                stiffness of each (B, S, P), as the contact kernel gives them.
+                in the form that the element kernels take.
+            contact: Shape functions (P, 4), number of touching points per face (B, S) and the
+                stiffness of each point (B, S, P), as written by the contact kernel.
             shift: Stiffness of a unit volume against any motion (B,).
-            convex: Whose elements are to have no negative stiffness, int32 (B,).
-            anew: Those of them whose elastic part is that at `u`, int32 (B,); others keep what they
-                have, where the stencil `keeps` them. None: all.
+            convex: Environments whose elements must have no negative stiffness, int32 (B,).
+            anew: Active environments whose elastic part is updated to `u`, int32 (B,); others keep
+                theirs, if the stencil `keeps` it. None: all.
         """
         inverse, weight, node_mass, variant = geometry
         if anew is None or not self.keeps:
@@ -393,9 +393,9 @@ class Stencil:
             )
 
     def product(self, which, v, product, sums) -> None:
-        """Write matrix times `v` and its partial sums: what `ConjugateGradient.solve` applies.
+        """Write matrix times `v` and its partial sums, for `ConjugateGradient.solve`.
 
-        Only of the environments whose numbers `which` holds, int32 (R,); -1: none.
+        Only for the environments with indices in `which`, int32 (R,); -1: none.
         """
         on_gpu = self._on_gpu
         wp.launch(
@@ -408,7 +408,7 @@ class Stencil:
         )
 
     def _room(self, block) -> wp.array:
-        """Zeros for the blocks of all nodes (B, N, 27), as they lie in memory."""
+        """Return zeros for the blocks of all nodes (B, N, 27), in their memory layout."""
         if not self._parallel:
             shape = self._environments, self._nodes, SLOTS
             return wp.zeros(shape, dtype=block, device=self._device)

@@ -1,6 +1,6 @@
-"""The mesh: a grid of 8-node hexahedra from the bonded base to the top of a body.
+"""Mesh: a grid of 8-node hexahedra from the bonded base to the top of a body.
 
-Elements are finest in a window in plan, where the indenter comes, and grow outwards from there.
+Elements are finest in a window in plan around the contacts, and grow outwards from there.
 
 Lengths are in units of the body's thickness. Nodes are numbered with z running fastest, then y,
 then x; the 8 corners of an element likewise, from (0, 0, 0) to (1, 1, 1).
@@ -33,18 +33,18 @@ from sim.fem.sizing import (
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
-# Corner of a cell by its index: x, y, z steps.
+# Steps along x, y, z to each corner of a cell, by its index.
 CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
 # Abscissa of the 2-point Gauss rule on -1 to 1.
 GAUSS = 1 / np.sqrt(3)
 
-# Elements along x and y are a multiple of this, above `MANY` of twice this: so many presses share a
-# topology.
+# Numbers of elements along x and y are a multiple of this, above `MANY` of twice this, so that many
+# presses share a topology.
 MULTIPLE, MANY = 4, 24
-# Share of a column of elements within the footprint below which it is left out: a sliver, whose
-# nodes next to nothing would hold.
+# Share of a column of elements within the footprint below which the column is dropped: such slivers
+# give their nodes next to no stiffness.
 SHARE_LEAST = 0.1
-# Exponent that makes elements flatter towards the top, where the strain is.
+# Exponent of the vertical grading: elements are flatter towards the top, where the strain is.
 GRADING = 1.25
 Array = NDArray[np.float64]
 Window = tuple[tuple[float, float], tuple[float, float]]
@@ -57,11 +57,11 @@ class Mesh:
     cells: tuple[int, int, int]
     """Elements along x, y, z."""
     x: NDArray[np.float64]
-    """Where the nodes stand along x (X,), in thicknesses."""
+    """Node positions along x (X,), in thicknesses."""
     y: NDArray[np.float64]
     """The same along y (Y,)."""
     fineness: float
-    """As of `Numerics`, where the mesh follows the contact; else NaN."""
+    """Fineness as in `Numerics`, if the mesh follows the contact; else NaN."""
     nodes: NDArray[np.float64]
     """Rest positions (N, 3), in thicknesses."""
     elements: NDArray[np.int32]
@@ -71,7 +71,7 @@ class Mesh:
     weight: NDArray[np.float64]
     """Volume of each Gauss point (E, 8)."""
     faces: NDArray[np.int32]
-    """Node of each corner (S, 4) of every face that can be touched: the top, then the sides."""
+    """Nodes of the corners (S, 4) of every face that can be touched: the top, then the sides."""
     face_area: NDArray[np.float64]
     """Rest area of each face over the area 4 of the reference square (S,)."""
     node_elements: NDArray[np.int32]
@@ -79,12 +79,12 @@ class Mesh:
     node_faces: NDArray[np.int32]
     """Face and corner, 4 s + a, around each node (N, 4); -1 where there is none."""
     free: NDArray[np.bool_]
-    """Whether a node moves (N,): all but those on the base."""
+    """True for nodes that move (N,): all but those on the base."""
     node_volume: NDArray[np.float64]
     """Volume lumped to each node (N,)."""
     share: NDArray[np.float64] | None = None
-    """Share of each column of elements within a round footprint (X - 1, Y - 1): its elements weigh
-    as much, and 0 is none. None: all of them are whole."""
+    """Share of each column of elements within a round footprint (X - 1, Y - 1), which weights its
+    elements; 0 means no elements. None: all columns are whole."""
 
     @property
     def finest(self) -> float:
@@ -100,7 +100,7 @@ class Mesh:
 
     @property
     def beside(self) -> NDArray[np.bool_]:
-        """Which columns of nodes belong to no element (X, Y)."""
+        """True for columns of nodes that belong to no element (X, Y)."""
         if self.share is None:
             return np.zeros((len(self.x), len(self.y)), dtype=bool)
         empty = np.pad(self.share == 0, 1, constant_values=True)
@@ -115,21 +115,21 @@ class Mesh:
 
     @property
     def base(self) -> NDArray[np.int64]:
-        """Node numbers of the bonded base, any order."""
+        """Node numbers of the bonded base, in no particular order."""
         return np.flatnonzero(~self.free)
 
 
 def coarsest_spacing(body: Body) -> float:
-    """Largest element that a body may have [m]: 3 through the thickness, 4 across."""
+    """Return the largest element size of a body [m]: 3 through the thickness, 4 across."""
     return min(body.thickness / 3, body.size_x / 4, body.size_y / 4)
 
 
 def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
-    """How many elements of about `spacing` [m] a body is cut into along x, y, z.
+    """Return the numbers of elements of about `spacing` [m] along x, y, z.
 
     Raises:
-        SceneError: A spacing that leaves fewer than 3 elements through the thickness or 4 across,
-            or makes more than `CELLS_MAX`.
+        SceneError: The spacing leaves fewer than 3 elements through the thickness or 4 across, or
+            makes more than `CELLS_MAX`.
     """
     sizes = (body.size_x, body.size_y, body.thickness)
     if not (np.isfinite(spacing) and spacing > 0):
@@ -158,9 +158,9 @@ def axis(
     *,
     at_least: int = 0,
 ) -> Array:
-    """Places of nodes from -size/2 to size/2: `spacing` or less in the window, growing outwards.
+    """Return node positions from -size/2 to size/2: `spacing` or less in the window, then growing.
 
-    All lengths in one unit; `growth` and `coarsest` are those of a `Grading`. The number of
+    All lengths are in one unit; `growth` and `coarsest` are those of a `Grading`. The number of
     elements is a multiple, see `MULTIPLE`, or `at_least`.
     """
     place = np.linspace(-size / 2, size / 2, 2001)
@@ -178,15 +178,15 @@ def axes(
     *,
     at_least: tuple[int, int] = (0, 0),
 ) -> tuple[Array, Array]:
-    """Where the nodes of `build_mesh` stand along x (X,) and y (Y,), in thicknesses.
+    """Return the node positions of `build_mesh` along x (X,) and y (Y,), in thicknesses.
 
     Args:
-        body: What is meshed.
-        spacing: Height of the elements [m], and their side in the window but for the grading.
+        body: Body to mesh.
+        spacing: Height of the elements [m], and except for grading their side in the window.
         window: ((x least, x most), (y least, y most)) [m] outside of which elements grow; None: all
-            of them alike.
-        grading: How they grow.
-        at_least: Elements along x and y, where they grow, that there are at the least.
+            elements are equal.
+        grading: Growth of the elements.
+        at_least: Least numbers of elements along x and y, with a window.
 
     Raises:
         SceneError: See `cell_counts`.
@@ -217,9 +217,9 @@ def build_mesh(
     *,
     at_least: tuple[int, int] = (0, 0),
 ) -> Mesh:
-    """The mesh of a body with elements of about `spacing` [m]; one number, from coarse to fine.
+    """Return the mesh of a body with elements of about `spacing` [m].
 
-    Arguments and errors as of `axes`.
+    Arguments and errors as in `axes`.
     """
     x, y = axes(body, spacing, window, grading, at_least=at_least)
     layers = cell_counts(body, spacing)[2]
@@ -227,7 +227,7 @@ def build_mesh(
 
 
 def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan) -> Mesh:
-    """The mesh with nodes at x (X,) and y (Y,) [thicknesses], and shares (Z,) of the height."""
+    """Return the mesh with nodes at x (X,), y (Y,) [thicknesses] and shares (Z,) of the height."""
     unit = body.thickness
     cells = len(x) - 1, len(y) - 1, len(share) - 1
     height = body.heights(x * unit, y * unit) / unit
@@ -252,7 +252,7 @@ def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan
         inside[inside < SHARE_LEAST] = 0.0
         weight = weight * np.repeat(inside.ravel(), cells[2])[:, None]
         volume = _node_volumes(grid.elements, weight, len(nodes))
-        # The grid's own sides are beside the body.
+        # The sides of the grid lie outside the body.
         area = np.concatenate([area[: inside.size] * inside.ravel(), 0 * area[inside.size :]])
     return Mesh(
         cells=cells,
@@ -275,7 +275,7 @@ def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan
 
 @dataclass(frozen=True, slots=True)
 class _Topology:
-    """What meshes of the same cell counts share, as in `Mesh`."""
+    """Parts of `Mesh` that meshes with the same cell counts share."""
 
     elements: NDArray[np.int32]
     faces: NDArray[np.int32]
@@ -299,7 +299,7 @@ def _topology(cells: tuple[int, int, int]) -> _Topology:
 
 
 def _geometry(corners: Array) -> tuple[Array, Array]:
-    """Inverse Jacobians (E, 8, 3, 3) and volumes (E, 8) at the Gauss points of (E, 8, 3)."""
+    """Return inverse Jacobians (E, 8, 3, 3) and volumes (E, 8) at the Gauss points of (E, 8, 3)."""
     signs = 2.0 * np.array(CORNERS) - 1.0
     inverse = np.empty((len(corners), 8, 3, 3))
     weight = np.empty((len(corners), 8))
@@ -311,7 +311,7 @@ def _geometry(corners: Array) -> tuple[Array, Array]:
             others = [other for other in range(3) if other != axis]
             gradient[:, axis] = signs[:, axis] * factors[:, others].prod(1) / 8
         a, b, c = (gradient.T @ by_corner).reshape(3, 3, -1).transpose(0, 2, 1)
-        # The columns of the Jacobian; the rows of its inverse are their cross products over det.
+        # Columns of the Jacobian; the rows of its inverse are their cross products over det.
         rows = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
         weight[:, point] = (a * rows[:, 0]).sum(1)
         inverse[:, point] = rows / weight[:, point, None, None]
@@ -319,7 +319,7 @@ def _geometry(corners: Array) -> tuple[Array, Array]:
 
 
 def _box_geometry(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """As `_geometry`, of boxes with these sides (X,), (Y,) and (Z,): alike at all Gauss points."""
+    """`_geometry` for boxes with sides (X,), (Y,) and (Z,): the same at all Gauss points."""
     sides = np.broadcast_arrays(x[:, None, None], y[:, None], z)
     inverse = np.zeros((*sides[0].shape, 3, 3))
     for axis, side in enumerate(sides):
@@ -330,32 +330,32 @@ def _box_geometry(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _box_node_volumes(x: Array, y: Array, z: Array) -> Array:
-    """As `_node_volumes`, of boxes with these sides (X,), (Y,) and (Z,)."""
+    """`_node_volumes` for boxes with sides (X,), (Y,) and (Z,)."""
     u, v, w = (np.concatenate([[0.0], side / 2]) + np.append(side / 2, 0.0) for side in (x, y, z))
     return np.asarray((u[:, None, None] * v[:, None] * w).ravel())
 
 
 def _box_face_areas(x: Array, y: Array, z: Array) -> Array:
-    """As `_face_areas` of the faces of `_faces`, of boxes with these sides (X,), (Y,) and (Z,)."""
+    """`_face_areas` of the faces of `_faces`, for boxes with sides (X,), (Y,) and (Z,)."""
     sheets = ((x, y), (y, z), (y, z), (x, z), (x, z))
     return np.concatenate([np.outer(one, other).ravel() / 4 for one, other in sheets])
 
 
 def _node_volumes(elements: NDArray[np.int32], weight: Array, count: int) -> Array:
-    """An eighth (N,) of each of the elements (E, 8) around a node, by their volumes (E, 8)."""
+    """Return an eighth of the volume (E, 8) of the elements (E, 8) around each node (N,)."""
     eighth = np.repeat(weight.sum(1, keepdims=True) / 8, 8, axis=1)
     return np.asarray(np.bincount(elements.ravel(), eighth.ravel(), count), np.float64)
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products of vectors (E, 3), several times as fast as NumPy's."""
+    """Return cross products of vectors (E, 3), several times as fast as NumPy's."""
     x, y, z = a.T
     u, v, w = b.T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _faces(grid: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Faces of the top and of the four sides, corners in the order (0,0) (0,1) (1,0) (1,1)."""
+    """Return the faces of the top and the four sides, corners (0,0) (0,1) (1,0) (1,1)."""
     sheets = (grid[:, :, -1], grid[0], grid[-1], grid[:, 0], grid[:, -1])
     faces = [
         np.stack([sheet[:-1, :-1], sheet[:-1, 1:], sheet[1:, :-1], sheet[1:, 1:]], axis=-1)
@@ -365,7 +365,7 @@ def _faces(grid: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _face_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quarter of the area of each face (S,), as two triangles."""
+    """Return a quarter of the area of each face (S,), as two triangles."""
     one = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     two = np.cross(corners[:, 1] - corners[:, 3], corners[:, 2] - corners[:, 3])
     area: NDArray[np.float64] = np.linalg.norm(one, axis=1) + np.linalg.norm(two, axis=1)
@@ -373,7 +373,7 @@ def _face_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32]:
-    """For each of `count` nodes the cells around it as `cell * corners + corner`, -1 filled."""
+    """Return the cells around each of `count` nodes as `cell * corners + corner`, -1 filled."""
     corners = cells.shape[1]
     order = np.argsort(cells.ravel(), kind="stable")
     node = cells.ravel()[order]
@@ -385,7 +385,7 @@ def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32
     return around
 
 
-# Who is next to whom on the regular grid of nodes: slots of the 27-point stencil, colours.
+# Neighbours on the regular grid of nodes: slots of the 27-point stencil, and colours.
 #
 # A slot is a step (di, dj, dk) of the grid, each -1, 0 or 1: s = 9 (di + 1) + 3 (dj + 1) + dk + 1.
 
@@ -395,7 +395,7 @@ CENTRE = 13
 
 
 def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Node number of each slot's neighbour less the node's own (27,)."""
+    """Return the node number of each slot's neighbour relative to the node (27,)."""
     plane, row = (cells[1] + 1) * (cells[2] + 1), cells[2] + 1
     steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     offsets: NDArray[np.int64] = steps @ np.array([plane, row, 1])
@@ -403,7 +403,7 @@ def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
 
 
 def neighbours(cells: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Node of each slot (N, 27); -1 where the grid ends."""
+    """Return the node of each slot (N, 27); -1 outside the grid."""
     shape = np.array(cells) + 1
     place = np.stack(np.unravel_index(np.arange(shape.prod()), shape), axis=-1)
     steps = np.stack(np.unravel_index(np.arange(SLOTS), (3, 3, 3)), axis=-1) - 1
@@ -413,7 +413,7 @@ def neighbours(cells: tuple[int, int, int]) -> NDArray[np.int64]:
 
 
 def face_slots(mesh: Mesh) -> NDArray[np.int64]:
-    """Slot of corner b of a face as seen from its corner a (S, 4, 4)."""
+    """Return the slot of corner b of a face relative to its corner a (S, 4, 4)."""
     difference = mesh.faces[:, None, :] - mesh.faces[:, :, None]
     offsets = slot_offsets(mesh.cells)
     slots: NDArray[np.int64] = np.argmax(difference[..., None] == offsets, axis=-1)
@@ -421,20 +421,20 @@ def face_slots(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[int]]:
-    """Elements by colour, no two of a colour sharing a node (E,), and where colours begin (9,)."""
+    """Return elements by colour, no two of a colour sharing a node (E,), and colour starts (9,)."""
     place = np.stack(np.unravel_index(np.arange(np.prod(cells)), cells), axis=-1) % 2
     colour = place @ np.array([4, 2, 1])
     begins = np.searchsorted(np.sort(colour), np.arange(9))
     return np.argsort(colour, kind="stable"), begins.tolist()
 
 
-# The meshes that follow the contacts of scenes.
+# Meshes that follow the contacts of scenes.
 
-# Longest element, in thicknesses, where all of a body moves: under gravity, inertia, or unpressed.
+# Longest element, in thicknesses, if all of a body moves: under gravity, inertia, or unpressed.
 LONGEST_EVEN = 1 / 4
-# Height by which a dome may stand above the flat faces of its elements, in thicknesses.
+# Allowed height of a dome above the flat faces of its elements, in thicknesses.
 DOME_SHARE = 0.01
-# Least fineness that a bound on the elements may lead to.
+# Least fineness to which the limit on the number of elements may lead.
 COARSEST_FINENESS = 0.1
 
 
@@ -445,14 +445,14 @@ def following_mesh(
     elements_max: int,
     at_least: tuple[int, int] = (0, 0),
 ) -> Mesh:
-    """The mesh as fine as `sizes` asks, times `fineness`; coarser where it has too many elements.
+    """Return the mesh as fine as `sizes` times `fineness`, or coarser if it has too many elements.
 
     Args:
-        scene: Whose body is meshed.
-        sizes: What its contacts ask for.
+        scene: Scene with the body to mesh.
+        sizes: Element sizes that its contacts require.
         fineness: See `Numerics`.
         elements_max: See `Numerics`.
-        at_least: Elements along x and y that there are at the least.
+        at_least: Least numbers of elements along x and y.
     """
     body, unit = scene.body, scene.body.thickness
     effects = scene.effects
@@ -488,32 +488,33 @@ def following_mesh(
     return _mesh(body, x / unit, y / unit, 1.0 - depth[::-1] / unit, fineness)
 
 
-# Layers of elements above which there is an even number of them.
+# Number of layers of elements above which it is rounded up to an even number.
 MANY_LAYERS = 8
 
 
 def _in_buckets(counted: Array, place: Array, *, at_least: int) -> Array:
-    """Places of nodes, a multiple of elements between them as `axis` has it."""
+    """Return node positions with a multiple of elements between them, as described in `axis`."""
     multiple = MULTIPLE if counted[-1] <= MANY else 2 * MULTIPLE
     cells = max(at_least, multiple * max(1, int(np.ceil(counted[-1] / multiple - 1e-6))))
     return np.asarray(np.interp(np.linspace(0.0, counted[-1], cells + 1), counted, place))
 
 
-# Where an indenter comes: the part of a body that is meshed finely.
+# Window in plan that the indenter reaches: the part of a body that is meshed finely.
 
-# Width of the rim around the footprint that is meshed finely too, in fine elements.
+# Width of the finely meshed rim around the footprint, in fine elements.
 MARGIN = 1.0
 
 
 def meshes_of(
     scenes: Sequence[Scene], numerics: Numerics, sizes: Sequence[Sizes] | None = None
 ) -> list[Mesh]:
-    """The meshes that scenes are solved on; `Numerics.one_topology` makes their counts agree.
+    """Return the meshes for scenes; `Numerics.one_topology` makes their element counts agree.
 
     Args:
-        scenes: What is simulated.
-        numerics: How finely.
-        sizes: What the contacts of each ask for, where the mesh follows them; looked at if None.
+        scenes: Scenes to simulate.
+        numerics: Settings of the meshes.
+        sizes: Element sizes that the contacts of each scene require, if the mesh follows them;
+            None: estimated here.
 
     Raises:
         SceneError: See `mesh.cell_counts`.
@@ -545,7 +546,7 @@ def _spacing_and_window(scene: Scene, numerics: Numerics) -> tuple[float, Window
 
 
 def contact_window(scene: Scene, margin: float) -> Window:
-    """A box in plan around all that the indenter covers of the untouched top, and `margin` [m]."""
+    """Return a box in plan around the undeformed top that the indenter covers, and `margin` [m]."""
     tip = np.asarray(scene.motion.tip)
     half = np.array([scene.body.size_x, scene.body.size_y]) / 2
     depth = max(-float(tip[:, 2].min()), 0.0)
@@ -558,14 +559,14 @@ def contact_window(scene: Scene, margin: float) -> Window:
 
 @functools.lru_cache(maxsize=1024)
 def _sides(indenter: Indenter, depth: float, reach: float) -> Window:
-    """A box in plan around an indenter's lowest `depth`, up to `reach` from the tip [m]."""
+    """Return a box in plan around an indenter's lowest `depth`, up to `reach` from the tip [m]."""
     x, y = np.clip(indenter.bounds_below(depth)[:2], -reach, reach).tolist()
     return tuple(x), tuple(y)
 
 
 @functools.lru_cache(maxsize=1024)
 def _footprint(indenter: Indenter, depth: float, sides: Window) -> tuple[Array, Array]:
-    """Least and greatest x and y [m] of an indenter's lowest `depth`, inside of a box around it."""
+    """Return least and greatest (x, y) [m] of an indenter's lowest `depth`, inside a box."""
     low, high = np.transpose(sides)
     heights = np.linspace(0.0, depth, LEVELS)
 

@@ -1,10 +1,10 @@
 # mypy: ignore-errors
 # Warp's arrays and kernels are typed at run time; mypy cannot follow them.
-"""Newton's method on a batch in which every environment is at its own iteration of its own step.
+"""Newton's method on a batch in which every environment has its own step and iteration.
 
-Tangent solved inexactly, steps accepted by the slope along them: the directional derivative keeps
-its digits where a difference of energies drowns in round-off. With friction the limit follows the
-pressure from iteration to iteration, so that what converges is the coupled state.
+The tangent is solved inexactly, and steps are accepted by the slope along them: the directional
+derivative keeps its digits where a difference of energies is lost in round-off. With friction the
+limit follows the pressure from iteration to iteration, so that the coupled state converges.
 """
 
 from __future__ import annotations
@@ -22,45 +22,45 @@ from sim.fem.vectors import copy_active, walk
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
-# Smallest force that residuals are measured against [E T^2]: 2 mN in the paper's gel in float32, so
-# that a tolerance of 1e-4 asks for no more than 0.2 uN, about what its digits can give.
+# Least force by which residuals are divided [E T^2]: 2 mN in the paper's gel in float32, so that a
+# tolerance of 1e-4 requires no more than 0.2 uN, about the limit of its digits.
 FORCE_FLOOR = {"float32": 1e-3, "float64": 1e-5}
-# No trial state may be compressed further than this anywhere.
+# Least determinant of the deformation gradient of a trial state.
 DET_TRIAL = 0.02
-# Step lengths tried along one direction.
+# Most step lengths tried along one direction.
 TRIALS = 12
 
-# Accuracy of a linear solve, largest and least; 0.3 of the residual over the force between. Finer
+# Largest and least accuracy of a linear solve; 0.3 times the residual in between. More accurate
 # solves cost more iterations of the linear solver than they save of Newton's.
 ACCURACY, ACCURACY_LEAST = 0.1, 3e-3
-# Accuracy of the linear solve that follows the tip: with 0.1 the touching skin moves alone, the
+# Accuracy of the linear solve that follows the tip. With 0.1 the touching skin moves alone, the
 # body below it is crushed, and Newton's method takes up to three times the iterations.
 PREDICTION = 0.01
-# Below this share of a full step, or where the tangent is not convex, the next tangent is made
-# convex, and where it was, damped.
+# Below this share of a full step, or if the tangent is not convex, the next tangent is made convex;
+# if it already was, it is damped.
 LENGTH_GOOD = 0.2
-# Residual below which a tangent that was made convex is exact again; times the second whenever that
-# was too early.
+# Residual below which a tangent that was made convex is exact again; it is multiplied by the second
+# whenever that was too early.
 EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
-# Iterations without a residual below so much of the best one, after which a step has failed: where
-# skin folds, states wander without an end.
+# A step has failed after this many iterations without a residual below the second times the best
+# one: where skin folds, states wander without end.
 PATIENCE, BETTER = 25, 0.7
-# Iterations of a step with a tangent that was made convex, after which the exact one is damped:
-# where a body turns far, the convex one is too stiff to get anywhere.
+# Iterations of a step with a convex tangent, after which the exact one is damped instead: where a
+# body turns far, the convex tangent is too stiff to make progress.
 CONVEX_MOST = 10
-# Stiffness against any motion that is added then [E / T^2], least and most: from that of the
-# softest to that of the stiffest motion of the body. It shrinks by 4 with every good step.
+# Least and most damping, a stiffness against any motion [E / T^2]: from that of the softest to that
+# of the stiffest motion of the body. It is divided by 4 with every good step.
 DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
-# Longest step [T] over which the work of the indenter is told well enough by the two ends: with
-# viscosity, whose steps are short in time, a state between them would cost 5 % of the whole.
+# Longest step [T] over which the work of the indenter follows accurately enough from the two ends.
+# With viscosity, whose steps are short in time, a state in between would add 5 % to the run time.
 WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
-# Friction's limit follows the pressure at once for the first iterations, later half of the way: the
-# two may answer each other with equal and opposite changes for ever.
+# Iterations in which friction's limit follows the pressure fully; later it moves by the second, a
+# share of the way. Otherwise the two may alternate for ever with equal and opposite changes.
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 
 
 class Newton:
-    """The nonlinear solver of one assembly; owns its work space, and counts by environment (B,)."""
+    """Nonlinear solver of one assembly, with its work arrays and counts per environment (B,)."""
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
@@ -71,15 +71,15 @@ class Newton:
         self._start = wp.zeros_like(assembly.state.u)
         self._friction = "friction" in assembly.effects
         self.residual = np.full(count, np.inf)
-        """Out-of-balance force over force of the present state."""
+        """Out-of-balance force over force of the current state."""
         self.iterations = np.zeros(count, int)
         """Newton iterations since `begin`."""
         self.cg = np.zeros(count, int)
         """Conjugate-gradient iterations since `begin`."""
         self.converged = np.zeros(count, bool)
-        """Whether the present state is in balance."""
+        """True if the current state is in balance."""
         self.failed = np.zeros(count, bool)
-        """Whether there is no way on from the present state."""
+        """True if the solver cannot continue from the current state."""
         self._predicting = np.zeros(count, bool)
         self._tolerance = np.full(count, assembly.numerics.tolerance)
         self._damping = np.zeros(count)
@@ -89,10 +89,10 @@ class Newton:
         self._best, self._best_at = np.full(count, np.inf), np.zeros(count, int)
 
     def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
-        """Start on a step of the chosen environments, from `state.u` on; all (B,).
+        """Start a step of the chosen environments from `state.u`; all arrays (B,).
 
-        Where `predict` is set, `state.u` is the state before the tip moved: the first iteration
-        follows the tip along the tangent there, with the contact that there was.
+        Where `predict` is set, `state.u` is the state before the tip moved. The first iteration
+        then follows the tip along the tangent and contact of that state.
         """
         if not chosen.any():
             return
@@ -106,7 +106,7 @@ class Newton:
         self.resume(chosen)
 
     def resume(self, chosen: np.ndarray) -> None:
-        """Go on from the present state, with equations that have changed since it was found."""
+        """Continue from the current state after its equations have changed."""
         if not chosen.any():
             return
         self.iterations[chosen], self.cg[chosen] = 0, 0
@@ -120,7 +120,7 @@ class Newton:
         self._judge(chosen & ~self._predicting)
 
     def sweep(self, running: np.ndarray) -> None:
-        """One iteration of every running environment (B,) that is neither converged nor failed."""
+        """Run one iteration of the environments (B,) that are neither converged nor failed."""
         assembly, state = self._assembly, self._assembly.state
         active, predicting = self.mask(running), running & self._predicting
         if self._friction:
@@ -178,7 +178,7 @@ class Newton:
         self.failed |= running & ~self.converged & (spent | stuck)
 
     def _switch(self, chosen: np.ndarray) -> bool:
-        """Make tangents of the chosen (B,) convex, or exact where they were; whether any was."""
+        """Switch tangents of the chosen (B,) between convex and exact; return True if any."""
         self._convex ^= chosen
         self._switched |= chosen
         if chosen.any():
@@ -186,7 +186,7 @@ class Newton:
         return bool(chosen.any())
 
     def _judge(self, chosen: np.ndarray) -> None:
-        """Find out which of the chosen are in balance, and which are beyond repair."""
+        """Check which of the chosen (B,) have converged and which have failed."""
         if not chosen.any():
             return
         assembly, state = self._assembly, self._assembly.state
@@ -204,9 +204,9 @@ class Newton:
         self.failed |= (chosen & ~sound) | (balanced & ~good)
 
     def _search(self, active, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
-        """Walk along the direction; who found a step (B,), and how long (B,).
+        """Search along the direction; return success (B,) and step length (B,).
 
-        A prediction is taken whole, or not at all where it leads to a state that cannot be.
+        A prediction is taken in full, or not at all if it leads to an invalid state.
         """
         assembly, state = self._assembly, self._assembly.state
         direction = self._cg.solution
@@ -235,7 +235,7 @@ class Newton:
         return running & ~open_, length
 
     def _eased(self, sums: Sums, slope: np.ndarray) -> np.ndarray:
-        """Whether a step leads to no more than half of the slope that it began with (B,)."""
+        """True if a step reduces the slope to at most half of its start value (B,)."""
         return sums.slope <= 0.5 * np.abs(slope)
 
     def _walk(self, trying, length: np.ndarray) -> None:
@@ -243,21 +243,21 @@ class Newton:
         walk(trying, self._lengths(length), self._start, self._cg.solution, assembly.state.u)
 
     def _lengths(self, length: np.ndarray):
-        """Lengths (B,) as the kernels take them."""
+        """Return lengths (B,) as an array for the kernels."""
         assembly = self._assembly
         return wp.array(
             length.astype(numpy_of(assembly.real)), dtype=assembly.real, device=assembly.device
         )
 
     def work(self, chosen: np.ndarray, duration: np.ndarray) -> np.ndarray:
-        """Work of the indenter over the step that led the chosen to where they are (B,) [E T^3].
+        """Return the indenter's work over the step that led to the current state (B,) [E T^3].
 
-        What it does to the skin is integrated by both ends of the step, and by what the body takes
-        up half of the way where the step is long (Simpson's rule).
+        Work on the skin is integrated from both ends of the step. For a long step the energy that
+        the body takes up half-way is added (Simpson's rule).
 
         Args:
-            chosen: Whose step has converged (B,); their present state stays as it is.
-            duration: Time of the step that each environment is in (B,) [s].
+            chosen: Environments whose step has converged (B,); their state does not change.
+            duration: Time of the current step of each environment (B,) [s].
         """
         assembly, state = self._assembly, self._assembly.state
         work = assembly.work(chosen)
@@ -277,53 +277,52 @@ class Newton:
         return np.where(long, (work + 2 * between) / 3, work)
 
     def mask(self, chosen: np.ndarray):
-        """The chosen environments (B,) as the kernels take them."""
+        """Return the chosen environments (B,) as a mask for the kernels."""
         return wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self._assembly.device)
 
 
-# One press's way along its motion: which step comes next, and what a failed one costs.
+# Path of one press along its motion: the choice of steps, and the halving of failed ones.
 
 Array = NDArray[np.float64]
 
 # Time [s] after which any material has relaxed: how long a body stood before a motion begins.
 REST = 1e9
-# How much longer a step may be than the last one that was accepted.
+# Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
-# Steps within the shortest relaxation time, but at most `STEPS_MAX` in a segment.
+# Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
 RELAXATION_STEPS = 4
 STEPS_MAX = 16
-# Sides of the smallest elements that a step may go where the mesh follows the contact, and the
-# steps in the depth that it need not fall below: longer steps bring so many elements into contact
-# at once that Newton's method takes several times the iterations.
+# Longest step in sides of the smallest elements, if the mesh follows the contact, and the number of
+# steps in the depth that need not be exceeded. Longer steps bring too many elements into contact at
+# once, and Newton's method takes several times the iterations.
 FINE_STEPS, DEPTH_STEPS = 1.0, 10.0
 
 
 @dataclass(slots=True)
 class Path:
-    """Where one press stands on its motion; lengths in thicknesses.
+    """Progress of one press along its motion; lengths in thicknesses.
 
     Segment 0 leads from above the body straight to the first waypoint, in no time: a motion that
-    begins inside the body arrived there at once. Segment k leads to waypoint k. Weight is there
-    from the start; where the body does not find its shape under all of it at once, segment 0 brings
-    it up along its way.
+    begins inside the body arrived there at once. Segment k leads to waypoint k. Weight acts from
+    the start; if the body does not converge under all of it, it is ramped up over segment 0.
     """
 
     corners: Array
     """Start and waypoints (F + 1, 3)."""
     times: Array
-    """Time of each of them [s] (F + 1,); the first is before the body was touched."""
+    """Time of each corner [s] (F + 1,); the first is before the body was touched."""
     longest: float
-    """Longest step."""
+    """Length of the longest step."""
     shortest_time: float
-    """Shortest time that a step has to resolve [s]; inf when nothing depends on time."""
+    """Shortest time that a step has to resolve [s]; inf if nothing depends on time."""
     halvings_max: int
     heavy: bool = False
-    """Whether the body has weight."""
+    """True if the body has weight."""
     ramped: bool = False
-    """Whether segment 0 brings the weight up."""
+    """True if the weight is ramped up over segment 0."""
     segment: int = 0
     share: float = 0.0
-    """Share of the segment that is done."""
+    """Completed share of the segment."""
     step: float = 1.0
     """Share of the segment that the next step may take."""
     halvings: int = 0
@@ -331,12 +330,12 @@ class Path:
 
     @property
     def finished(self) -> bool:
-        """Whether the last waypoint was reached."""
+        """True if the last waypoint was reached."""
         return self.segment == len(self.corners) - 1
 
     @property
     def length(self) -> float:
-        """Length of the present segment."""
+        """Length of the current segment."""
         return self._length_of(self.segment)
 
     @property
@@ -346,7 +345,7 @@ class Path:
 
     @property
     def steps(self) -> float:
-        """Steps of all segments, if none is halved."""
+        """Number of steps of all segments, if none is halved."""
         return sum(self._steps_of(segment) for segment in range(len(self.corners) - 1))
 
     def _length_of(self, segment: int) -> float:
@@ -361,7 +360,7 @@ class Path:
         return float(max(1.0, by_way, np.ceil(by_time)))
 
     def goal(self) -> tuple[float, Array, float]:
-        """Share of the segment after the next step, the tip there (3,), and the step's time [s]."""
+        """Return the share of the segment after the next step, the tip (3,), and its time [s]."""
         step = min(self.step, self.limit)
         left = 1.0 - self.share
         step = left if left < 1.2 * step else min(step, left)
@@ -373,11 +372,11 @@ class Path:
         return share, start + (end - start) * share, float(duration)
 
     def load(self, share: float) -> float:
-        """Share of the weight that there is after a share of the present segment."""
+        """Return the share of the weight that acts after a share of the current segment."""
         return share if self.ramped and self.segment == 0 else 1.0
 
     def accept(self, share: float) -> bool:
-        """Take the step; whether a waypoint was reached."""
+        """Accept the step; return True if a waypoint was reached."""
         step = share - self.share
         if share < 1.0:
             self.share = share
@@ -393,7 +392,7 @@ class Path:
         return True
 
     def refuse(self, share: float, said: str) -> bool:
-        """Give the step up and halve it; whether there is a smaller one to try."""
+        """Reject the step and halve it; return True if there is a smaller one to try."""
         step = share - self.share
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {said}")
         self.ramped |= self.heavy and self.segment == 0 and self.share == 0
@@ -405,12 +404,12 @@ class Path:
 
 
 def path_of(scene: Scene, numerics: Numerics, finest: float = np.inf) -> Path:
-    """The way of a scene's tip, in units of the body's thickness.
+    """Return the path of a scene's tip, in units of the body's thickness.
 
     Args:
-        scene: Whose tip.
-        numerics: What limits its steps.
-        finest: Side of the smallest elements, where the mesh follows the contact.
+        scene: Scene with the tip's motion.
+        numerics: Settings that limit the steps.
+        finest: Side of the smallest elements, if the mesh follows the contact.
     """
     unit = scene.body.thickness
     tip = np.asarray(scene.motion.tip) / unit

@@ -1,4 +1,4 @@
-"""The numbers of the finite-element solver: what is chosen, not what is physical."""
+"""Settings of the finite-element solver: numerical choices, not physical properties."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.errors import SceneError, check_kind, check_range
 if TYPE_CHECKING:
     from sim.scene import Body
 
-# How the elements of a mesh grow outwards in plan from where the indenter comes.
+# Growth of the elements of a mesh in plan, outwards from the contacts.
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,16 +18,16 @@ class Grading:
     """Sides of elements in plan; they do not depend on the depth.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is outside of its allowed range.
     """
 
     finer: float = 1.0
     """Side of the finest elements over their mean height."""
     growth: float = 0.15
-    """How much longer an element is than the fine ones, per distance from the window."""
+    """Increase of element length over the fine ones, per distance from the window."""
     coarsest: float = 0.25
     """Longest element, in thicknesses (where the fine ones are shorter): about half the length over
-    which a bonded layer forgets what is pressed into it."""
+    which an indentation of a bonded layer decays."""
 
     def __post_init__(self) -> None:
         check_range("grading", "finer", self.finer, 0.1, 1.0)
@@ -35,22 +35,22 @@ class Grading:
         check_range("grading", "coarsest", self.coarsest, 0.0, 2.0, open_low=True)
 
 
-# For indenters with edges, which need fine elements in plan but not over the depth: under a cone,
-# tube, box, bar, triangle and sphere, 0.32 mm by 0.8 mm high makes 3.6 % of error in force where
-# 0.667 mm along all axes makes 7.6 %, in 1.6 times the time.
+# For indenters with edges, which need fine elements in plan but not over the depth. Under a cone,
+# tube, box, bar, triangle and sphere, elements of 0.32 mm by 0.8 mm height have 3.6 % of error in
+# force where 0.667 mm along all axes has 7.6 %, in 1.6 times the time.
 FOR_EDGES = Grading(finer=0.4, growth=0.7, coarsest=0.5)
 
 
-# Elements through the thickness where no spacing is given and the mesh follows no contact.
+# Elements through the thickness if no spacing is given and the mesh does not follow the contact.
 SPACING_SHARE = 6
 # More elements than this need more than 10 GB for one press.
 CELLS_MAX = 4_000_000
 
-# Iterations from one elastic part of the tangent to the next, where it is kept and steps go well:
-# contact, which is taken anew each time, changes more (docs/decisions/0016).
+# Iterations between updates of the elastic part of the tangent, where it is kept and steps converge
+# well: contact, which is updated every time, changes more (docs/decisions/0016).
 ELASTIC_EVERY = 2
 
-# `auto` begins in float32 and goes on in float64 where that lacks digits.
+# `auto` begins in float32 and falls back to float64 where that has too few digits.
 Precision = Literal["auto", "float32", "float64"]
 
 
@@ -59,57 +59,57 @@ class Numerics:
     """Mesh, precision, tolerances and step control of the `fem` tier.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is outside of its allowed range.
     """
 
     spacing: float | None = None
-    """Edge of an element where the indenter comes, and its height [m]. None: the mesh follows the
-    contact (`sim.fem.sizing`), unless `grading` is given or `graded` is not; then a sixth of the
+    """Edge length of elements under the indenter, and their height [m]. None: the mesh follows the
+    contact (`sim.fem.sizing`), unless `grading` is given or `graded` is False; then a sixth of the
     thickness."""
     fineness: float = 0.75
-    """Elements of a mesh that follows the contact: 12 of them times this from one side of a contact
-    to the other. Twice as fine costs 15 times the time and leaves a quarter of the error."""
+    """Resolution of a mesh that follows the contact: 12 elements times this from one side of a
+    contact to the other. Twice as fine takes 15 times as long and has a quarter of the error."""
     elements_max: int = 40_000
-    """Most elements of a mesh that follows the contact; where it would take more, all of them
-    become larger alike, and the result says so."""
+    """Most elements of a mesh that follows the contact. If it would need more, all elements are
+    enlarged by the same factor, and the result has a warning."""
     graded: bool = True
-    """Whether elements grow outwards from where the indenter comes; else all are alike."""
+    """Let elements grow outwards from the contacts; else all are equal."""
     grading: Grading | None = None
-    """How they grow from a window around all that the indenter covers, in place of following the
-    contact; with `spacing`, `Grading()` unless given."""
+    """Growth from a window around all that the indenter covers, instead of following the contact;
+    with `spacing`, `Grading()` by default."""
     one_topology: bool = False
-    """Whether graded meshes of one call get as many elements as the largest of them: more elements,
-    but all presses in one launch, which is what a GPU wants. No mesh becomes coarser."""
+    """Give all graded meshes of one call as many elements as the largest of them: more elements,
+    but all presses in one launch, which suits a GPU. No mesh becomes coarser."""
     precision: Precision = "auto"
-    """`auto` begins in float32 and goes on in float64 where float32 cannot reach the tolerance."""
+    """`auto` begins in float32 and falls back to float64 if float32 cannot reach the tolerance."""
     tolerance: float = 1e-4
     """Out-of-balance nodal force over contact force (l2 norms) at which a state is accepted."""
     path_tolerance: float | None = None
-    """The same between waypoints, never below `tolerance`. None: 0.001 with viscosity or inertia,
-    else 0.01, which moves the forces of shear with friction by 0.1 % at most."""
+    """Tolerance between waypoints, never below `tolerance`. None: 0.001 with viscosity or inertia,
+    else 0.01, which changes the forces of shear with friction by at most 0.1 %."""
     penalty: float = 200.0
-    """Contact stiffness in modulus per thickness. Soft is quick; the error it makes is taken away
-    by `augmentations`."""
+    """Contact stiffness in modulus per thickness. A soft contact is fast; `augmentations` remove
+    the error that it causes."""
     augmentations: int = 2
-    """How often a waypoint is solved again with the pressure found, which needs less penetration:
+    """Times that a waypoint is solved again with updated multipliers, which reduces penetration:
     with 0 the force is up to 5 % low, with 2 it is within 0.4 %."""
     stick: float = 0.5
-    """Stiffness of sticking over `penalty`: the springs that hold a point before it slips give by
-    1/100 of the thickness when the shear traction equals the modulus."""
+    """Stiffness of sticking over `penalty`: the springs that hold a point before it slips stretch
+    by 1/100 of the thickness when the shear traction equals the modulus."""
     contact_points: int = 2
     """Gauss points along each edge of a contact face, 1 to 6."""
     newton_max: int = 60
-    """Newton iterations after which a step is cut in half."""
+    """Newton iterations after which a step is halved."""
     cg_max: int = 4000
-    """Conjugate-gradient iterations of one Newton step."""
+    """Most conjugate-gradient iterations per Newton step."""
     det_floor: float = 0.05
-    """Smallest determinant of the deformation gradient that is accepted."""
+    """Smallest accepted determinant of the deformation gradient."""
     step_travel: float | None = None
-    """Longest step of the tip [m], but never more than half the sharpest radius of the indenter (or
-    a fiftieth of the thickness): a longer one may put skin on the wrong side of an edge. None: with
-    friction a fortieth of the thickness at most."""
+    """Longest step of the tip [m]; at most half the sharpest radius of the indenter (or a fiftieth
+    of the thickness), because a longer one may put skin on the wrong side of an edge. None: with
+    friction at most a fortieth of the thickness."""
     halvings: int = 12
-    """How often a step is cut in half before the solver gives up."""
+    """Times that a step is halved before the solver fails."""
 
     def __post_init__(self) -> None:
         if self.precision not in ("auto", "float32", "float64"):
@@ -141,10 +141,10 @@ class Numerics:
         check_range("numerics", "halvings", self.halvings, 0, 60)
 
     def height(self, body: Body) -> float:
-        """Of elements where the mesh does not follow the contact [m]."""
+        """Return the height of elements if the mesh does not follow the contact [m]."""
         return body.thickness / SPACING_SHARE if self.spacing is None else self.spacing
 
     @property
     def follows(self) -> bool:
-        """Whether the mesh follows the contact."""
+        """True if the mesh follows the contact."""
         return self.spacing is None and self.graded and self.grading is None

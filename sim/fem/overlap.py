@@ -1,17 +1,18 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""How far skin stands inside the indenter, or below its base: measured, not read from the solver.
+"""Overlap of skin and indenter, and of skin and base plane, measured by sampling.
 
-Contact is enforced at four points of a face. What lies between them is looked at here: every face
-that can reach the indenter is sampled densely, at the end of a step and on the way to it, where
-skin and tip are taken to move straight. A signed distance changes by no more than the way that a
-point moves, so no point of a face is deeper than its deepest sample and the way to the next one.
-Inside a wall a signed distance ends at half the wall's width; steps are shorter than that.
+The solver enforces contact at four points of a face. This kernel checks the points between them:
+every face that can reach the indenter is sampled densely, at the end of a step and on the way to
+it, where skin and tip are assumed to move straight. A signed distance changes by no more than the
+distance that a point moves. So no point of a face is deeper than its deepest sample plus the
+distance to the next one. Inside a wall a signed distance ends at half the wall's width; steps are
+shorter than that.
 
-Skin can only meet other skin where some of it has turned by a right angle or more; whether any has
-nearly done so is told too, and `sim.fem.self_overlap` looks closer where it has.
+Skin can only meet other skin where some of it has turned by a right angle or more. The kernel flags
+faces that have nearly done so, and `sim.fem.self_overlap` then looks closer.
 
-Lengths in thicknesses. One thread a face of one environment.
+Lengths in thicknesses. One thread per face of each environment.
 """
 
 import functools
@@ -22,16 +23,16 @@ import warp as wp
 from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.scalars import vector_of
 
-# What is measured: deepest sample, what nothing is deeper than, depth below the base plane, and 1
-# where a face is folded.
+# Measured columns: deepest sample, upper bound of the depth, depth below the base plane, and 1 if
+# a face is folded.
 COLUMNS = 4
-# Cosine of the angle to its rest normal from which a face counts as folded.
+# Cosine of the angle to its rest normal below which a face counts as folded.
 FOLDED = math.cos(math.radians(80))
 
 
 @functools.cache
 def overlap_kernel(real, traits: Traits = PLAIN):
-    """Kernel of the overlap of faces and indenter; `traits` are those of the indenters' table."""
+    """Return the kernel that measures overlap; `traits` are those of the indenters' table."""
     vec3 = vector_of(real)
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
@@ -49,7 +50,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
         table: table_type,
         tip: wp.array(dtype=vec3),
         tip_old: wp.array(dtype=vec3),
-        # In: how many samples along a side, and states on the way
+        # In: samples along a side, and states along the step
         samples: int,
         states: int,
         active: wp.array(dtype=wp.int32),
@@ -63,7 +64,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
         if active[env] == 0:
             return
         m = variant[env]
-        if face_area[m, s] == zero:  # beside a round body
+        if face_area[m, s] == zero:  # outside a round body
             return
         deepest = zero
         bound = zero

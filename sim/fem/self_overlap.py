@@ -1,11 +1,11 @@
-"""How far skin stands inside other skin: measured where the surface folds, and not prevented.
+"""Overlap of the skin with itself: measured where the surface folds, and not prevented.
 
-Skin can only meet skin where some of it has turned by a right angle or more. Where faces turned
-nearly as far, the nodes of the surface are looked for in all elements around that do not have them
-as a corner. A node inside one has passed through the skin there: as deep as the way to the skin
-above, or beside, the same material point of that element.
+Skin can only meet skin where some of it has turned by a right angle or more. Around faces that have
+turned nearly as far, each surface node is tested against all elements that do not have it as a
+corner. A node inside one has passed through the skin there. Its depth is its distance from the skin
+above, or to the side of, the same material point of that element.
 
-Lengths in thicknesses. On the host: a few milliseconds, and asked only where a face has folded.
+Lengths in thicknesses. It runs on the host in a few milliseconds, and only if a face has folded.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim.fem.overlap import FOLDED
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Iterations that look for a point in an element; near its middle 3 or 4 are enough.
+# Newton iterations to locate a point in an element; near its middle 3 or 4 are enough.
 NEWTON = 12
 # Overlaps below this are rounding.
 ON_SKIN = 1e-6
@@ -28,7 +28,7 @@ SIGNS = 2.0 * np.array(CORNERS) - 1.0
 
 
 def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
-    """Which faces (S,) have turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
+    """True for faces (S,) turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
     rest, now = _normals(mesh.nodes, mesh.faces), _normals(places, mesh.faces)
     along = _dot(rest, now)
     least = FOLDED**2 * _dot(rest, rest) * _dot(now, now)
@@ -36,9 +36,9 @@ def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
 
 
 def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
-    """How deep the skin stands inside itself, displaced by `u` (N, 3), and its deepest node.
+    """Return the depth of the skin inside itself, displaced by `u` (N, 3), and its deepest node.
 
-    0 and -1 where it does not.
+    0 and -1 if it does not overlap.
     """
     places = mesh.nodes + u
     folded = folded_faces(mesh, places)
@@ -59,7 +59,7 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
 
 
 def _normals(places: Array, faces: NDArray[np.int32]) -> Array:
-    """Normals (3, S) of faces by their diagonals; on which side is the same before and after."""
+    """Return normals (3, S) of faces from their diagonals, on the same side before and after."""
     corner = places.T[:, faces.T]
     x, y, z = corner[:, 3] - corner[:, 0]
     u, v, w = corner[:, 2] - corner[:, 1]
@@ -73,9 +73,9 @@ def _dot(a: Array, b: Array) -> Array:
 def _near(
     mesh: Mesh, places: Array, folded: NDArray[np.int32]
 ) -> tuple[NDArray[np.bool_], Indices, Array, Array]:
-    """Nodes of the surface (N,), and elements (E,), in a box around folded faces (T, 4).
+    """Return masks of surface nodes (N,), and elements (E,), in a box around folded faces (T, 4).
 
-    With the least and greatest corners of the elements' own boxes (E, 3).
+    Also the least and greatest corners of the elements' own boxes (E, 3).
     """
     corner = places[folded]
     longest = float(np.ptp(corner, axis=1).max())
@@ -99,7 +99,7 @@ def _near(
 def _pairs(
     mesh: Mesh, places: Array, here: NDArray[np.bool_], elements: Indices, low: Array, high: Array
 ) -> tuple[Indices, Indices]:
-    """Nodes and elements (P,) whose boxes overlap, where the node is no corner of the element."""
+    """Return nodes and elements (P,) with the node in the element's box, but not its corner."""
     nodes, none = np.flatnonzero(here), np.empty(0, np.int64)
     if not len(nodes) or not len(elements):
         return none, none
@@ -117,7 +117,7 @@ def _pairs(
 
 
 def _within(corners: Array, points: Array) -> Array:
-    """Reference coordinates (P, 3) of points (P, 3) in elements (P, 8, 3); NaN where not found."""
+    """Return reference coordinates (P, 3) of points (P, 3) in elements (P, 8, 3); NaN if none."""
     local = np.zeros(points.shape)
     size = np.ptp(corners, axis=1).max(axis=1)
     for _ in range(NEWTON):
@@ -137,7 +137,7 @@ def _within(corners: Array, points: Array) -> Array:
 
 
 def _depths(mesh: Mesh, places: Array, element: Indices, local: Array, points: Array) -> Array:
-    """Way (P,) from points in elements to the skin above or beside the same material."""
+    """Return distances (P,) of points in elements to the skin above or beside the same material."""
     cells = np.array(mesh.cells)
     grid = places.reshape(*(cells + 1), 3)
     first = np.stack(np.unravel_index(element, mesh.cells), axis=1)

@@ -1,10 +1,9 @@
-"""How small elements must be: as small as what touches, where it touches.
+"""Element sizes of a mesh, proportional to the width of each contact.
 
-A contact is looked at before anything is solved, by a linear layer on a window of its own size
-(milliseconds), and again on the solution. What touches is a set of pixels; its connected pieces
-have a width each, and elements are a share of that width from one side of a piece to the other.
-From there they grow outwards and downwards. So neither the body's size nor its thickness decides
-how finely a contact is resolved.
+A contact is estimated before the solve, by a linear layer on a window of the contact's size
+(milliseconds), and again from the solution. The touching pixels form connected pieces. Within a
+piece, the size of elements is a share of its width; they grow outwards and downwards from there. So
+neither the body's size nor its thickness decides how finely a contact is resolved.
 
 Lengths in metres, in the contact frame.
 """
@@ -28,27 +27,27 @@ from sim.scene import Body, Scene
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Elements from one side of a contact to the other, with a fineness of 1.
+# Elements from one side of a contact to the other, at fineness 1.
 ACROSS = 12
-# Height of the topmost elements over the least side of those in contact.
+# Height of the topmost elements over the shortest side of those in contact.
 OVER_DEPTH = 0.6
-# How much longer an element is than the fine ones, per distance from them: in plan, in depth.
+# Increase of element length over the fine ones, per distance from them: in plan, in depth.
 GROWTH, GROWTH_DOWN = 0.3, 0.18
-# Longest element under a contact, in thicknesses: a wide contact on a thin layer is resolved as the
-# layer's own edge, which is about as wide as the layer is thick.
+# Longest element under a contact, in thicknesses: a wide contact on a thin layer is resolved like
+# the layer's own edge effect, which is about as wide as the layer is thick.
 LAYER_SHARE = 0.25
-# Tallest element, in thicknesses.
+# Height of the tallest element, in thicknesses.
 DEEPEST = 1 / 3
-# Least cosine between an axis and the outline's normal that counts: an outline along an axis asks
-# for nothing along it.
+# Least cosine between an axis and the outline's normal that counts: an outline along an axis needs
+# no refinement along it.
 OBLIQUE = 0.2
 # Size at the outline of a contact over the smallest radius of the indenter's surface, which may
-# bound it; its least over the size within: the force of a punch is 4 % too large where elements are
-# as long as the radius of its edge.
+# bound it; and its minimum over the size within. The force of a punch is 4 % too large if elements
+# are as long as the radius of its edge.
 EDGE_SHARE, EDGE_LEAST = 0.35, 0.25
-# Length of a run of touched pixels, in widths of its piece, from which its middle is coarser.
+# Length of a run of touched pixels, in widths of its piece, above which its middle is coarser.
 LONG = 3.0
-# Places along an axis at which sizes are told, and about as many more in the contacts.
+# Points along an axis at which sizes are evaluated; the contacts add about as many.
 SITES = 2001
 
 
@@ -63,17 +62,17 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """What the contacts of a motion ask of a mesh."""
+    """Element sizes that the contacts of a motion require."""
 
     x: tuple[Span, ...]
     y: tuple[Span, ...]
     top: float
-    """Height of the topmost elements; inf where nothing touches."""
+    """Height of the topmost elements; inf if nothing touches."""
     width: float = 0.0
-    """Of the widest piece of a contact, 0 where nothing touches."""
+    """Width of the widest piece of a contact, 0 if nothing touches."""
 
     def joined(self, other: Sizes) -> Sizes:
-        """What both ask for."""
+        """Return sizes that satisfy both."""
         return Sizes(
             self.x + other.x,
             self.y + other.y,
@@ -93,15 +92,15 @@ def sizes_of(
     edge_radius: float = math.inf,
     on_body: Mask | None = None,
 ) -> Sizes:
-    """What one contact asks for.
+    """Return the element sizes that one contact requires.
 
     Args:
-        touched: Which pixels or nodes touch (X, Y).
-        x: Where they stand (X,), rising, evenly or not.
+        touched: Pixels or nodes that touch (X, Y).
+        x: Their positions (X,), rising, evenly spaced or not.
         y: The same along y (Y,).
-        thickness: Of the body.
-        edge_radius: Smallest radius of the indenter's surface, which may bound what touches.
-        on_body: Which pixels are the body's (X, Y); None: all of them.
+        thickness: Thickness of the body.
+        edge_radius: Smallest radius of the indenter's surface, which may bound the contact.
+        on_body: Pixels on the body (X, Y); None: all of them.
     """
     if not touched.any():
         return NOTHING
@@ -129,23 +128,23 @@ def sizes_of(
 
 
 # Error of the force times the square of the layers of elements, where a wide contact squeezes a
-# skin that keeps its volume between two surfaces that hold it; times the second where it slides on
-# one of them. With friction and nu 0.49 planes, punches and spheres that touch 3 to 5 thicknesses
-# are off by 0.5 to 0.9 (meshes of 3 to 10 layers), with nu 0.45 by 0.3 to 0.5.
+# nearly incompressible skin between two surfaces that hold it; times the second if it slides on one
+# of them. With friction and nu 0.49, planes, punches and spheres that touch 3 to 5 thicknesses are
+# off by 0.5 to 0.9 (meshes of 3 to 10 layers), with nu 0.45 by 0.3 to 0.5.
 SQUEEZE, SQUEEZE_FREE = 1.2, 0.6
-# 1 - 2 nu at which a skin gives way instead of flowing, and how that sets in.
+# Scale of 1 - 2 nu at which a skin compresses instead of flowing, and the power of the transition.
 VOLUME, VOLUME_POWER = 18.0, 1.3
-# Width of a contact, in thicknesses, from which the skin below is squeezed, and all of it is.
+# Contact widths, in thicknesses, at which squeezing of the skin below begins and is complete.
 SQUEEZED_FROM, SQUEEZED_ALL = 1.5, 3.5
-# What such an error may be with a fineness of 1.
+# Allowed error of this kind at fineness 1.
 SQUEEZE_ERROR = 0.016
 
 
 def squeeze(scene: Scene, width: Array | float) -> Array:
-    """Error of the force of contacts of a width [m] times the square of the layers of elements.
+    """Return the force error of contacts of `width` [m], times the layers of elements squared.
 
-    A skin that cannot give way flows outwards, fastest half-way down: a flow that layers of linear
-    elements across it are too stiff for, by 1 / layers^2.
+    A skin that cannot compress flows outwards, fastest half-way down. Layers of linear elements are
+    too stiff for that flow, by 1 / layers^2.
     """
     body = scene.body
     wide = (np.asarray(width) / body.thickness - SQUEEZED_FROM) / (SQUEEZED_ALL - SQUEEZED_FROM)
@@ -155,9 +154,9 @@ def squeeze(scene: Scene, width: Array | float) -> Array:
 
 
 def _normals(mask: Mask) -> Array:
-    """Unit normals of a piece's outline, at its pixels (2, X, Y); by pixels, not by metres.
+    """Return unit normals of a piece's outline, at its pixels (2, X, Y); in pixels, not metres.
 
-    The ends of the grid are an outline too: those of the body, where a contact goes so far.
+    The ends of the grid count as outline: they are the ends of the body, if a contact reaches them.
     """
     soft = ndimage.gaussian_filter(mask.astype(float), 1.5, mode="constant")
     slope = np.stack(np.gradient(soft)) if min(mask.shape) > 1 else np.ones((2, *mask.shape))
@@ -172,15 +171,15 @@ def _runs(
     edges: Array,
     asked: tuple[float, float, float],
 ) -> Iterable[Span]:
-    """Spans of the runs of touched pixels along the first axis, and of the edges they end at.
+    """Return spans of the runs of touched pixels along the first axis, and of their end edges.
 
     Args:
-        mask: What touches (X, Y).
-        on_body: What is the body's (X, Y): a contact that ends at the body's rim has an edge there.
+        mask: Pixels that touch (X, Y).
+        on_body: Pixels on the body (X, Y): a contact that ends at the body's rim has an edge there.
         across: Cosine between the first axis and the outline's normal (X, Y).
-        edges: Between the pixels (X + 1,).
-        asked: Width of the piece, size from one side of it to the other, and at its outline. A run
-            much longer than the piece is wide is as fine as that at its ends alone.
+        edges: Boundaries between the pixels (X + 1,).
+        asked: Width of the piece, size across it, and size at its outline. A run much longer than
+            the piece is wide is refined to that only at its ends.
     """
     width, size, edge = asked
     framed = np.zeros((2, len(mask) + 2, mask.shape[1]), np.int8)
@@ -210,7 +209,7 @@ def _runs(
 
 
 def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
-    """The same demand by fewer spans: those that no other one holds and is as fine as."""
+    """Drop the spans that lie within another one that is as fine."""
     kept: list[Span] = []
     for span in sorted(set(spans), key=lambda one: (one.size, one.low - one.high, one.low)):
         if not any(
@@ -221,7 +220,7 @@ def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
     return tuple(kept)
 
 
-# Where the nodes of one axis stand, for what is asked of it.
+# Node positions along one axis, from the required sizes.
 
 
 def places_of(
@@ -233,13 +232,13 @@ def places_of(
     longest: float,
     fineness: float = 1.0,
 ) -> tuple[Array, Array]:
-    """Elements counted from `low` (N,), rising from 0, at places (N,) between `low` and `high`.
+    """Return cumulative element counts from `low` (N,), rising from 0, and their places (N,).
 
     Args:
-        spans: What is asked for.
-        low: Where the axis begins.
-        high: Where it ends.
-        growth: How much longer an element is, per distance from a span.
+        spans: Required sizes.
+        low: Start of the axis.
+        high: End of the axis.
+        growth: Increase of element length, per distance from a span.
         longest: Longest element.
         fineness: Divides every size.
     """
@@ -262,15 +261,15 @@ def places_of(
 def resolved(
     traction: NDArray[np.floating[Any]], x: Array, y: Array, *, body: Body, top: float
 ) -> float:
-    """How finely a mesh resolves a contact that was solved on it; inf where nothing touches.
+    """Return how finely a mesh resolves the contact solved on it; inf if nothing touches.
 
-    1 are 12 elements from one side of the contact to the other.
+    1 corresponds to 12 elements from one side of the contact to the other.
 
     Args:
-        traction: At the nodes of the top (X, Y, 3).
-        x: Where they stand (X,) [m].
+        traction: Traction at the nodes of the top (X, Y, 3).
+        x: Positions of the nodes (X,) [m].
         y: The same along y (Y,) [m].
-        body: Which was meshed.
+        body: Meshed body.
         top: Height of the topmost elements [m].
     """
     touched = touched_by(traction)
@@ -280,19 +279,19 @@ def resolved(
     return 1.0 / max(coarser_than_asked(asked, x, y), top / (FLATTER * asked.top), 1e-6)
 
 
-# Height of the topmost elements over that of a mesh that follows the contact, at which it costs as
-# much as their sides: forces hang on it much less.
+# Height of the topmost elements, over that of a mesh that follows the contact, at which it limits
+# the resolution as much as their sides do: forces depend on it much less.
 FLATTER = 2.5
 
 
 def coarser_than_asked(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) -> float:
-    """Largest element over what is asked for where it stands; 1 or less is as fine as asked.
+    """Return the largest ratio of element length to required size; 1 or less is fine enough.
 
     Args:
-        sizes: What is asked for.
-        x: Where the nodes stand (X,).
+        sizes: Required sizes.
+        x: Positions of the nodes (X,).
         y: The same along y (Y,).
-        fineness: As of `places_of`.
+        fineness: As in `places_of`.
     """
     worst = 0.0
     for spans, nodes in ((sizes.x, x), (sizes.y, y)):
@@ -305,13 +304,13 @@ def coarser_than_asked(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) 
 
 
 def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Sizes:
-    """What makes the elements around a point (x, y, ...) [m] half as long.
+    """Return sizes that halve the length of the elements around a point (x, y, ...) [m].
 
     Args:
-        place: The point.
-        x: Where the nodes stand (X,).
+        place: Point.
+        x: Positions of the nodes (X,).
         y: The same along y (Y,).
-        fineness: As of `places_of`.
+        fineness: As in `places_of`.
     """
     spans = []
     for nodes, middle in ((x, place[0]), (y, place[1])):
@@ -321,46 +320,46 @@ def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Siz
     return Sizes((spans[0],), (spans[1],), OVER_DEPTH * min(spans[0].size, spans[1].size))
 
 
-# What touches, before anything is solved.
+# Estimate of the contact before the solve.
 
 # Pixels along the longer side of a window on a contact.
 WINDOW = 64
 # Sides of a window that differ more than this have twice as many pixels.
 NARROW = 4
-# Rim around what the indenter covers of the untouched top, over its width.
+# Rim around the area of the undeformed top that the indenter covers, over its width.
 WIDER = 0.15
-# Thickness of the linear layer at most, in narrower sides of the window: a thicker one answers a
-# contact of that size alike within a few per cent.
+# Largest thickness of the linear layer, in narrower sides of the window: a thicker one responds to
+# a contact of that size the same within a few per cent.
 LAYERS = 2.0
-# Natural residual to which the layer's contact is solved: its width is what counts.
+# Natural residual to which the layer's contact is solved: only the width is needed.
 RESIDUAL = 0.02
-# Contacts of a motion that are looked at, at most.
+# Most contacts of a motion that are estimated.
 LOOKS = 24
-# Largest contact over the smallest that one mesh resolves; sizes of elements that differ more make
-# the equations so hard that a beginning is better solved alone.
+# Largest contact over the smallest that one mesh resolves. A wider range of element sizes makes the
+# equations so hard to solve that it is cheaper to solve a beginning separately.
 MANY_SIZES = 4.0
-# Depths less than this apart have alike contacts.
+# Depths within this factor of each other have similar contacts.
 ALIKE = 1.25
-# Points along x and y, and heights, at which an indenter is looked at; the second pass looks only
-# where the first has found it.
+# Points along x and y, and heights, at which an indenter is sampled; the second pass samples only
+# the box that the first has found.
 SAMPLES, LEVELS, PASSES = 61, 6, 2
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Waypoints of a motion, from its beginning, that one mesh resolves."""
+    """Waypoints from the beginning of a motion that one mesh resolves."""
 
     waypoints: int
-    """How many; the first stage has all of them, and those of later stages take their place."""
+    """Number of waypoints; the first stage has all, and later stages replace its beginning."""
     sizes: Sizes
 
 
 def stages_of(scene: Scene) -> list[Stage]:
-    """The meshes that a scene takes, by a look at its contacts; the first is for all waypoints.
+    """Return the stages and mesh sizes that a scene needs; the first is for all waypoints.
 
-    A motion that begins with contacts much smaller than those to come has a mesh for its beginning:
-    one mesh for all would have elements of so many sizes that its equations are hard to solve. Up
-    to there nothing is different, so a beginning may be solved alone, whatever the effects.
+    A motion that begins with contacts much smaller than the later ones gets a separate mesh for its
+    beginning: with one mesh for all, the range of element sizes would make the equations hard to
+    solve. Up to there nothing is different, so a beginning may be solved alone with any effects.
     """
     looks = _looks(scene)
     found = [look for look in looks if look is not None and look.top < math.inf]
@@ -391,7 +390,7 @@ def stages_of(scene: Scene) -> list[Stage]:
 
 
 def _no_finer(sizes: Sizes, floor: float) -> Sizes:
-    """The same with no topmost element less than `floor` high, and those in plan to match."""
+    """Return sizes with topmost elements at least `floor` high, and those in plan to match."""
     if sizes.top >= floor:
         return sizes
     least = floor / OVER_DEPTH
@@ -403,10 +402,10 @@ def _no_finer(sizes: Sizes, floor: float) -> Sizes:
 
 
 def _looks(scene: Scene) -> list[Sizes | None]:
-    """What the contact at each waypoint asks for, then that at places on long slides.
+    """Return the sizes for the contact at each waypoint, then for points along long slides.
 
-    Of contacts that are alike one is looked at; None stands for a tip above the body, or past the
-    number of looks that a motion is worth.
+    Similar contacts are estimated once. None means a tip above the body, or beyond the limit of
+    estimates per motion.
     """
     waypoints = np.asarray(scene.motion.tip)
     depth = scene.motion.depth_max
@@ -444,7 +443,7 @@ def _onto(body: Body, tip: Array) -> tuple[float, float]:
 
 
 def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
-    """What the contact with the tip at (3,) asks for."""
+    """Return the sizes for the contact with the tip at (3,)."""
     from sim.layer.contact import solve_frictionless
     from sim.layer.spectral import Convolutions, Grid
 
@@ -477,24 +476,24 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     return sizes_of(contact.traction[2] < 0, x, y, here, indenter.sharpest, on_body)
 
 
-# Height of a dome over the thickness below which a contact there is one on a thinner layer.
+# Height of a dome over the thickness below which a contact there counts as on a thinner layer.
 THIN = 0.5
 
 
 def _thickness_under(body: Body, tip: Array) -> float:
-    """Height of the body under a tip (3,), where it is much less than the thickness; else that."""
+    """Return the body's height under a tip (3,) if much below the thickness; else the thickness."""
     here = body.thickness + body.height(*_onto(body, tip))
     return here if here < THIN * body.thickness else body.thickness
 
 
 def _heights(body: Body, x: Array, y: Array) -> Array:
-    """Heights of the untouched top; beyond its sides those at the sides."""
+    """Return heights of the undeformed top; beyond its sides, those at the sides."""
     half_x, half_y = body.size_x / 2, body.size_y / 2
     return body.heights(np.clip(x, -half_x, half_x), np.clip(y, -half_y, half_y))
 
 
 def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | None:
-    """Least and greatest (x, y) of the untouched top that an indenter at `tip` overlaps, if any."""
+    """Return least and greatest (x, y) of the undeformed top that an indenter at `tip` overlaps."""
     half = np.array([body.size_x, body.size_y]) / 2
     highest = float(_heights(body, np.array([tip[0]]), np.array([tip[1]]))[0, 0])
     deep = max(0.0, max(highest, 0.0) - float(tip[2]))
@@ -520,14 +519,14 @@ def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | Non
 def extent_of(
     holds: Callable[[Array, Array], Mask], low: Array, high: Array
 ) -> tuple[Array, Array] | None:
-    """Least and greatest (x, y) at which something holds, within a box; None where it never does.
+    """Return least and greatest (x, y) where a condition holds within a box; None if nowhere.
 
-    Found on a grid of points, and widened by what may lie between them.
+    The extent is found on a grid of points and widened by the grid spacing.
 
     Args:
-        holds: From x (X,) and y (Y,) to whether it does (X, Y).
+        holds: Maps x (X,) and y (Y,) to a mask of the condition (X, Y).
         low: Least x and y of the box (2,).
-        high: Greatest (2,).
+        high: Greatest x and y (2,).
     """
     for _pass in range(PASSES):
         x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))

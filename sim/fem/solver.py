@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Drives and reads Warp arrays, typed at run time; mypy cannot follow them.
-"""The `fem` tier: every press walks its own path, all of them solved side by side."""
+"""Solver of the `fem` tier: all presses of a batch advance together, each along its own path."""
 
 from __future__ import annotations
 
@@ -41,38 +41,38 @@ from sim.metrics import WEAK
 from sim.result import SIDES, Outcome, Quality, Result, with_beginning
 from sim.scene import Body, Motion, Scene
 
-# What the state last evaluated says of one environment: contact, traction, energy, weight.
+# Results per environment from the last evaluated state: contact, traction, energy, weight.
 
 
 @dataclass(frozen=True, slots=True)
 class ContactPoints:
-    """Contact points of the T faces that touch, of one environment; in thicknesses and moduli."""
+    """Contact points of one environment's T touched faces, in units of thickness and modulus."""
 
     pressure: np.ndarray
-    """(T, P)."""
+    """Contact pressure (T, P)."""
     penetration: np.ndarray
-    """How deep they are inside the indenter (T, P); below 0 in a gap that the pressure bridges."""
+    """Depth inside the indenter (T, P); negative in a gap that the pressure bridges."""
     traction: np.ndarray
     """Shear traction on the body (T, P, 3)."""
     force: np.ndarray
     """Force on the body (T, P, 3)."""
     place: np.ndarray
-    """Where they are (T, P, 3)."""
+    """Positions (T, P, 3)."""
     area: np.ndarray
-    """Untouched area of each (T, P)."""
+    """Undeformed area of each point (T, P)."""
     slip_excess: float
     """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
 
 
 class Snapshot:
-    """Arrays of the state last evaluated, on the host, of some of the environments.
+    """Host arrays of the last evaluated state, for some of the environments.
 
-    Of a GPU they are copies, which stay as they are when the state goes on; a CPU copies nothing.
+    From a GPU they are copies, unaffected by later changes of the state; a CPU copies nothing.
 
     Args:
-        assembly: Whose state.
-        environments: Of which environments.
-        gather: Whether arrays are copied; on a GPU, when not said.
+        assembly: Assembly that holds the state.
+        environments: Indices of the environments.
+        gather: Copy the arrays; by default only on a GPU.
     """
 
     def __init__(
@@ -110,24 +110,24 @@ class Snapshot:
             self._rates = None if self._rates is None else np.copy(self._rates)
 
     def of(self, env: int, name: str) -> np.ndarray:
-        """The part of environment `env` of an array."""
+        """Return the part of an array that belongs to environment `env`."""
         return self._arrays[name][self._row[env]]
 
     def base(self, env: int) -> np.ndarray:
-        """Force on the base of environment `env` (3,)."""
+        """Return the force on the base of environment `env` (3,)."""
         return self._base[env]
 
     def det(self, env: int) -> float:
-        """Least determinant of the deformation gradient of environment `env`."""
+        """Return the least determinant of the deformation gradient of environment `env`."""
         return self._det[env]
 
     def rate(self, env: int) -> float:
-        """What an acceleration is of a displacement ahead of the predicted one, `env`'s."""
+        """Return the acceleration of `env` per unit displacement beyond the predicted one."""
         return self._rates[env]
 
 
 def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
-    """Pressure, force and place of the contact points of environment `env`, displaced by `u`."""
+    """Return the contact points of environment `env`, displaced by `u`."""
     assembly = held.assembly
     mesh = assembly.meshes[env]
     rows = np.flatnonzero(held.of(env, "touched"))
@@ -156,27 +156,27 @@ def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
 
 
 def surface_traction(held: Snapshot, env: int) -> np.ndarray:
-    """Nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
+    """Return the nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
     assembly = held.assembly
     mesh = assembly.meshes[env]
     nx, ny, nz = mesh.cells
     top = nx * ny
     rows = np.flatnonzero(held.of(env, "touched")[:top])
     share = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
-    columns = mesh.faces[:top] // (nz + 1)  # of nodes, which are numbered upwards
+    columns = mesh.faces[:top] // (nz + 1)  # columns of nodes, which are numbered upwards
     count = (nx + 1) * (ny + 1)
     touched = columns[rows].ravel()
     force = [np.bincount(touched, share[:, axis], count) for axis in range(3)]
     area = np.bincount(columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
-    area[area == 0] = np.inf  # beside a round body
+    area[area == 0] = np.inf  # outside a round body
     nodal = np.stack(force, axis=-1) / area[:, None]
     return nodal.reshape(nx + 1, ny + 1, 3)
 
 
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
-    """Energy in the material at rest modulus, sticking springs and height [E T^3].
+    """Return the energy of the material at rest modulus, sticking springs and height [E T^3].
 
-    Not what is in penetration: that is an error, told as `contact`, and nobody's work.
+    Energy in penetration is left out: penetration is an error, reported as `contact`.
     """
     assembly = held.assembly
     spring = assembly.numerics.stick * assembly.numerics.penalty
@@ -188,7 +188,7 @@ def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray
 
 
 def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
-    """Weight less inertia of one environment (3,) [E T^2]."""
+    """Return the weight less inertia of one environment (3,) [E T^2]."""
     assembly = held.assembly
     total = np.zeros(3)
     if "gravity" in assembly.effects:
@@ -201,15 +201,15 @@ def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
     return total
 
 
-# A round body on a grid: what its nodes beside it say, and what happens at its side.
+# A round body on a grid: values at nodes outside it, and contact at its side wall.
 
 
 class Round:
-    """The side of a round body, which cuts through elements and is no contact face.
+    """Side wall of a round body, which cuts through elements and is no contact face.
 
     Args:
-        scene: Whose body.
-        mesh: Its mesh.
+        scene: Scene with the body.
+        mesh: Mesh of the body.
     """
 
     def __init__(self, scene: Scene, mesh: Mesh) -> None:
@@ -218,53 +218,54 @@ class Round:
         beside = mesh.beside
         places = np.stack(np.meshgrid(mesh.x, mesh.y, indexing="ij"), axis=-1)
         self._nearest = KDTree(places[~beside]).query(places)[1]
-        """Which of the body's columns of nodes is nearest to each (X, Y)."""
+        """Index of the body's nearest column of nodes, for each column (X, Y)."""
         self._of_body = np.flatnonzero(~beside)
         self._cut = ((mesh.share > 0) & (mesh.share < 1)).ravel()
         angle = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
         self._wall = np.stack([np.cos(angle), np.sin(angle)], axis=1) / (2 * unit)
         self._wall *= body.size_x, body.size_y
         ends = [[mesh.x[0], mesh.y[0]], [mesh.x[-1], mesh.y[-1]]]
-        self._wall = np.clip(self._wall, *ends)  # by rounding they may differ
+        self._wall = np.clip(self._wall, *ends)  # rounding may put them outside
         rim = np.array([body.height(*place) for place in self._wall * unit]) / unit
         share = 1.0 + mesh.nodes[mesh.top[0, 0] - mesh.cells[2] : mesh.top[0, 0] + 1, 2]
         self._levels = -1.0 + (1.0 + rim)[:, None] * (share / share[-1])
 
     def continued(self, u: np.ndarray) -> np.ndarray:
-        """Displacements (N, 3) as columns of nodes (X, Y, Z, 3), beside the body those of its edge.
+        """Return displacements (N, 3) by column (X, Y, Z, 3), extended beyond the body's edge.
 
-        What has no material has no displacement; a curve through zeros there would bend on the gel.
+        Nodes without material have no displacement; a curve through zeros there would bend on the
+        gel.
         """
         columns = u.reshape(self._nearest.size, -1, 3)
         return columns[self._of_body[self._nearest]].reshape(*self._nearest.shape, -1, 3)
 
     def touched(self, faces: np.ndarray) -> bool:
-        """Whether a touched face of the top (T,) belongs to a column that the side cuts through."""
+        """True if a touched face of the top (T,) is in a column that the side cuts through."""
         return bool(self._cut[faces[faces < len(self._cut)]].any())
 
     def wall(self, columns: np.ndarray) -> np.ndarray:
-        """Places (W, Z, 3) of the side wall, displaced by `continued` (X, Y, Z, 3)."""
+        """Return points (W, Z, 3) of the side wall, displaced by `continued` (X, Y, Z, 3)."""
         moved = RegularGridInterpolator((self._mesh.x, self._mesh.y), columns)(self._wall)
         moved[..., :2] += self._wall[:, None]
         moved[..., 2] += self._levels
         return moved
 
     def overlapped(self, wall: np.ndarray, tip: np.ndarray) -> bool:
-        """Whether the indenter stands in the side wall (W, Z, 3), whose upper edge is the top's."""
+        """True if the indenter overlaps the side wall (W, Z, 3), whose upper edge is the top's."""
         under = (wall[:, :-1] - tip) * self._scene.body.thickness
         return bool((self._scene.indenter.distance(under)[0] < 0).any())
 
 
-# Places around a round side wall at which an indenter is looked for.
+# Points around a round side wall that are tested for overlap with the indenter.
 AROUND = 256
 
 
-# What is kept of an accepted state: force, surface, and how far it can be trusted.
+# Values kept from an accepted state: force, surface, and quality measures.
 
 
 @dataclass(slots=True)
 class Spent:
-    """What the steps to the next frame have cost one press."""
+    """Cost of the steps to the next frame of one press."""
 
     newton: int = 0
     cg: int = 0
@@ -272,7 +273,7 @@ class Spent:
 
 
 class Collector:
-    """Frames of one press, filled as they are reached; SI units outside."""
+    """Frames of one press, filled as they are reached; results are in SI units."""
 
     def __init__(self, scene: Scene, mesh: Mesh, assembly: Assembly) -> None:
         self._scene, self._mesh = scene, mesh
@@ -292,9 +293,9 @@ class Collector:
         }
         self._overlap_path = 0.0
         self.below_base = 0.0
-        """How far the skin stood below the base plane at most [m]."""
+        """Largest depth of the skin below the base plane [m]."""
         self.worst = np.full(3, np.nan)
-        """Where the skin stood deepest inside the indenter: the material point [m]."""
+        """Material point of the skin that was deepest inside the indenter [m]."""
         self._resolved = np.full(frames, np.inf)
         self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
@@ -303,16 +304,16 @@ class Collector:
         self._start: float | None = None
         self._round = None if mesh.share is None else Round(scene, mesh)
         self.at_side: dict[str, list[int]] = {"rim": [], "wall": []}
-        """Waypoints at which a round body is touched at its rim, and in its side wall."""
+        """Waypoints at which the rim or the side wall of a round body is touched."""
 
     def moved(self, tip: np.ndarray, work: float) -> None:
-        """Count the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
+        """Add the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
         self._work += work
         self._work_most = max(self._work_most, self._work)
         self._tip = tip
 
     def passed(self, overlap: np.ndarray) -> None:
-        """Count what a step's way overlapped, as `Assembly.overlap` has it (4,)."""
+        """Record the overlap along a step, as returned by `Assembly.overlap` (4,)."""
         self._overlap_path = max(self._overlap_path, float(overlap[0]))
         self.below_base = max(self.below_base, float(overlap[2]) * self._unit)
 
@@ -325,9 +326,9 @@ class Collector:
         overlap: np.ndarray,
         spent: Spent,
     ) -> None:
-        """Keep the state of environment `env`, last evaluated, as frame `frame`.
+        """Store the last evaluated state of environment `env` as frame `frame`.
 
-        `overlap` is that of the state, as `Assembly.overlap` has it (4,); `spent` what it has cost.
+        `overlap` is that of the state, as returned by `Assembly.overlap` (4,); `spent` is its cost.
         """
         assembly, mesh = held.assembly, self._mesh
         u = held.of(env, "u").astype(float)
@@ -388,18 +389,18 @@ class Collector:
             self._counts[name][frame] = getattr(spent, name)
 
     def resolved(self) -> list[float | None]:
-        """How finely the contact of each frame is resolved, 1 by 12 elements; None without one."""
+        """Return the contact resolution of each frame, 1 for 12 elements; None without contact."""
         return [float(one) if np.isfinite(one) else None for one in self._resolved]
 
     def self_overlap(self) -> dict:
-        """How deep the skin stands inside itself, frame by frame; where it is deepest [m]."""
+        """Return the depth of the skin inside itself per frame, and the deepest point [m]."""
         found = {"metres": [float(f"{one:.4g}") for one in self._self_overlap]}
         if self._self_overlap.any():
             found["place"] = [float(one) for one in self._self_place]
         return found
 
     def result(self, record: dict) -> Result:
-        """The result, once every frame was kept."""
+        """Return the result; every frame must have been kept."""
         return Result(
             scene=self._scene,
             tier="fem",
@@ -413,25 +414,25 @@ class Collector:
         )
 
 
-# The batches of a call, in the precision that each takes, and the steps of one batch.
+# Batches of a call, the precision of each, and the steps of one batch.
 
 Progress = Callable[[float], None]
-# What is asked of meshes, by the number of a scene and how many of its waypoints they are for.
+# Required element sizes, by index of the scene and the number of its waypoints they apply to.
 Asked = dict[tuple[int, int], Sizes]
 
-# Samples along a side of a face at which overlap is measured, of a frame and of states on the way
-# to it; and how many of those a step has, its end included.
+# Samples along a side of a face at which overlap is measured, for frames and for intermediate
+# states; and the number of states per step, its end included.
 FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
-# Above this, `auto` does not try float32: the pressure is 3,000 times the shear stress there.
+# Above this, `auto` does not try float32: there the pressure is 3,000 times the shear stress.
 POISSON_FLOAT32 = 0.4995
-# A step that fails with a residual below this many tolerances lacks digits: a smaller step would
-# fail too. After this many such steps `auto` starts again in float64.
+# A step that fails with a residual below this many tolerances is limited by float32 rounding: a
+# smaller step would fail too. After this many such steps `auto` restarts in float64.
 ROUNDING, ROUNDED_MOST = 10.0, 2
-# Times that `auto` halves a step to a waypoint in float32 before it starts again in float64: most
-# of such steps lack digits, where forces or elements are small, and each costs as much as ten good
-# ones.
+# Times that `auto` halves a step to a waypoint in float32 before it restarts in float64. Most such
+# steps are limited by rounding, where forces or elements are small, and each costs as much as ten
+# steps that converge.
 HALVINGS_FLOAT32 = 1
-# Elements of a batch at most: what stays in a CPU's cache; what fits a GPU's memory.
+# Most elements per batch: those that fit a CPU's cache or a GPU's memory.
 ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
 
 
@@ -443,19 +444,19 @@ def simulate_fem(
     progress: Progress | None = None,
     asked: Asked | None = None,
 ) -> list[Outcome]:
-    """Simulate presses; a result or the reason for none, in their order.
+    """Simulate presses and return the outcomes in their order: a result or the reason for none.
 
     Args:
-        scenes: What is simulated; those with the same thickness, mesh topology and set of effects
-            are solved side by side.
+        scenes: Scenes to simulate; those with the same thickness, mesh topology and set of effects
+            are solved in one batch.
         numerics: Mesh, precision and tolerances.
         device: `cpu`, or `cuda:0` and the like.
         progress: Called with the share done, 0 to 1.
-        asked: What solutions of the same scenes on coarser meshes asked of theirs; what these ask
-            is added. It spares meshes that would be made anew.
+        asked: Element sizes that solutions of the same scenes on coarser meshes required; those
+            required by these solutions are added. They save building a mesh that proves too coarse.
 
     Raises:
-        SceneError: A mesh that cannot be built, or a device that is not there.
+        SceneError: A mesh cannot be built, or the device does not exist.
     """
     numerics = numerics or Numerics()
     _check_device(device)
@@ -479,7 +480,7 @@ def simulate_fem(
 
 
 def _beginning(scene: Scene, waypoints: int) -> Scene:
-    """The scene up to its first `waypoints` waypoints."""
+    """Return the scene with its first `waypoints` waypoints."""
     motion = scene.motion
     if waypoints == len(motion):
         return scene
@@ -487,7 +488,7 @@ def _beginning(scene: Scene, waypoints: int) -> Scene:
 
 
 def _in_one(stages: list[Outcome]) -> Outcome:
-    """The result of all waypoints, those of beginnings in place of its own."""
+    """Return the result of all waypoints, its beginning replaced by solutions of later stages."""
     whole = stages[0]
     for stage in stages:
         if isinstance(stage, SimulationDiverged):
@@ -504,7 +505,7 @@ def _following(
     device: str,
     progress: Progress | None,
 ) -> list[Outcome]:
-    """Presses on meshes that follow their contacts, made anew where the solution asks for more."""
+    """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more."""
     outcomes = _on_meshes(scenes, numerics, sizes, device, progress)
     for attempt in range(1, REMESHED + 1):
         wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
@@ -530,7 +531,7 @@ def _following(
 
 
 def precision_for_finer(found: Result, numerics: Numerics) -> Precision:
-    """What a finer mesh is solved in: float64 where `auto` has seen that float32 lacks digits."""
+    """Return the precision for a finer mesh: float64 if `auto` already had to fall back to it."""
     double = numerics.precision == "auto" and found.record["precision"] == "float64"
     return "float64" if double else numerics.precision
 
@@ -542,7 +543,7 @@ def _on_meshes(
     device: str,
     progress: Progress | None,
 ) -> list[Outcome]:
-    """Presses solved on the meshes that their contacts ask for, or on those of the numerics."""
+    """Solve presses on meshes of the given element sizes, or on those of the numerics."""
     began = time.perf_counter()
     meshes = meshes_of(scenes, numerics, sizes)
     meshed = (time.perf_counter() - began) / max(len(scenes), 1)
@@ -564,36 +565,36 @@ def _on_meshes(
     return [outcomes[i] for i in range(len(scenes))]
 
 
-# Whether a mesh was fine enough for what the solution shows on it.
+# Checks whether a mesh was fine enough for its solution.
 
-# How often a mesh is made anew where the solution shows that it was too coarse.
+# Most times that a mesh is rebuilt because the solution shows that it was too coarse.
 REMESHED = 2
-# Elements over what the solution's own contact asks for: above the first the mesh is made anew,
-# above the second a finer mesh is built for that contact from the start.
+# Element size over that required by the solution's own contact: above the first the mesh is
+# rebuilt, above the second a finer mesh is built for that contact from the start.
 TOO_COARSE, COARSE = 1.6, 1.25
 # Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
-# there, or a warning says so; above the second there is no result.
+# there, or a warning is issued; above the second there is no result.
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
-# Overlap over the side of the smallest elements below which nothing has passed through: a touch on
-# elements that are far too large for it.
+# Overlap over the side of the smallest elements below which nothing has passed through: such an
+# overlap is a light touch on elements that are far too large for it.
 PASSED = 0.1
 PASSES = (
     "the indenter passes through the skin: {}; the mesh does not resolve the contact (allowed: "
     "finer elements, a rounder edge)"
 )
-# Why there is no result.
+# The reason if there is no result.
 MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
 )
-# Depth of the skin below the base plane, over the thickness, that is not worth a warning.
+# Depth of the skin below the base plane, over the thickness, up to which there is no warning.
 BELOW_GOOD = 0.01
 
 
 def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
-    """Overlap of each frame (F,) over the width of its contact, or the depth if that is less.
+    """Return the overlap of each frame (F,) over its contact's width, or over the depth if less.
 
-    Over the thickness where nothing is pressed.
+    Frames without a press are divided by the thickness.
     """
     depth = np.maximum(-np.asarray(result.scene.motion.tip)[:, 2], 0.0)
     width = result.quality.contact_width
@@ -603,7 +604,7 @@ def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
 
 
 def more_wanted(result: Result) -> Sizes | None:
-    """What the solution asks for beyond its mesh; None where that was fine enough."""
+    """Return the element sizes that the solution requires beyond its mesh; None if fine enough."""
     fineness = result.record["mesh"]["fineness"]
     x, y = result.surface_x, result.surface_y
     found = _asked_by(result)
@@ -618,7 +619,7 @@ def more_wanted(result: Result) -> Sizes | None:
 
 
 def _asked_by(result: Result) -> Sizes:
-    """What the contacts of a solution ask for."""
+    """Return the element sizes required by the contacts of a solution."""
     x, y, thickness = result.surface_x, result.surface_y, result.scene.body.thickness
     force = np.linalg.norm(result.force, axis=1)
     found = Sizes((), (), np.inf)
@@ -629,9 +630,9 @@ def _asked_by(result: Result) -> Sizes:
 
 
 def _learnt(sizes: Sizes, outcome: Outcome) -> Sizes:
-    """What a finer mesh is built for: the solution's contacts too, where they take finer elements.
+    """Return the sizes for a finer mesh, with those of the solution's contacts where finer.
 
-    Not what overlaps asked for: a finer mesh may have none.
+    Sizes required because of overlap are not added: a finer mesh may have no overlap.
     """
     if isinstance(outcome, SimulationDiverged):
         return sizes
@@ -650,15 +651,15 @@ def _remeshed(outcome: Outcome, times: int, before: Result) -> Outcome:
 
 
 def _judged(outcome: Outcome) -> Outcome:
-    """The result with what is to be said of overlaps, or that there is none."""
+    """Return the result with its warnings, or a failure if an overlap is too large."""
     if isinstance(outcome, SimulationDiverged):
         return outcome
     lost = _lost_contact(outcome)
     if lost is not None:
         deepest = 1e6 * float(outcome.quality.overlap_path.max())
         where = (
-            f"no force at waypoint {lost}, inside the body, after it stood {deepest:.3g} um deep "
-            "in the skin"
+            f"no force at waypoint {lost}, inside the body, after an overlap of {deepest:.3g} um "
+            "with the skin"
         )
         return SimulationDiverged(PASSES.format(where), tried=(), dump=None)
     warnings = list(outcome.record["warnings"])
@@ -683,20 +684,20 @@ def _judged(outcome: Outcome) -> Outcome:
     straight, most = _straight_push(outcome), _buckling_load(outcome.scene.body)
     if straight > most:
         warnings.append(
-            f"standing straight, this body would bear {straight:.3g} N, but it is so slender that "
-            f"it may buckle from {most:.3g} N on: other shapes are possible, with other forces"
+            f"upright, this body would carry {straight:.3g} N, but it is so slender that "
+            f"it may buckle above {most:.3g} N: other shapes are possible, with other forces"
         )
     below = outcome.record["overlap"]["below_base"]
     if below > BELOW_GOOD * outcome.scene.body.thickness:
         warnings.append(
-            f"the skin stands {below * 1e3:.3g} mm below the base plane, beside the base: contact "
+            f"the skin is {below * 1e3:.3g} mm below the base plane, next to the base: contact "
             "with it is not computed"
         )
     return replace(outcome, record={**outcome.record, "warnings": warnings})
 
 
 def _lost_contact(result: Result) -> int | None:
-    """The first waypoint inside the body without a force, after skin and indenter overlapped."""
+    """Return the first waypoint inside the body that has no force after an overlap, if any."""
     scene, deepest = result.scene, 0.0
     for waypoint, tip in enumerate(scene.motion.tip):
         deepest = max(deepest, float(result.quality.overlap_path[waypoint]))
@@ -708,9 +709,9 @@ def _lost_contact(result: Result) -> int | None:
 
 
 def _straight_push(result: Result) -> float:
-    """The push of a punch as wide as the contact, in series with all of the body as a column [N].
+    """Return the force of a punch as wide as the contact, in series with the body as a column [N].
 
-    That of the half-space is 2 a d E / (1 - nu^2).
+    The force of the half-space is 2 a d E / (1 - nu^2).
     """
     body = result.scene.body
     punch = result.quality.contact_width.max() * body.modulus / (1 - body.poisson**2)
@@ -719,19 +720,19 @@ def _straight_push(result: Result) -> float:
 
 
 def _buckling_load(body: Body) -> float:
-    """Euler's load of a column that stands on its base, its top free [N]: pi^2 E I / (4 T^2)."""
+    """Return Euler's load of a column fixed at its base, its top free [N]: pi^2 E I / (4 T^2)."""
     short, long = sorted((body.size_x, body.size_y))
     return float(np.pi**2 * body.modulus * long * short**3 / 12 / (4 * body.thickness**2))
 
 
-# Elements of a thickness up to which `Numerics.penalty` holds as it is; with smaller ones contact
-# is stiffer by the same factor, in powers of 2, as small contacts press as hard over smaller
-# depths.
+# Elements per thickness up to which `Numerics.penalty` applies unchanged. With smaller elements
+# contact is stiffer by the same factor, in powers of 2, because small contacts reach the same
+# pressure over smaller depths.
 SOFT_SHARE = 24
 
 
 def _penalty(mesh: Mesh, numerics: Numerics) -> float:
-    """Contact stiffness on a mesh [E / T]."""
+    """Return the contact stiffness on a mesh [E / T]."""
     if not numerics.follows:
         return numerics.penalty
     finer = max(1.0, 1.0 / (SOFT_SHARE * mesh.finest))
@@ -741,7 +742,7 @@ def _penalty(mesh: Mesh, numerics: Numerics) -> float:
 def _batches(
     scenes: Sequence[Scene], meshes: Sequence[Mesh], numerics: Numerics, device: str
 ) -> list[list[int]]:
-    """Which scenes are solved side by side: same mesh topology, same kernels, not too many."""
+    """Group scenes into batches of the same mesh topology and kernels, limited in size."""
     alike: dict[tuple, list[int]] = {}
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
         kernels = scene.effects.key, traits_of([scene.indenter])
@@ -756,12 +757,12 @@ def _batches(
 
 
 def _part(progress: Progress, before: int, these: int, all_: int) -> Progress:
-    """What tells of the share of a batch as a share of the whole."""
+    """Return a callback that converts the share of a batch into a share of the whole."""
     return lambda share: progress((before + share * these) / all_)
 
 
 def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
-    """One batch, in the precision asked for or the one it takes."""
+    """Solve one batch, in the requested precision or the one that it needs."""
     first, reason = _first_precision(scenes, numerics)
     trial = numerics
     if numerics.precision == "auto" and first == "float32":
@@ -789,9 +790,9 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
 
 
 def _first_precision(scenes: Sequence[Scene], numerics: Numerics) -> tuple[str, str]:
-    """The precision to begin with, and why."""
+    """Return the precision to begin with, and the reason."""
     if numerics.precision != "auto":
-        return numerics.precision, "asked for"
+        return numerics.precision, "requested"
     poisson = max(scene.body.poisson for scene in scenes)
     if poisson > POISSON_FLOAT32:
         return "float64", (
@@ -808,7 +809,7 @@ def _with_reason(outcome: Outcome, reason: str) -> Outcome:
 
 
 def _forget_dump(dump: File | None) -> None:
-    """Remove what a failed attempt left, now that another one followed it."""
+    """Remove the dump of a failed attempt that was followed by another."""
     if dump is not None:
         dump.unlink(missing_ok=True)
         dump.parent.rmdir()
@@ -822,17 +823,17 @@ def _check_device(device: str) -> None:
         raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
-# Calls that a GPU may be ahead of its thread: frames that wait to be kept take memory.
+# Most calls waiting for the thread: frames that wait to be kept take memory.
 AHEAD = 32
-# Time [s] that such a thread may hold Python for while the GPU waits for its next launch; 5 ms
-# unless set, which made 162 presses on an H200 7 to 9 % slower.
+# Longest time [s] that this thread may hold the GIL while the GPU waits for its next launch. With
+# Python's default of 5 ms, 162 presses on an H200 were 7 to 9 % slower.
 TURN = 2e-4
 
 
 class Aside:
-    """Calls that nothing waits for, done in their order by a thread, or at once: a context manager.
+    """Context manager that runs calls in order, on a background thread or immediately.
 
-    Leaving it waits for all of them; an error in one is raised there or by a later `do`.
+    On exit it waits for all of them; an error in one is raised there or by a later `do`.
     """
 
     def __init__(self, *, thread: bool) -> None:
@@ -840,7 +841,7 @@ class Aside:
         self._waiting: deque[Future[object]] = deque()
 
     def do(self, call: Callable[..., object], *arguments: object) -> None:
-        """Have a call done."""
+        """Run a call, or queue it for the thread."""
         if self._executor is None:
             call(*arguments)
             return
@@ -869,27 +870,27 @@ class _Taken:
     """Steps that some environments completed in one sweep, and the states at their ends."""
 
     steps: list[int]
-    """Of which environments."""
+    """Environments that completed a step."""
     tip: np.ndarray
-    """Where their tips are (B, 3) [T]."""
+    """Tip positions (B, 3) [T]."""
     work: np.ndarray
-    """Of the steps (B,) [E T^3]."""
+    """Work of the steps (B,) [E T^3]."""
     way: np.ndarray
-    """Overlap on the way, as `Assembly.overlap` has it (B, 4)."""
+    """Overlap along the steps, as returned by `Assembly.overlap` (B, 4)."""
     frames: dict[int, int]
-    """The frames that some of them reached, by environment."""
+    """Frames that some of them reached, by environment."""
     held: Snapshot | None
-    """Their states; None where no frame was reached."""
+    """States of those frames; None if no frame was reached."""
     residual: np.ndarray
     """Out-of-balance force over force (B,)."""
     overlap: np.ndarray
-    """Of the states of the frames (B, 4)."""
+    """Overlap of the states of the frames (B, 4)."""
     spent: dict[int, Spent]
-    """What the frames have cost."""
+    """Cost of the frames."""
 
 
 class _Batch:
-    """Presses on meshes of one topology, each at its own step of its own path."""
+    """Presses on meshes of one topology, each with a separate path and step."""
 
     def __init__(self, scenes, meshes, numerics, precision, device, meshed, progress) -> None:
         self._scenes, self._meshes, self._numerics = scenes, meshes, numerics
@@ -939,7 +940,7 @@ class _Batch:
         ]
 
     def _begin(self, idle: np.ndarray) -> None:
-        """Begin the next step of those that are idle (B,)."""
+        """Begin the next step of the idle environments (B,)."""
         if not idle.any():
             return
         guess, tolerance = np.zeros(len(idle)), np.zeros(len(idle))
@@ -968,7 +969,7 @@ class _Batch:
         return numerics.tolerance if share >= 1.0 else max(loose, numerics.tolerance)
 
     def _finish(self, done: np.ndarray) -> None:
-        """Take the steps that have converged, halve those that have failed (B,)."""
+        """Accept the steps that have converged, halve those that have failed (B,)."""
         if not done.any():
             return
         assembly, newton = self._assembly, self._newton
@@ -1001,7 +1002,7 @@ class _Batch:
         self._busy &= ~(good | bad)
 
     def _is_rounding(self, env: int) -> bool:
-        """Whether a step failed so near to balance that float64 is what it lacks."""
+        """True if a step failed so close to its tolerance that float32 rounding is the limit."""
         if self._numerics.precision != "auto" or self._assembly.precision != "float32":
             return False
         tolerance = self._numerics.tolerance
@@ -1051,7 +1052,7 @@ class _Batch:
             self._progress(max(done, 0.0) / whole)
 
     def _collect(self, taken: _Taken) -> None:
-        """Count the steps that were taken, and keep the frames that they reached."""
+        """Count the accepted steps, and keep the frames that they reached."""
         for i in taken.steps:
             self._collectors[i].moved(taken.tip[i], float(taken.work[i]))
             self._collectors[i].passed(taken.way[i])
@@ -1080,7 +1081,7 @@ class _Batch:
         if path.ramped and path.segment == 0:
             pull = ", ".join(f"{value:g}" for value in scene.effects.gravity.acceleration)
             weight = (
-                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, which came "
+                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, applied "
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
@@ -1094,7 +1095,7 @@ class _Batch:
         )
 
     def _of_one(self, env: int) -> dict:
-        """What the record says of one environment alone."""
+        """Return the record entries of one environment."""
         mesh, collector, body = self._meshes[env], self._collectors[env], self._scenes[env].body
         shape = self._record()["mesh"]
         shape["finest"] = mesh.finest * body.thickness
@@ -1114,15 +1115,15 @@ class _Batch:
         }
 
     def _warnings(self, env: int) -> list[str]:
-        """What makes this result less than its tolerances say."""
+        """Return warnings about errors of this result beyond its tolerances."""
         scene, mesh, asked = self._scenes[env], self._meshes[env], self._numerics.fineness
         radius = scene.indenter.sharpest
         element = mesh.finest * scene.body.thickness
         said = []
         if self._numerics.follows and mesh.fineness < 0.99 * asked:
             said.append(
-                f"the contact is meshed with a fineness of {mesh.fineness:.2g} where {asked:g} was "
-                f"asked for, which takes more than {self._numerics.elements_max} elements"
+                f"the contact is meshed with a fineness of {mesh.fineness:.2g}, not the requested "
+                f"{asked:g}, which needs more than {self._numerics.elements_max} elements"
             )
         if radius < 0.99 * element:
             said.append(

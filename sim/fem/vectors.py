@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Small vector operations on a batch, and what is out of balance at its nodes."""
+"""Vector operations on a batch, and the residual at its nodes."""
 
 import functools
 
@@ -168,21 +168,21 @@ def blend(active, share: float, source, mean) -> None:
     )
 
 
-# What elements and faces give, gathered at the nodes; forces that belong to nodes.
+# Forces of elements and faces gathered at the nodes, with forces that act on nodes.
 #
 # Gathering (no atomic adds) makes every sum run in the same order on every device, so that a result
-# repeats to the last bit. One thread takes a run of `RUN` nodes, whose share of the dot products it
-# adds up in float64.
+# is repeatable to the last bit. One thread handles `RUN` nodes, and adds up its part of the dot
+# products in float64.
 
-# Sums that `residual_kernel` takes, see there.
+# Number of sums that `residual_kernel` writes, see there.
 SUMS = 10
-# Nodes of one thread: long enough to make partial sums few, short enough to fill a GPU.
+# Nodes per thread: enough to keep partial sums few, few enough to fill a GPU.
 RUN = 32
 
 
 @functools.cache
 def residual_kernel(real, inertia: bool, gravity: bool):
-    """Kernel of what is out of balance, for one precision and combination of effects."""
+    """Return the kernel of the residual, for one precision and combination of effects."""
     vec3 = vector_of(real)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -193,7 +193,7 @@ def residual_kernel(real, inertia: bool, gravity: bool):
         free: wp.array(dtype=wp.int32),
         node_mass: wp.array2d(dtype=real),
         variant: wp.array(dtype=wp.int32),
-        # Inertia: mass over step squared, by environment, and where the nodes would fly
+        # Inertia: mass over step squared, by environment, and positions of nodes without forces
         inertia_rate: wp.array(dtype=real),
         predicted: wp.array2d(dtype=vec3),
         # Gravity: weight of a unit volume, by environment
@@ -206,7 +206,7 @@ def residual_kernel(real, inertia: bool, gravity: bool):
         face_force: wp.array3d(dtype=vec3),
         u: wp.array2d(dtype=vec3),
         direction: wp.array2d(dtype=vec3),
-        # Out: what is out of balance, and sums: r.r, applied.applied, -r.direction, least det F,
+        # Out: residual, and sums: r.r, applied.applied, -r.direction, least det F,
         # force of the indenter (3), force of the base (3)
         residual_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
@@ -261,7 +261,7 @@ def residual_kernel(real, inertia: bool, gravity: bool):
 
 @functools.cache
 def push_kernel(real):
-    """Kernel of the forces that faces give to nodes that move, in place of a residual."""
+    """Return the kernel that writes the faces' forces on moving nodes in place of a residual."""
     vec3 = vector_of(real)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -292,10 +292,10 @@ def push_kernel(real):
 
 @functools.cache
 def work_kernel(real, friction: bool):
-    """Kernel of the work of the contact points of each face over a step, by the trapezoid rule.
+    """Return the kernel of the work at each face's contact points over a step (trapezoid rule).
 
-    Pressure goes with the skin, friction with the indenter: a point that is touched within the
-    step was not pushed on the way there.
+    Pressure works over the displacement of the skin, friction over that of the indenter: a point
+    that comes into contact within the step was not pushed before.
     """
     vec3 = vector_of(real)
 
@@ -307,7 +307,7 @@ def work_kernel(real, friction: bool):
         shape: wp.array2d(dtype=real),
         rule: wp.array(dtype=real),
         variant: wp.array(dtype=wp.int32),
-        # In: displacement and how the tip moved
+        # In: displacement and motion of the tip
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
         u_old: wp.array2d(dtype=vec3),
@@ -343,7 +343,7 @@ def work_kernel(real, friction: bool):
 
 @functools.cache
 def reduce_kernel():
-    """Kernel that adds the sums (B, runs, `SUMS`) of each environment up; least of column 3."""
+    """Return the kernel that sums (B, runs, `SUMS`) per environment; column 3 takes the least."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(

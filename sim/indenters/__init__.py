@@ -1,4 +1,4 @@
-"""Rigid indenters as signed distance functions: a value on the host, a table on the device."""
+"""Rigid indenters as signed distance functions: values on the host, tables on the device."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # (Warp reads the annotations of its functions as values, which no type checker follows.)
-"""The signed distance on the device: one table of numbers, any indenter in any environment."""
+"""Signed distance on the device: one table of numbers, any indenter in any environment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from sim.indenters.indenter import STEEPNESS_MIN, Indenter
 from sim.indenters.outline import ARC, FIGURES, JOINS, LINE, POINT, ROW, VIEWS, rows
 from sim.indenters.solid import FLAT
 
-# The signed distance to a body from a file on the device, as `Field.distance` has it.
+# Signed distance to a body from a file on the device, the same as `Field.distance`.
 
-# Nodes that a cubic spline feels along each axis.
+# Nodes along each axis that a cubic spline depends on at a place.
 TAPS = 4
 
 
 def field_function(real: type, table_type: Any) -> Any:
-    """The Warp function (table, indenter, point) -> (normal x, y, z, gap) of a tricubic spline."""
+    """Return the Warp function (table, indenter, point) -> (normal, gap) of a tricubic spline."""
     triple = wp.types.vector(3, real)
     quad = wp.types.vector(4, real)
     zero, one, two, three, six = (real(value) for value in (0.0, 1.0, 2.0, 3.0, 6.0))
@@ -67,7 +67,7 @@ def field_function(real: type, table_type: Any) -> Any:
         slope_x, slope_y, slope_z = slopes(share[0]), slopes(share[1]), slopes(share[2])
         gap = zero
         gradient = triple()
-        # A bound that changes: unrolled, these loops would be 64 bodies at every call.
+        # A dynamic bound prevents unrolling, which would give 64 bodies at every call.
         taps = int(TAPS)
         for i in range(taps):
             for j in range(taps):
@@ -92,7 +92,7 @@ def field_function(real: type, table_type: Any) -> Any:
     return field_distance
 
 
-# The signed distance to a fold of parts on the device, as `Indenter.distance` has it.
+# Signed distance to joined parts on the device, the same as `Indenter.distance`.
 
 PLAN, TURNED = VIEWS.index("plan"), VIEWS.index("turned")
 BAND, CIRCLE, PATH = (FIGURES.index(name) for name in ("band", "circle", "path"))
@@ -100,7 +100,7 @@ UNION, SUBTRACT = JOINS.index("union"), JOINS.index("subtract")
 
 
 def parts_function(real: type, table_type: Any) -> Any:
-    """The Warp function (table, indenter, point) -> (normal x, y, z, gap) of a fold of parts."""
+    """Return the Warp function (table, indenter, point) -> (normal, gap) of joined parts."""
     pair = wp.types.vector(2, real)
     triple = wp.types.vector(3, real)
     quad = wp.types.vector(4, real)
@@ -108,7 +108,7 @@ def parts_function(real: type, table_type: Any) -> Any:
 
     @wp.func
     def path_distance(table: table_type, row: int, end: int, p: pair):
-        # The nearest piece wins; corners come last and count only where nearer than all pieces.
+        # The nearest piece wins; corners come last and count only if nearer than all pieces.
         found = triple(one, zero, real(wp.inf))
         for k in range(row, end):
             kind = int(table.path[k, 0])
@@ -153,7 +153,7 @@ def parts_function(real: type, table_type: Any) -> Any:
         if figure == PATH:
             found = path_distance(table, table.codes[part, 3], table.codes[part, 4], p)
         elif figure == CIRCLE:
-            # length - radius, as a difference of squares: a large circle keeps float32's digits.
+            # length - radius as a difference of squares, accurate in float32 for large circles.
             offset = p - first
             length = wp.length(offset)
             found[2] = (wp.dot(p, p - first - first) + fourth) / (length + third)
@@ -204,33 +204,33 @@ def parts_function(real: type, table_type: Any) -> Any:
     return parts_distance
 
 
-# Gaps beyond this may be given too small [m]: the distance from the bounding box serves.
+# Gap above which the distance from the bounding box, a lower bound, replaces the true one [m].
 FAR = 1e-3
 # Codes of a part: view, figure, join, its rows; its numbers: four values, the axis in x and y, the
 # cosine.
 CODES, NUMBERS = 5, 7
-# First number of the field of an indenter that has none.
+# Index of the first coefficient of an indenter without a field.
 NOWHERE = -1
 
-# Which of a part's four values are lengths; the first two are a normal in the first two cases.
+# Indices of a part's values that are lengths; the first two are a normal in the first two cases.
 SCALED = {"half_plane": (2,), "band": (2, 3), "circle": (0, 1, 2), "path": ()}
 
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What the indenters of a launch have of which others know nothing, compiled in on demand."""
+    """Optional features of the indenters of a launch, compiled in on demand."""
 
     tilted: bool = False
-    """Some lean."""
+    """True if any indenter is tilted."""
     sampled: bool = False
-    """Some are bodies from files."""
+    """True if any indenter is a body from a file."""
 
 
 PLAIN = Traits()
 
 
 def traits_of(indenters: Sequence[Indenter]) -> Traits:
-    """What the kernels have to know for these indenters."""
+    """Return the features that kernels need for these indenters."""
     return Traits(
         tilted=any(one is not one.upright for one in indenters),
         sampled=any(one.solid is not None for one in indenters),
@@ -239,14 +239,14 @@ def traits_of(indenters: Sequence[Indenter]) -> Traits:
 
 @dataclass(frozen=True, slots=True)
 class PartTable:
-    """Indenters as arrays on a device, one for each environment; equal ones are stored once."""
+    """Indenters as arrays on a device, one per environment; equal ones are stored once."""
 
     struct: Any
-    """What `distance_function` takes as its table."""
+    """Table for the function from `distance_function`."""
     count: int
     """Number of environments."""
     traits: Traits
-    """Which `distance_function` takes it."""
+    """Traits for `distance_function`."""
 
     @classmethod
     def pack(
@@ -258,10 +258,10 @@ class PartTable:
         *,
         far: float = FAR,
     ) -> "PartTable":
-        """The table of these indenters, one an environment, with lengths in multiples of `unit`.
+        """Return the table of indenters, one per environment, with lengths in multiples of `unit`.
 
         `unit` and `far` are in [m]; `real` is wp.float32 or wp.float64. Gaps above `far` may be
-        given too small, never below `far`.
+        underestimated, but never below `far`.
         """
         kinds = list(dict.fromkeys(indenters))
         number = {kind: index for index, kind in enumerate(kinds)}
@@ -310,14 +310,14 @@ def _numbers(part: Any, unit: float) -> list[float]:
     for index in SCALED[part.figure]:
         values[index] /= unit
     if part.figure == "circle":
-        # |centre|^2 - radius^2, exact where the circle passes through the tip.
+        # |centre|^2 - radius^2, exact if the circle passes through the tip.
         values.append(values[0] ** 2 + values[1] ** 2 - values[2] ** 2)
     values += [0.0] * (4 - len(values))
     return [*values, part.axis[0] / unit, part.axis[1] / unit, part.cosine]
 
 
 def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tuple[Any, Any]]:
-    """What the struct holds of bodies from files; kinds that only lean differently share one."""
+    """Return the struct's arrays for bodies from files; tilts of the same body share a field."""
     firsts, sizes, places = [], [], []
     known, values, count = {}, [], 0
     for kind in kinds:
@@ -342,50 +342,50 @@ def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tup
 
 
 def table_struct(real: type, traits: Traits = PLAIN) -> Any:
-    """The Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
+    """Return the Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
     return _table_struct(real, traits)
 
 
 @cache
 def _table_struct(real: type, traits: Traits) -> Any:
     class IndenterTable:
-        # Per environment: which indenter.
+        # Per environment: index of the indenter.
         indenter: wp.array[int]
-        # Per indenter (one more in `first`): its first part, its radius, its box (x, y, z pairs).
+        # Per indenter (one more in `first`): first part, edge radius, box (x, y, z pairs).
         first: wp.array[int]
         edge_radius: wp.array[real]
         box: wp.array2d[real]
         # Per part: view, figure, join, first row and end of its path; then its numbers.
         codes: wp.array2d[int]
         numbers: wp.array2d[real]
-        # Rows of paths, as in outline_distance.rows.
+        # Rows of paths, as in `outline.rows`.
         path: wp.array2d[real]
-        # Where a bound is enough; what is too short to have a direction.
+        # Gap above which a lower bound suffices; length below which there is no direction.
         far: real
         point: real
 
     fields, name = IndenterTable.__annotations__, f"IndenterTable_{real.__name__}"
     if traits.tilted:
-        # Per indenter: how it leans, and how far it is raised for that.
+        # Per indenter: rotation of its tilt, and the height by which it is raised.
         fields |= {"turn": wp.array[wp.types.matrix((3, 3), real)], "raised": wp.array[real]}
         name += "_tilted"
     if traits.sampled:
-        # Per indenter: its first coefficient, nodes along each axis, the first node's place and
-        # the spacing; then the coefficients of all.
+        # Per indenter: index of its first coefficient, nodes along each axis, position of the first
+        # node and spacing; then all coefficients.
         fields |= {"field_first": wp.array[int], "field_size": wp.array2d[int]}
         fields |= {"field_place": wp.array2d[real], "field": wp.array[real]}
         name += "_sampled"
-    # Warp tells structs apart by their names.
+    # Warp distinguishes structs by their names.
     IndenterTable.__qualname__ = name
     return wp.struct(IndenterTable)
 
 
 def distance_function(real: type, traits: Traits = PLAIN) -> Any:
-    """The Warp function (table, environment, point) -> (normal x, y, z, gap), lengths in the unit.
+    """Return the Warp function (table, environment, point) -> (normal x, y, z, gap).
 
-    The same as `Indenter.distance`, except beyond the table's `far`, where the gap may be smaller
-    than the true one and the normal is a side of the bounding box. `traits` are the table's; of
-    what no indenter has there is no trace in the function.
+    Lengths are in the table's unit. It is the same as `Indenter.distance`, except beyond the
+    table's `far`, where the gap may be smaller than the true one and the normal is that of a side
+    of the bounding box. `traits` are the table's; unused features are compiled out.
     """
     return _distance_function(real, traits)
 

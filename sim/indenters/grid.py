@@ -1,4 +1,4 @@
-"""The regular grid on which the distance to a solid indenter is kept."""
+"""Regular grid on which the distance to a solid indenter is stored."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Nodes at whole multiples of a spacing, so that x = 0 and y = 0 hold some of them."""
+    """Nodes at integer multiples of a spacing, so that some have x = 0 or y = 0."""
 
     first: tuple[int, int, int]
-    """Multiple at which the first node stands, along x, y and z."""
+    """Multiple of the spacing at the first node, along x, y and z."""
     shape: tuple[int, int, int]
     spacing: float
-    """[m]."""
+    """Distance between neighbouring nodes [m]."""
 
     @property
     def count(self) -> int:
@@ -26,10 +26,10 @@ class Grid:
         return int(np.prod(self.shape))
 
     def places(self, nodes: NDArray[np.int64]) -> Array:
-        """Where nodes (..., 3), counted from 0, stand (..., 3) [m]."""
+        """Return the positions (..., 3) [m] of nodes (..., 3), counted from 0."""
         places: Array = (nodes + np.array(self.first)) * self.spacing
         return places
 
     def points(self) -> Array:
-        """Where all nodes stand (count, 3) [m], z fastest."""
+        """Return the positions of all nodes (count, 3) [m], z fastest."""
         return self.places(np.indices(self.shape).reshape(3, -1).T)

@@ -1,4 +1,4 @@
-"""An indenter: a fold of parts or a body from a file, upright or leaning, and its distance."""
+"""Rigid indenter made of joined parts or of a file, upright or tilted, and its signed distance."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from sim.errors import SceneError, check_range
 from sim.indenters.outline import EVERYWHERE, Bounds, Part
 from sim.indenters.solid import Solid
 
-# The first crossing of a signed distance along upright columns: heights of a lower surface.
+# Heights of a lower surface: the first zero of a signed distance along upright columns.
 
 Array = NDArray[np.float64]
-# Gap and z of its gradient, in the columns of these numbers at these heights.
+# Function from columns (by index) and heights to the gap and the z component of its gradient.
 Distance = Callable[[NDArray[np.int64], Array], tuple[Array, Array]]
 
-# Share of the gap that a march dares: gaps near rounded edges are exact to first order only.
+# Fraction of the gap per marching step, since gaps near rounded edges are exact to first order.
 STRIDE = 0.8
 # Gaps below this are contact [m].
 TOUCHING = 1e-13
-# A crossing is found when it moves by less than this [m].
+# Convergence tolerance of a crossing [m].
 SETTLED = 1e-12
 
 
 def lower_surface(distance: Distance, count: int, reach: float) -> Array:
-    """First height (count,) [m] at which each column, going up from 0, enters the body.
+    """Return the first height (count,) [m] at which each column, going up from 0, enters the body.
 
-    inf where it stays outside up to `reach`. Each column is marched up by a share of the gap, and
-    by 1/2000 of `reach` at least, until it is inside; Newton's method then finds the crossing
-    within that bracket, bisecting where Newton leaves it.
+    It is inf if the column stays outside up to `reach`. Each column is marched upwards by a
+    fraction of the gap plus 1/2000 of `reach`, until it is inside. Newton's method then finds the
+    crossing within that bracket, with bisection where a Newton step leaves it.
     """
     low, high = _bracketed(distance, count, reach)
     return _crossing(distance, low, high)
 
 
 def _bracketed(distance: Distance, count: int, reach: float) -> tuple[Array, Array]:
-    """A height outside the body and one inside it; inf where no height is inside."""
+    """Return a height outside the body and one inside it; inf if no height is inside."""
     low, high, height = np.zeros(count), np.full(count, np.inf), np.zeros(count)
     going = np.arange(count)
     while len(going):
@@ -68,7 +68,7 @@ def _crossing(distance: Distance, low: Array, high: Array) -> Array:
         newton = here - gap / np.where(falling, slope, 1.0)
         within = falling & (newton >= below) & (newton <= above)
         turn += 1
-        # A bisection now and then, so that a bracket which Newton narrows from one side closes.
+        # Every fourth step bisects, so that a bracket that Newton narrows from one side closes.
         height[going] = np.where(within & (turn % 4 > 0), newton, (below + above) / 2)
         moved = np.abs(height[going] - here)
         settled = (within & (moved < SETTLED)) | (above - below < SETTLED)
@@ -76,29 +76,29 @@ def _crossing(distance: Distance, low: Array, high: Array) -> Array:
     return height
 
 
-# A body that leans: how it is turned, and how far its lowest point then lies below the origin.
+# Tilted bodies: their rotation, and the height of their lowest point.
 
 Tilt = tuple[float, float]
 
 UPRIGHT: Tilt = (0.0, 0.0)
 # Largest angle from upright [rad].
 TILT_MAX = math.radians(30)
-# How far from its axis the lowest point of a body without sides is looked for [m].
+# Range around the axis in which the lowest point of an unbounded body is searched [m].
 SPAN = 20e-3
-# Places along x and y from which it is.
+# Number of starting points along x and y.
 SEEDS = 41
-# Steps downwards, in half-widths of the body: far ones, then near ones, where distances are exact.
+# Step sizes downwards, in half-widths of the body: large, then small, where distances are exact.
 STRIDES = (0.2, 0.005)
-# Steps of each kind, and how often each is taken back along the normal.
+# Most steps of each size, and projections along the normal after each step.
 STEPS_MAX, RETURNS = 300, 6
-# Gain that ends the steps [m]; what counts as on the surface [m].
+# Least gain per step [m], and largest gap of a point on the surface [m].
 TILT_SETTLED, ON_SURFACE = 1e-13, 1e-10
 
 
 def rotation(tilt: Tilt) -> Array:
-    """The matrix (3, 3) that turns by the rotation vector (about x, about y, 0) [rad].
+    """Return the matrix (3, 3) of the rotation vector (about x, about y, 0) [rad].
 
-    Rodrigues' formula; both angles at once, so that neither comes first.
+    By Rodrigues' formula; both angles apply at once, so that there is no order.
     """
     angle = math.hypot(*tilt)
     if angle == 0:
@@ -110,13 +110,13 @@ def rotation(tilt: Tilt) -> Array:
 
 
 def lowest(upright: Indenter, turn: Array) -> float:
-    """Least z [m] of an upright body that is turned about the origin, to some nanometres.
+    """Return the least z [m] of an upright body rotated about the origin, to some nanometres.
 
-    From wherever the body is lowest among its neighbours on a grid, a point slides on over the
-    surface: a step straight down, and back along the normal, until that gains nothing.
+    From each local minimum on a grid, a point slides over the surface by steps straight down and
+    back along the normal, until a step gains nothing.
 
     Raises:
-        SceneError: A body without end, which has no lowest point when it leans.
+        SceneError: The body is unbounded and has no lowest point when tilted.
     """
     x_side, y_side, _ = upright.bounds
     endless = not np.isfinite([x_side, y_side]).all()
@@ -142,10 +142,10 @@ def lowest(upright: Indenter, turn: Array) -> float:
 
 
 def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float) -> Array:
-    """Places (N, 3) near the surface where the turned body is low, none of them left out.
+    """Return places (N, 3) near all local minima of the rotated body's surface.
 
-    Columns are followed up to where they come as near to the body as to the next column, so that
-    no spike stands unseen between them.
+    Columns are followed up until they are as near to the body as to the next column, so that no
+    spike between columns is missed.
     """
     from scipy.ndimage import minimum_filter
 
@@ -157,7 +157,7 @@ def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float
         gap, normal = upright.distance(np.column_stack([columns[index], height - near]))
         return gap - near, normal[:, 2]
 
-    # What stands higher, even at the far corner, stays above the tip.
+    # Points that are higher stay above the tip after rotation, even at the far corner.
     tangent = math.sqrt(1 - turn[2, 2] ** 2) / turn[2, 2]
     reach = 2 * math.sqrt(2) * half * tangent + 2 * near
     places = np.column_stack([columns, lower_surface(distance, len(columns), reach) - near])
@@ -168,7 +168,7 @@ def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float
 
 
 def _on_surface(upright: Indenter, points: Array) -> tuple[Array, Array]:
-    """Points (N, 3) taken back to the surface along its normal, and the gap that is left (N,)."""
+    """Return points (N, 3) projected onto the surface along its normal, and the last gap (N,)."""
     gap = np.zeros(len(points))
     for _ in range(RETURNS):
         gap, normal = upright.distance(points)
@@ -176,23 +176,23 @@ def _on_surface(upright: Indenter, points: Array) -> tuple[Array, Array]:
     return points, gap
 
 
-# Least gradient of a rounded edge: below it the faces are so nearly opposite that there is no edge,
-# and the nearer face alone counts.
+# Least gradient of a rounded edge. Below it the faces are nearly opposite and form no edge, so that
+# only the nearer face counts.
 STEEPNESS_MIN = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Indenter:
-    """A rigid body, tip down: its lowest point is at z = 0, the material is above (z up).
+    """Rigid body, tip down: its lowest point is at z = 0, the material is above (z up).
 
-    The parts are joined in turn; every convex edge that an `intersect` or `subtract` makes, and
-    every convex corner of a path, is rounded to `edge_radius`. Rounding takes material away beside
-    the edge; faces and the tip plane stay where they are. In place of parts there may be a `solid`
-    from a file (`from_stl`), all of whose convex edges are rounded.
+    The parts are joined in order. Every convex edge from an `intersect` or `subtract`, and every
+    convex corner of a path, is rounded to `edge_radius`. Rounding removes material near the edge;
+    faces and the tip plane do not move. In place of parts there may be a `solid` from a file
+    (`from_stl`), all of whose convex edges are rounded.
 
     Raises:
-        SceneError: No part, a first part that is not a `union`, an edge radius that does not fit
-            the narrowest part, a lowest point that is not at z = 0, or a tilt out of range.
+        SceneError: There is no part, the first part is not a `union`, the edge radius does not fit
+            the narrowest part, the lowest point is not at z = 0, or the tilt is out of range.
     """
 
     name: str
@@ -200,12 +200,12 @@ class Indenter:
     edge_radius: float = 0.0
     """Radius of every convex edge [m], from 0 (sharp) to half the narrowest width."""
     narrowest: float = math.inf
-    """Narrowest wall between two parts [m], such as between a recess and a side; the parts know
-    their own widths."""
+    """Narrowest wall between two parts [m], such as between a recess and a side; widths of single
+    parts are known."""
     solid: Solid | None = None
-    """A body from a file, in place of parts."""
+    """Body from a file, in place of parts."""
     tilt: Tilt = UPRIGHT
-    """Rotation vector about x and y [rad] by which the body leans; see `tilted`."""
+    """Rotation vector about x and y [rad] of the body's tilt; see `tilted`."""
 
     def __post_init__(self) -> None:
         owner = f"indenter {self.name}"
@@ -217,7 +217,7 @@ class Indenter:
         if self.solid is not None:
             if self.parts:
                 raise SceneError(f"{owner}: parts and a solid; allowed: either")
-            # How much room there is shows when the file is read, not before.
+            # The largest radius that fits is known only after the file is read.
             check_range(owner, "edge_radius", self.edge_radius, 0.0, self.solid.reach, unit="m")
             return
         if not self.parts:
@@ -239,14 +239,14 @@ class Indenter:
             )
 
     def tilted(self, about_x: float, about_y: float) -> Indenter:
-        """The same body leaning by the rotation vector (about_x, about_y, 0) [rad].
+        """Return the body tilted by the rotation vector (about_x, about_y, 0) [rad].
 
-        It turns about the origin, right-handed, and is then raised until its lowest point is at
-        z = 0 again; nothing moves aside, so that a small tilt is a small change. The tilt is from
-        upright, whatever it was before.
+        It rotates about the origin, right-handed, and is then raised until its lowest point is at
+        z = 0 again. It does not move sideways, so that a small tilt is a small change. The tilt is
+        relative to upright and replaces any previous one.
 
         Raises:
-            SceneError: More than 30 degrees in all, or a body without end.
+            SceneError: The tilt is more than 30 degrees in total, or the body is unbounded.
         """
         leaning = replace(self, tilt=(float(about_x), float(about_y)))
         _ = leaning.stance
@@ -254,22 +254,22 @@ class Indenter:
 
     @property
     def upright(self) -> Indenter:
-        """The same body without its tilt."""
+        """Body without its tilt."""
         return self if self.tilt == UPRIGHT else replace(self, tilt=UPRIGHT)
 
     @property
     def stance(self) -> tuple[Array, float]:
-        """The matrix (3, 3) that the upright body is turned by, and how far it is raised [m]."""
+        """Rotation matrix (3, 3) of the upright body, and the height by which it is raised [m]."""
         return _stance(self)
 
     @property
     def edge_radius_max(self) -> float:
-        """Largest edge radius that the parts have room for [m]; of a solid it is not known."""
+        """Largest edge radius that fits the parts [m]; unknown for a solid."""
         return min((self.narrowest / 2, *(part.edge_radius_max for part in self.parts)))
 
     @property
     def sharpest(self) -> float:
-        """Smallest radius that the surface may be rounded with [m]; 0 with a sharp edge."""
+        """Lower bound of the surface's radius of curvature [m]; 0 with a sharp edge."""
         if self.solid is not None:
             return self.edge_radius
         radii = [part.values[2] for part in self.parts if part.figure == "circle"]
@@ -279,18 +279,18 @@ class Indenter:
 
     @property
     def bounds(self) -> Bounds:
-        """A box around the body: least and greatest x, y and z [m]; infinite where it is open."""
+        """Bounding box of the body: least and greatest x, y, z [m]; infinite if unbounded."""
         return self.bounds_below(math.inf)
 
     def bounds_below(self, height: float) -> Bounds:
-        """A box around what of the body is below `height` [m], or a larger one."""
+        """Return a box that contains the part of the body below `height` [m]."""
         x, y, z = self._upright_bounds()
         if self.tilt == UPRIGHT:
             return x, y, (z[0], min(z[1], height))
         (to_x, to_y, to_z), raised = self.stance
         if not np.isfinite([x, y]).all():
             return EVERYWHERE, EVERYWHERE, (0.0, height)
-        # The highest that a point of the upright body can be to end up below `height`.
+        # Upper bound of the height in the upright body of points that end up below `height`.
         aside = abs(to_z[0]) * max(map(abs, x)) + abs(to_z[1]) * max(map(abs, y))
         top = min(z[1], (height - raised + aside) / to_z[2])
         if not math.isfinite(top):
@@ -317,19 +317,19 @@ class Indenter:
         return box
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Gap and outward unit normal at points (..., 3) [m] in the indenter's frame.
+        """Return gap and outward unit normal at points (..., 3) [m] in the indenter's frame.
 
         Returns:
             Gap (...,) [m], below 0 inside; normal (..., 3), the unit gradient of the gap. The
-            surface is exact; away from it the gap is exact for single parts and edges at the angle
-            of `Part.cosine`, elsewhere to first order. Of a solid all is as exact as its grid.
+            surface is exact. Away from it, the gap is exact for single parts and edges at the angle
+            of `Part.cosine`, else to first order. For a solid, accuracy is that of its grid.
         """
         given = np.asarray(points, np.float64)
         gap, normal = self._distance(given.reshape(-1, 3))
         return gap.reshape(given.shape[:-1]), normal.reshape(given.shape)
 
     def _distance(self, points: Array) -> tuple[Array, Array]:
-        """`distance` at points (N, 3)."""
+        """Return `distance` at points (N, 3)."""
         if self.tilt == UPRIGHT:
             return self._upright_distance(points)
         turn, raised = self.stance
@@ -342,10 +342,10 @@ class Indenter:
         return self._joined([part.distance(points, self.edge_radius) for part in self.parts])
 
     def heights(self, x: ArrayLike, y: ArrayLike, *, reach: float = 10e-3) -> Array:
-        """Height of the lower surface above the tip plane at x, y (broadcast together) [m].
+        """Return the lower surface's height above the tip plane at x, y (broadcast together) [m].
 
-        inf where there is no surface below `reach` [m]. Exact to 1e-9 m; a slit of material less
-        than 1/2000 of `reach` high may be missed.
+        It is inf if there is no surface below `reach` [m]. It is exact to 1e-9 m; material thinner
+        than 1/2000 of `reach` may be missed.
         """
         plan = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         columns = np.stack([axis.ravel() for axis in plan], axis=1)
@@ -356,7 +356,7 @@ class Indenter:
         return heights.reshape(plan[0].shape)
 
     def _column_heights(self, columns: Array, reach: float) -> Array:
-        """`heights` of columns (N, 2); what does not change along z is computed once."""
+        """Return `heights` of columns (N, 2); upright parts are evaluated once per column."""
         ground = np.column_stack([columns, np.zeros(len(columns))])
         upright = {
             part: part.distance(ground, self.edge_radius)
@@ -381,7 +381,7 @@ class Indenter:
         return lower_surface(distance, len(columns), reach)
 
     def _joined(self, alone: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-        """Gap (N,) and normal (N, 3) of the whole, from those of each part alone."""
+        """Return gap (N,) and normal (N, 3) of the whole body from those of each part."""
         gap, normal = alone[0]
         for part, (other, other_normal) in zip(self.parts[1:], alone[1:], strict=True):
             if part.join == "union":
@@ -416,16 +416,16 @@ def _sides(
 def _intersection(
     gap: Array, normal: Array, other: Array, other_normal: Array, radius: float, cosine: float
 ) -> tuple[Array, Array]:
-    """Gap and normal of what two bodies share, the edge between them rounded to `radius`.
+    """Return gap and normal of the intersection of two bodies, with its edge rounded to `radius`.
 
     Let a and b be the distances from the faces shifted inwards by the radius, and c the cosine
-    between their normals. Where the edge of the shifted faces is the nearest,
+    between their normals. Where the edge of the shifted faces is nearest,
 
         d^2 = (a^2 + b^2 - 2 c a b) / (1 - c^2)
 
     is the distance from it (the law of cosines), and d - radius the gap: an arc, tangent to both
-    faces. Where the true cosine differs from c the gradient of d is not of length 1: the gap is
-    divided by that length, which keeps the surface and makes the gap right to first order.
+    faces. If the true cosine differs from c, the gradient of d is not of length 1. The gap is then
+    divided by that length, which keeps the surface and makes the gap correct to first order.
     """
     a, b = gap + radius, other + radius
     along_a, along_b = a - cosine * b, b - cosine * a

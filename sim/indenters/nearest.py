@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # (Warp reads the annotations of its kernels as values, which no type checker follows.)
-"""Distances from points to triangles, by Warp's tree of boxes."""
+"""Distances from points to triangles, by Warp's bounding volume hierarchy."""
 
 import math
 from functools import cache
@@ -15,28 +15,28 @@ from sim.indenters.grid import Grid
 
 Array = NDArray[np.float64]
 
-# Unit of the queries: the tree is of float32 and expects numbers around 1.
+# Unit of the queries: the tree is in float32, for numbers around 1.
 MM = 1e-3
-# Beyond anything, in that unit.
+# Largest distance of a query, beyond any surface, in that unit.
 FARTHEST = 1e6
-# Triangles farther than this many of their own sizes are summed up as one (Barill et al., Fast
-# winding numbers for soups and clouds, 2018).
+# Groups of triangles farther than this multiple of their size are approximated as one (Barill et
+# al., Fast winding numbers for soups and clouds, 2018).
 ACCURACY = 2.0
-# Distance below which the triangle's own normal is the direction [mm].
+# Distance below which the triangle's normal is used as direction [mm].
 TOUCHING = 1e-5
-# Points of one launch.
+# Points per launch.
 QUERIES_AT_ONCE = 1 << 20
-# Nodes of a grid from one to the next that is asked where nothing is near.
+# Step between the grid nodes that are evaluated far from the surface.
 SKIP = 4
 
 
 class Nearest:
-    """What is nearest on a surface of triangles (V, 3) [m], (F, 3)."""
+    """Nearest-point queries on a surface with vertices (V, 3) [m] and triangles (F, 3)."""
 
     def __init__(
         self, vertices: Array, faces: NDArray[np.int32], *, closed: bool, device: str = "cpu"
     ) -> None:
-        """Build the tree; a `closed` surface has an inside."""
+        """Build the tree; `closed` is True if the surface has an inside."""
         self._device = device
         self._mesh = wp.Mesh(
             points=wp.array(vertices / MM, dtype=wp.vec3, device=device),
@@ -45,18 +45,18 @@ class Nearest:
         )
 
     def distance(self, points: Array) -> tuple[Array, Array]:
-        """Distance (N,) [m] at points (N, 3) [m], and the unit vector along which it grows."""
+        """Return distance (N,) [m] at points (N, 3) [m], and its unit gradient."""
         return self._asked(points, False, 0.0)
 
     def signed(self, points: Array, winding: float = 0.5) -> tuple[Array, Array]:
-        """As `distance`, below 0 where a closed surface winds around more than `winding` times.
+        """As `distance`, but negative where a closed surface's winding number exceeds `winding`.
 
-        Many times as slow where triangles are long.
+        It is many times slower where triangles are long.
         """
         return self._asked(points, True, winding)
 
     def distance_at_nodes(self, grid: Grid, exact: float) -> Array:
-        """Distance (grid.shape) [m] at the nodes of a grid, certainly exact up to `exact` [m].
+        """Return the distance (grid.shape) [m] at a grid's nodes, exact at least up to `exact` [m].
 
         Farther away it is interpolated between every `SKIP`-th node.
         """
@@ -64,16 +64,16 @@ class Nearest:
         nodes = np.indices([weight.shape[1] for weight in weights]) * SKIP
         coarse = self.distance(grid.places(nodes.reshape(3, -1).T))[0].reshape(nodes.shape[1:])
         length = np.einsum("ia,jb,kc,abc->ijk", *weights, coarse, optimize=True)
-        # No distance changes by more than the way from one place to another.
+        # A distance changes by at most the distance between two places.
         near = length <= exact + math.sqrt(3) * SKIP * grid.spacing
         length[near] = self.distance(grid.places(np.argwhere(near)))[0]
         return length
 
     def signed_at_nodes(self, grid: Grid, exact: float) -> Array:
-        """The same, below 0 inside a closed surface.
+        """As `distance_at_nodes`, but negative inside a closed surface.
 
-        Neighbours that are both farther from the surface than from each other are on one side of
-        it: of each such region one node is asked, and every node that is nearer.
+        Neighbours that are both farther from the surface than from each other are on the same side.
+        The sign is therefore computed at one node of each such region, and at every nearer node.
         """
         length = self.distance_at_nodes(grid, exact)
         regions, _ = label(length > 1.001 * grid.spacing)
@@ -103,9 +103,9 @@ class Nearest:
 
 
 def _between(count: int) -> Array:
-    """Shares (count, coarse nodes) of the coarse nodes in every node along an axis.
+    """Return weights (count, coarse nodes) of the coarse nodes in every node along an axis.
 
-    The last coarse node is the last one, or beyond it.
+    The last coarse node is at the last node or beyond it.
     """
     coarse = np.arange(0, count + SKIP - 1, SKIP)
     return np.maximum(1 - np.abs(np.arange(count)[:, None] - coarse) / SKIP, 0.0)
@@ -113,7 +113,7 @@ def _between(count: int) -> Array:
 
 @cache
 def _nearest_kernel(signed: bool) -> Any:
-    """Kernel of the direction and distance from each point, signed or not."""
+    """Return the kernel of direction and distance at each point, signed or not."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def nearest(
@@ -144,10 +144,10 @@ def _nearest_kernel(signed: bool) -> Any:
 
 
 def misplaced_share(vertices: Array, faces: NDArray[np.int32]) -> float:
-    """Share of a closed surface's area that does not part inside from outside, 0 to 1.
+    """Return the fraction of a closed surface's area that does not separate inside from outside.
 
-    A triangle does when the surface winds once around what is just within it, and not at all
-    around what is just outside of it: shells that overlap, or that are inside out, do not.
+    A triangle separates them if the winding number is 1 just inside it and 0 just outside. Shells
+    that overlap or are inside out do not.
     """
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     normal = np.cross(second - first, third - first) / 2

@@ -1,6 +1,6 @@
-"""Parts of indenters: closed paths of lines and arcs in a plane, rounded, and their distance.
+"""Parts of indenters: rounded closed paths of lines and arcs in a plane, and distances to them.
 
-A path is given by its corners (u, v, bulge) in turn, the material on its left. The bulge is
+A path is a sequence of corners (u, v, bulge) with the material on its left. The bulge is
 tan(angle / 4) of the arc from one corner to the next (the convention of DXF polylines): 0 is a
 straight line, above 0 turns left (convex), below 0 turns right (concave).
 """
@@ -20,17 +20,17 @@ from sim.errors import SceneError, check_range
 
 Pair = tuple[float, float]
 
-# Lengths below this are rounding [m].
+# Lengths below this are rounding errors [m].
 POINT = 1e-12
-# Turns below this are rounding, not corners [rad].
+# Changes of direction below this are rounding errors, not corners [rad].
 _SMOOTH = 1e-6
-# Steps in which a fillet grows to its radius.
+# Number of steps in which a fillet grows to its radius.
 _GROWTH = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One line or arc of a path."""
+    """Line or arc of a path."""
 
     start: Pair
     end: Pair
@@ -38,7 +38,7 @@ class Piece:
 
     @property
     def angle(self) -> float:
-        """How far the arc turns [rad]; above 0 to the left, 0 for a line."""
+        """Angle of the arc [rad], above 0 to the left; 0 for a line."""
         return 4 * math.atan(self.bulge)
 
     @property
@@ -62,13 +62,13 @@ class Piece:
         return (u + end_u) / 2 - share * (end_v - v), (v + end_v) / 2 + share * (end_u - u)
 
     def tangent(self, *, end: bool) -> Pair:
-        """Unit direction of travel at the start or the end."""
+        """Return the unit direction of travel at the start or the end."""
         heading = math.atan2(self.end[1] - self.start[1], self.end[0] - self.start[0])
         heading += self.angle / 2 if end else -self.angle / 2
         return math.cos(heading), math.sin(heading)
 
     def gap(self, point: Pair) -> tuple[float, Pair]:
-        """Signed distance from the whole line or circle, and its gradient."""
+        """Return the signed distance from the whole line or circle, and its gradient."""
         if not self.bulge:
             along_u, along_v = self.tangent(end=False)
             normal = (along_v, -along_u)
@@ -80,7 +80,7 @@ class Piece:
         return sign * length - self.radius, normal
 
     def share(self, point: Pair) -> float:
-        """Where `point` (on the line or circle) lies: 0 at the start, 1 at the end."""
+        """Return the position of `point` on the line or circle: 0 at the start, 1 at the end."""
         if not self.bulge:
             along_u, along_v = self.tangent(end=False)
             from_u, from_v = point[0] - self.start[0], point[1] - self.start[1]
@@ -88,17 +88,17 @@ class Piece:
         centre = self.centre
         first = math.atan2(self.start[1] - centre[1], self.start[0] - centre[0])
         here = math.atan2(point[1] - centre[1], point[0] - centre[0])
-        # Measured from the middle of the arc, so that both ends lie well within (-pi, pi].
+        # Measured from the middle of the arc, so that both ends are well within (-pi, pi].
         middle = math.remainder(here - first - self.angle / 2, math.tau)
         return 0.5 + middle / self.angle
 
 
 def check(values: Sequence[float]) -> None:
-    """Refuse what is no closed path.
+    """Check that values are a valid closed path.
 
     Raises:
-        SceneError: Fewer than 2 corners, a number missing, two equal corners in a row, or a path
-            that turns back on itself.
+        SceneError: There are fewer than 2 corners, a number is missing, two neighbouring corners
+            are equal, or the path turns back on itself.
     """
     if len(values) % 3 or len(values) < 6:
         raise SceneError(
@@ -114,7 +114,7 @@ def check(values: Sequence[float]) -> None:
 
 
 def pieces(values: Sequence[float]) -> list[Piece]:
-    """The lines and arcs between the corners, closed back to the first."""
+    """Return the lines and arcs between the corners, closed back to the first."""
     corners = [tuple(values[index : index + 3]) for index in range(0, len(values), 3)]
     return [
         Piece(start=(u, v), end=(next_u, next_v), bulge=bulge)
@@ -125,7 +125,7 @@ def pieces(values: Sequence[float]) -> list[Piece]:
 
 
 def rounded(values: Sequence[float], radius: float) -> list[Piece] | None:
-    """The path with an arc of `radius` in every convex corner; None where they do not fit."""
+    """Return the path with an arc of `radius` in every convex corner; None if they do not fit."""
     sharp = pieces(values)
     if radius == 0:
         return sharp
@@ -158,7 +158,7 @@ def rounded(values: Sequence[float], radius: float) -> list[Piece] | None:
 
 
 def fitted(values: tuple[float, ...], radius: float) -> list[Piece]:
-    """The path with an arc of `radius` [m] in every convex corner.
+    """Return the path with an arc of `radius` [m] in every convex corner.
 
     Raises:
         SceneError: The arcs do not fit.
@@ -173,7 +173,7 @@ def fitted(values: tuple[float, ...], radius: float) -> list[Piece]:
 
 @lru_cache(maxsize=256)
 def radius_max(values: tuple[float, ...]) -> float:
-    """Largest radius [m] whose arcs fit in every convex corner; inf where none is convex."""
+    """Return the largest radius [m] whose arcs fit in all convex corners; inf without any."""
     sharp = pieces(values)
     if all(_turn(sharp[index - 1], sharp[index]) <= _SMOOTH for index in range(len(sharp))):
         return math.inf
@@ -185,7 +185,7 @@ def radius_max(values: tuple[float, ...]) -> float:
 
 
 def extent(values: tuple[float, ...], radius: float) -> tuple[Pair, Pair]:
-    """Least and greatest u, and v, of the rounded path [m]; infinite for material outside of it.
+    """Return least and greatest u and v of the rounded path [m]; infinite if material is outside.
 
     Raises:
         SceneError: The rounding does not fit.
@@ -212,10 +212,10 @@ def _turn(before: Piece, after: Piece) -> float:
 
 
 def _fillet(before: Piece, after: Piece, radius: float) -> Piece | None:
-    """The arc of `radius` that touches both pieces inside their corner; None where there is none.
+    """Return the arc of `radius` that touches both pieces inside their corner, or None.
 
-    Its centre lies `radius` inside both: Newton's method, while the radius grows from 0 so that
-    the solution next to the corner is followed.
+    Its centre is `radius` inside both. Newton's method finds it for radii that grow from 0, to
+    follow the solution next to the corner.
     """
     u, v = before.end
     for step in range(1, _GROWTH + 1):
@@ -240,11 +240,11 @@ def _fillet(before: Piece, after: Piece, radius: float) -> Piece | None:
     return Piece(start, end, math.tan(angle / 4)) if angle > 0 else None
 
 
-# The exact signed distance from a rounded path, by a loop over rows of numbers.
+# Exact signed distance from a rounded path, by a loop over rows of numbers.
 
 Array = NDArray[np.float64]
 
-# Kinds of row.
+# Kinds of rows.
 LINE, ARC, CORNER = 0, 1, 2
 # Numbers in a row.
 ROW = 7
@@ -252,12 +252,11 @@ ROW = 7
 
 @lru_cache(maxsize=256)
 def rows(values: tuple[float, ...], radius: float) -> Array:
-    """The path with its convex corners rounded to `radius` [m], as numbers to loop over.
+    """Return the path with convex corners rounded to `radius` [m], as a table of numbers.
 
-    Rows are (kind, u, v, direction u, direction v, size, cosine). A line: its start, its direction
-    and its length. An arc: its centre, the direction of its middle, its radius (below 0 when
-    concave) and the cosine of half its angle. A corner: its place and the mean outward normal.
-    The corners come last.
+    Rows are (kind, u, v, direction u, direction v, size, cosine). For a line: start, direction and
+    length. For an arc: centre, direction of its middle, radius (below 0 if concave) and cosine of
+    half its angle. For a corner: position and mean outward normal. Corners come last.
 
     Raises:
         SceneError: The arcs do not fit.
@@ -284,10 +283,10 @@ def rows(values: tuple[float, ...], radius: float) -> Array:
 
 
 def distance(table: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
-    """Signed distance from the path (N,), and its gradient in u and in v.
+    """Return the signed distance from the path (N,), and its gradient in u and in v.
 
-    A corner counts only where it is nearer than every line and arc by more than rounding: where
-    pieces meet smoothly it then never decides, so its ill-conditioned direction is never used.
+    A corner counts only if it is nearer than every line and arc by more than rounding errors. The
+    ill-conditioned direction of a corner is thus never used where pieces meet smoothly.
     """
     gap = np.full(u.shape, np.inf)
     normal_u, normal_v = np.ones_like(u), np.zeros_like(u)
@@ -325,10 +324,10 @@ def _rotated(pair: Pair, angle: float) -> Pair:
     return cosine * pair[0] - sine * pair[1], sine * pair[0] + cosine * pair[1]
 
 
-# One part of an indenter: a flat figure, drawn in plan, drawn in side view, or turned.
+# Part of an indenter: a plane figure, extruded from plan or side view, or revolved.
 
 Interval = tuple[float, float]
-# Least and greatest x, y and z [m]; infinite where there is no end.
+# Least and greatest x, y and z [m]; infinite if unbounded.
 Bounds = tuple[Interval, Interval, Interval]
 
 View = Literal["plan", "side", "turned"]
@@ -343,14 +342,14 @@ LENGTHS = {"half_plane": 3, "band": 4, "circle": 3}
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A figure in the plane (u, v), swept through space, and how it joins the parts before it.
+    """Figure in a plane (u, v), swept through space and joined to the parts before it.
 
-    The view says what u and v are: `plan` is (x, y), straight along z; `side` is (x, z), straight
-    along y; `turned` is (distance from `axis`, z), a body of revolution. The distance to a figure
-    is then the distance to the swept body, exactly.
+    The view defines u and v: `plan` is (x, y), extruded along z; `side` is (x, z), extruded along
+    y; `turned` is (distance from `axis`, z), a body of revolution. The distance to the figure is
+    exactly the distance to the swept body.
 
     Raises:
-        SceneError: An unknown name, or values that draw no figure.
+        SceneError: A name is unknown, or the values do not define a figure.
     """
 
     view: View
@@ -361,13 +360,13 @@ class Part:
     radius. `path`: corners (u, v, bulge) in turn, the material on the left, bulge = tan(angle / 4)
     of the arc to the next corner: 0 is straight, above 0 turns left. Lengths in [m]."""
     join: Join = "intersect"
-    """`union` adds, `intersect` keeps what both have, `subtract` takes away; the edges that the
-    last two make are rounded."""
+    """`union` adds the part, `intersect` keeps the common volume, `subtract` removes the part;
+    edges created by the last two are rounded."""
     axis: tuple[float, float] = (0.0, 0.0)
-    """Where the axis of a `turned` part stands in x and y [m]."""
+    """Position of the axis of a `turned` part, x and y [m]."""
     cosine: float = 0.0
-    """Cosine between this part's outward normal and the others' along the edge they make: 0 for a
-    right angle. The rounding of plane and conical faces is a true arc only when it is right."""
+    """Cosine between this part's outward normal and the others' along the edge they form: 0 for a
+    right angle. Edges of plane and conical faces are rounded to true arcs only if it is correct."""
 
     def __post_init__(self) -> None:
         for name, word, allowed in (
@@ -403,7 +402,7 @@ class Part:
             raise SceneError(f"part.values: normal {self.values[:2]!r}; allowed: length 1")
 
     def distance(self, points: Array, radius: float) -> tuple[Array, Array]:
-        """Signed distance to the part alone and its gradient, at points (N, 3): (N,), (N, 3).
+        """Return the part's signed distance (N,) and gradient (N, 3) at points (N, 3).
 
         `radius` [m] rounds the convex corners of a path; nothing else of a single part is rounded.
         """
@@ -440,7 +439,7 @@ class Part:
 
     @property
     def edge_radius_max(self) -> float:
-        """Largest radius [m] to which the part's own edges can be rounded; inf without a limit."""
+        """Largest radius [m] to which the part's edges can be rounded; inf if unlimited."""
         if self.join == "subtract":
             return math.inf
         if self.figure in ("band", "circle"):
@@ -449,13 +448,13 @@ class Part:
             return radius_max(self.values)
         normal_u, _, offset = self.values
         if self.view == "turned" and normal_u > 0:
-            # The fillet of two straight faces reaches radius * sqrt((1 - c) / (1 + c)) in from
-            # their edge; it may reach the axis, not beyond.
+            # The fillet of two straight faces extends radius * sqrt((1 - c) / (1 + c)) inwards
+            # from their edge, at most to the axis.
             return max(0.0, offset / normal_u) * math.sqrt((1 + self.cosine) / (1 - self.cosine))
         return math.inf
 
     def bounds(self, radius: float) -> Bounds:
-        """Where the part alone reaches in x, y and z [m], its own corners rounded to `radius`."""
+        """Return the part's bounds in x, y and z [m] with its corners rounded to `radius`."""
         along_u, along_v = self._extent(radius)
         if self.view == "plan":
             return along_u, along_v, EVERYWHERE
@@ -480,7 +479,10 @@ EVERYWHERE: Interval = (-math.inf, math.inf)
 
 
 def _between(normal: float, low: float, high: float) -> Interval:
-    """Where a coordinate lies when `low` <= normal * coordinate <= `high`: only for +-1 bounded."""
+    """Return the range of a coordinate with `low` <= normal * coordinate <= `high`.
+
+    It is bounded only for a normal of +-1.
+    """
     if normal == 1:
         return low, high
     return (-high, -low) if normal == -1 else EVERYWHERE

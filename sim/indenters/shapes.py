@@ -1,4 +1,4 @@
-"""Indenters by their measures: spheres, punches, cones, boxes, tubes, and a plane without end."""
+"""Indenters by their measures: spheres, punches, cones, boxes, tubes, and an infinite plane."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part
 from sim.indenters.solid import REACH, SPACING, Axis, Solid, Unit, Up, digest
 
-# Everything above z = 0: the flat face of a punch.
+# The half-space above z = 0: the flat face of a punch.
 TIP_PLANE = Part("side", "half_plane", (0.0, -1.0, 0.0))
 
 
 def sphere(radius: float, *, name: str = "sphere") -> Indenter:
-    """A sphere [m]."""
+    """Return a sphere [m]."""
     _check_length("sphere", "radius", radius)
     return Indenter(name, (Part("turned", "circle", (0.0, radius, radius), "union"),))
 
 
 def torus(ring_radius: float, tube_radius: float, *, name: str = "torus") -> Indenter:
-    """A ring lying flat: the radius of its middle line and of its tube [m]."""
+    """Return a flat-lying torus with the radii of its middle line and of its tube [m]."""
     _check_length("torus", "tube_radius", tube_radius)
     check_range("torus", "ring_radius", ring_radius, tube_radius, 1.0, unit="m")
     values = (ring_radius, tube_radius, tube_radius)
@@ -32,7 +32,7 @@ def torus(ring_radius: float, tube_radius: float, *, name: str = "torus") -> Ind
 
 
 def flat_punch(radius: float, edge_radius: float = 0.0, *, name: str = "flat_punch") -> Indenter:
-    """A flat, round punch [m]."""
+    """Return a flat, round punch [m]."""
     _check_length("flat_punch", "radius", radius)
     wall = Part("turned", "half_plane", (1.0, 0.0, radius), "union")
     return Indenter(name, (wall, TIP_PLANE), edge_radius)
@@ -41,7 +41,7 @@ def flat_punch(radius: float, edge_radius: float = 0.0, *, name: str = "flat_pun
 def tube(
     outer_radius: float, inner_radius: float, edge_radius: float = 0.0, *, name: str = "tube"
 ) -> Indenter:
-    """A flat ring: the end of a tube with these radii [m]."""
+    """Return a flat ring, the end of a tube with these radii [m]."""
     _check_length("tube", "inner_radius", inner_radius)
     check_range("tube", "outer_radius", outer_radius, inner_radius, 1.0, unit="m", open_low=True)
     middle, half = (outer_radius + inner_radius) / 2, (outer_radius - inner_radius) / 2
@@ -52,10 +52,10 @@ def tube(
 def cone(
     half_angle: float, tip_radius: float = 0.0, edge_radius: float = 0.0, *, name: str = "cone"
 ) -> Indenter:
-    """A cone whose side stands at `half_angle` [rad] from its axis, on a flat round tip [m].
+    """Return a cone at `half_angle` [rad] from its axis, with a flat round tip [m].
 
-    With the largest edge radius that the tip has room for, the tip is a sphere tangent to the side:
-    see `rounded_cone`.
+    With the largest edge radius that fits, the tip is a sphere tangent to the side: see
+    `rounded_cone`.
     """
     check_range("cone", "half_angle", half_angle, 0.0, math.radians(85))
     check_range("cone", "tip_radius", tip_radius, 0.0, 1.0, unit="m")
@@ -66,7 +66,7 @@ def cone(
 
 
 def rounded_cone(half_angle: float, tip_radius: float, *, name: str = "rounded_cone") -> Indenter:
-    """A cone at `half_angle` [rad] from its axis with a spherical tip of `tip_radius` [m]."""
+    """Return a cone at `half_angle` [rad] from its axis with a spherical tip [m]."""
     _check_length("rounded_cone", "tip_radius", tip_radius)
     sine = math.sin(half_angle)
     flat = tip_radius * math.sqrt((1 - sine) / (1 + sine))
@@ -75,12 +75,12 @@ def rounded_cone(half_angle: float, tip_radius: float, *, name: str = "rounded_c
 
 
 def box(width: float, length: float, edge_radius: float = 0.0, *, name: str = "box") -> Indenter:
-    """A flat rectangle, `width` along x and `length` along y [m]."""
+    """Return a flat rectangle, `width` along x and `length` along y [m]."""
     return Indenter(name, (*block(width, length), TIP_PLANE), edge_radius)
 
 
 def bar(radius: float, length: float, edge_radius: float = 0.0, *, name: str = "bar") -> Indenter:
-    """A round bar lying along y [m]."""
+    """Return a round bar along y [m]."""
     _check_length("bar", "radius", radius)
     _check_length("bar", "length", length)
     round_side = Part("side", "circle", (0.0, radius, radius), "union")
@@ -91,18 +91,18 @@ def bar(radius: float, length: float, edge_radius: float = 0.0, *, name: str = "
 def extruded(
     values: Sequence[float], edge_radius: float = 0.0, *, name: str = "extruded"
 ) -> Indenter:
-    """A flat punch with the outline of a path in x and y (see `Part.values`)."""
+    """Return a flat punch with the outline of a path in x and y (see `Part.values`)."""
     outline = Part("plan", "path", tuple(float(value) for value in values), "union")
     return Indenter(name, (outline, TIP_PLANE), edge_radius)
 
 
 def plane() -> Indenter:
-    """A flat without end: confined compression."""
+    """Return an infinite plane, for confined compression."""
     return Indenter("plane", (Part("side", "half_plane", (0.0, -1.0, 0.0), "union"),))
 
 
 def block(width: float, length: float) -> tuple[Part, Part]:
-    """The four upright walls of a rectangle, `width` along x and `length` along y [m]."""
+    """Return the four upright walls of a rectangle, `width` along x and `length` along y [m]."""
     _check_length("box", "width", width)
     _check_length("box", "length", length)
     return (
@@ -114,9 +114,9 @@ def block(width: float, length: float) -> tuple[Part, Part]:
 def bulge(
     start: tuple[float, float], through: tuple[float, float], end: tuple[float, float]
 ) -> float:
-    """Bulge of the arc from `start` by way of `through` to `end`.
+    """Return the bulge of the arc from `start` through `through` to `end`.
 
-    The chords to and from the middle point turn by half of what the arc turns (inscribed angle).
+    The angle between the two chords is half that of the arc (inscribed angle).
     """
     before = through[0] - start[0], through[1] - start[1]
     after = end[0] - through[0], end[1] - through[1]
@@ -137,10 +137,10 @@ MM = 1e-3
 
 
 def named(name: str, edge_radius: float | None = None) -> Indenter:
-    """The indenter of that name; `edge_radius` [m] in place of its own, 0 for sharp edges.
+    """Return the indenter of that name; `edge_radius` [m] replaces its default, 0 for sharp edges.
 
     Raises:
-        SceneError: No such name, or an edge radius that the shape has no room for.
+        SceneError: The name is unknown, or the edge radius does not fit the shape.
     """
     if name not in _TABLE:
         raise SceneError(f"indenter: {name!r}; allowed: {', '.join(NAMES)}")
@@ -150,23 +150,23 @@ def named(name: str, edge_radius: float | None = None) -> Indenter:
 
 
 def _hemisphere() -> Indenter:
-    """A cap of radius 20, cut to a square 14 wide."""
+    """Return a cap of radius 20, cut to a square 14 wide."""
     radius, width = 20 * MM, 14 * MM
-    # Along the whole of each wall the cap's normal leans by the same share towards it.
+    # Along each whole wall, the cap's normal has the same component towards it.
     lean = width / 2 / radius
     cap = Part("turned", "circle", (0.0, radius, radius), cosine=lean)
     return Indenter("hemisphere", (*block(width, width), cap))
 
 
 def _dotin() -> Indenter:
-    """A block with a hemispherical recess in the middle."""
+    """Return a block with a hemispherical recess in the middle."""
     recess = Part("turned", "circle", (0.0, 0.0, 2 * MM), "subtract")
     parts = (*block(8 * MM, 8 * MM), TIP_PLANE, recess)
     return Indenter("dotin", parts, narrowest=2 * MM)
 
 
 def _dots() -> Indenter:
-    """Five hemispheres on a pentagon, on a plate 1 above their tips."""
+    """Return five hemispheres on a pentagon, on a plate 1 above their tips."""
     plate = Part("side", "half_plane", (0.0, -1.0, -1 * MM))
     dots = tuple(
         Part(
@@ -182,11 +182,11 @@ def _dots() -> Indenter:
 
 
 def _wave() -> Indenter:
-    """Two round ridges along y with a groove between them, on shoulders 2 and 1 above the tips."""
+    """Return two round ridges along y with a groove between, shoulders 2 and 1 above the tips."""
     left, left_radius = (-2.2, 3.0), 3.0
     right, right_radius = (2.45, 2.0), 2.0
     groove_radius = 0.5
-    # The groove's centre keeps its own radius and a ridge's away from that ridge's centre.
+    # The distance from the groove's centre to a ridge's centre is the sum of their radii.
     base = math.dist(left, right)
     far, near = left_radius + groove_radius, right_radius + groove_radius
     along = (far**2 - near**2 + base**2) / (2 * base)
@@ -213,25 +213,25 @@ def _wave() -> Indenter:
 
 
 def _hexagon() -> Indenter:
-    """A regular hexagon with corners on x."""
+    """Return a regular hexagon with corners on x."""
     angles = [corner * math.tau / 6 for corner in range(6)]
     return _flat([(3.5 * math.cos(angle), 3.5 * math.sin(angle), 0.0) for angle in angles])
 
 
 def _triangle() -> Indenter:
-    """Three corners, the sharpest 26 degrees."""
+    """Return a triangle whose sharpest corner is 26 degrees."""
     return _flat([(3.5, -2.5, 0.0), (0.5, 2.5, 0.0), (-3.5, 1.98, 0.0)])
 
 
 def _pacman() -> Indenter:
-    """A disc less a mouth of 70 degrees that opens towards x from the centre."""
+    """Return a disc without a sector of 70 degrees that opens towards x."""
     lip = 3 * math.cos(math.radians(35)), 3 * math.sin(math.radians(35))
     round_back = math.tan(math.radians(290) / 4)
     return _flat([(0.0, 0.0, 0.0), (*lip, round_back), (lip[0], -lip[1], 0.0)])
 
 
 def _moon() -> Indenter:
-    """A disc less a smaller one beside its centre."""
+    """Return a disc without a smaller, eccentric one."""
     outer, inner, shift = 3.5, 2.7, 1.7
     horn_x = (outer**2 - inner**2 + shift**2) / (2 * shift)
     horn_y = math.sqrt(outer**2 - horn_x**2)
@@ -242,7 +242,7 @@ def _moon() -> Indenter:
 
 
 def _random() -> Indenter:
-    """An irregular outline with a round corner and a round bay."""
+    """Return an irregular outline with a round corner and a round bay."""
     corner = bulge((0.77, -1.84), (2.23, -2.18), (3.02, -0.91))
     bay = bulge((-2.57, -0.92), (-1.13, 0.49), (-0.06, -0.13))
     return _flat(
@@ -274,10 +274,10 @@ def _between(
     return start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
 
 
-# Edge radius [mm]: a skin finer than the radius is solved reproducibly, a sharp edge never, so all
-# have one. 0.3 where there is room; 0.2 where it would cut into what makes the shape: the flat tip
-# of the cone (radius 0.5), the tube's wall (0.8 wide), the narrow corners of triangle and moon,
-# which lose radius / sin(half their angle) of their length. Round tips have no edge.
+# Edge radius [mm]. A mesh finer than the radius gives reproducible solutions, a sharp edge never
+# does, so all have one. It is 0.3 if there is room, and 0.2 if that would cut into essential
+# features: the flat tip of the cone (radius 0.5), the tube's wall (0.8 wide), the narrow corners of
+# triangle and moon, which lose radius / sin(half their angle) in length. Round tips have no edge.
 _TABLE: dict[str, tuple[Callable[[], Indenter], float]] = {
     "sphere": (lambda: sphere(5 * MM), 0.0),
     "sphere_s": (lambda: sphere(3 * MM), 0.0),
@@ -298,13 +298,13 @@ _TABLE: dict[str, tuple[Callable[[], Indenter], float]] = {
     "moon": (_moon, 0.2),
     "random": (_random, 0.3),
 }
-# The names that `named` knows.
+# Names that `named` accepts.
 NAMES: tuple[str, ...] = tuple(_TABLE)
 
 
 # An indenter from any STL file.
 
-# Edge radius unless told otherwise [m]: what most of the named indenters have.
+# Default edge radius [m], that of most named indenters.
 EDGE_RADIUS = 0.3e-3
 
 
@@ -319,29 +319,30 @@ def from_stl(
     reach: float = REACH,
     name: str | None = None,
 ) -> Indenter:
-    """The body in an STL file, binary or text, its lowest point at z = 0.
+    """Return the body in an STL file, binary or text, with its lowest point at z = 0.
 
-    The file is read and checked, and distances to the body are worked out, here and now (seconds).
-    A stored scene keeps the file's path and digest; it is read again when it is simulated. What
-    was repaired, or looks odd, stands in `indenter.solid.notes`.
+    The file is read and checked and distances to the body are computed immediately, which takes
+    seconds. A stored scene contains the file's path and digest, and reads the file again when it is
+    simulated. `indenter.solid.notes` lists repairs and suspicious features.
 
     Args:
         path: The file.
         unit: Unit of its numbers.
-        up: Axis of the file that points away from the skin; "-z" where its tip is up.
-        axis: What becomes x = y = 0: the `middle` of the box around the body, or of the `file`.
-        edge_radius: Least radius of every convex edge [m]: sharper ones get it, edges that the file
-            has drawn rounder stay as they are. Drawn sharp or drawn with this radius, the body is
-            the same as the one by name, and forces agree to 1 %. It is what steps and warnings go
-            by, so give it for drawn fillets too; 0 leaves edges as sharp as the grid can hold.
-        spacing: Between the nodes of the grid of distances [m].
-        reach: How far above the tip the body is known [m]: as deep as a press may go, and more.
-        name: What messages call the indenter; the file's name unless given.
+        up: Axis of the file that points away from the skin; "-z" if its tip is up.
+        axis: Origin of x and y: the `middle` of the bounding box, or that of the `file`.
+        edge_radius: Least radius of every convex edge [m]: sharper edges get it, rounder ones in
+            the file are unchanged. A named indenter as a file, with sharp edges or with this
+            radius, gives the same body and forces within 1 %. Time steps and warnings use this
+            value, so give it for fillets in the file too; with 0, edges are as sharp as the grid
+            resolves.
+        spacing: Spacing of the grid of distances [m].
+        reach: Height above the tip up to which the body is sampled [m], more than a press's depth.
+        name: Name of the indenter for messages; by default the file's name.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        SceneError: A file that is cut short, or holds no watertight body of a plausible size; an
-            edge radius that the body has no room for.
+        FileNotFoundError: The file does not exist.
+        SceneError: The file is truncated or holds no watertight body of a plausible size, or the
+            body has no room for the edge radius.
     """
     place = Path(path).resolve()
     solid = Solid(str(place), digest(place.read_bytes()), unit, up, axis, spacing, reach)

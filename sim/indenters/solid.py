@@ -1,4 +1,4 @@
-"""A body in an STL file: which file, how it is turned, and the signed distance to it."""
+"""Bodies from STL files: reading, checks, orientation, and the signed distance to them."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 
-# A signed distance known at the nodes of a grid, and smooth in between: tricubic B-splines.
+# Signed distance on a grid, interpolated by tricubic B-splines.
 
 Array = NDArray[np.float64]
 
 # Gradients shorter than this have no direction.
 FLAT = 1e-6
-# Points that are looked up together: their numbers then stay in the processor's cache.
+# Points evaluated together, so that their data stay in the processor's cache.
 AT_ONCE = 1 << 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """The distance as a spline: twice differentiable, so that its normal turns smoothly.
+    """Distance as a spline, twice differentiable, so that its normal varies smoothly.
 
-    Beyond the sides of the grid and below it the distance goes on along the gradient at its
-    border; above it the body goes on straight up.
+    Beyond the sides and below the grid, the distance is extrapolated along the gradient at the
+    border; above the grid, the body continues straight up.
     """
 
     grid: Grid
     coefficients: Array
-    """Of the B-splines, one a node (grid.shape) [m]."""
+    """Coefficients of the B-splines, one per node (grid.shape) [m]."""
     drop: float
-    """How much lower than the grid says everything stands [m]."""
+    """Distance by which the body is lower than on the grid [m]."""
     bounds: Bounds
-    """A box around the body [m]."""
+    """Bounding box of the body [m]."""
     notes: tuple[str, ...] = ()
-    """What the making of it did to the body."""
+    """Remarks on changes to the body by rounding."""
 
     def distance(self, points: Array) -> tuple[Array, Array]:
-        """Gap (N,) [m] and unit normal (N, 3) at points (N, 3) [m]."""
+        """Return gap (N,) [m] and unit normal (N, 3) at points (N, 3) [m]."""
         gap, normal = np.empty(len(points)), np.empty((len(points), 3))
         for first in range(0, len(points), AT_ONCE):
             some = slice(first, first + AT_ONCE)
@@ -63,7 +63,7 @@ class Field:
 
     @property
     def origin(self) -> Array:
-        """Where the first node stands (3,) [m]."""
+        """Position of the first node (3,) [m]."""
         return np.array(self.grid.first) * self.grid.spacing - [0.0, 0.0, self.drop]
 
     def _distance(self, points: Array) -> tuple[Array, Array]:
@@ -98,7 +98,7 @@ class Field:
 
 
 def coefficients(values: Array) -> Array:
-    """Coefficients of the spline that has these values at the nodes."""
+    """Return the coefficients of the spline with these values at the nodes."""
     from scipy.ndimage import spline_filter
 
     found: Array = spline_filter(values, order=3, output=np.float64, mode="mirror")
@@ -106,7 +106,7 @@ def coefficients(values: Array) -> Array:
 
 
 def _weights(share: Array) -> tuple[list[Array], list[Array]]:
-    """The four cubic B-splines over a cell and their derivatives, at `share` of its width.
+    """Return the four cubic B-splines over a cell and their derivatives, at `share` of its width.
 
     De Boor, A Practical Guide to Splines (1978), chapter X, for even knots.
     """
@@ -126,7 +126,7 @@ def _weights(share: Array) -> tuple[list[Array], list[Array]]:
     return weight, slope
 
 
-# Triangles of a closed body, read from an STL file, checked, and turned tip down.
+# Triangles of a closed body: read from an STL file, checked, and oriented tip down.
 
 Unit = Literal["um", "mm", "cm", "m", "inch"]
 Up = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
@@ -136,43 +136,43 @@ UPS: tuple[Up, ...] = get_args(Up)
 AXES: tuple[Axis, ...] = get_args(Axis)
 METRES: dict[Unit, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 25.4e-3}
 
-# Bytes before the first triangle of a binary file, and of each triangle.
+# Bytes before the first triangle of a binary file, and bytes per triangle.
 HEADER, RECORD = 84, 50
-# Longest side of an indenter [m]; anything else is taken for a mistake in the unit.
+# Limits of an indenter's longest side [m]; others are assumed to be a wrong unit.
 SIZE_MIN, SIZE_MAX = 0.5e-3, 0.2
-# Least volume, as a share of the longest side cubed: a body with less has no inside.
+# Least volume of a body, as a fraction of the longest side cubed.
 FLAT_TRIANGLE = 1e-5
-# Share of the height that counts as an end of the body, when it is asked which one is wider.
+# Fraction of the height that counts as an end of the body, for comparing their areas.
 END = 0.02
-# How much wider the lower end has to be for the tip to be taken for the upper one.
+# Ratio of the lower end's area to the upper one's above which the tip is probably up.
 WIDER = 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangles:
-    """A closed surface in the indenter's frame: its lowest point is at z = 0, z points away."""
+    """Closed surface in the indenter's frame, lowest point at z = 0, z away from the skin."""
 
     vertices: Array
-    """(V, 3) [m]."""
+    """Positions of the vertices (V, 3) [m]."""
     faces: NDArray[np.int32]
-    """Vertices of each triangle (F, 3), counterclockwise when seen from outside."""
+    """Vertices of each triangle (F, 3), anticlockwise when seen from outside."""
     notes: tuple[str, ...]
-    """What was repaired, and what looks odd."""
+    """Remarks on repairs and suspicious features."""
 
 
 def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Triangles:
-    """The body in an STL file.
+    """Read the body in an STL file.
 
     Args:
         data: The whole file, binary or text.
-        name: What messages call it.
+        name: Name of the file for messages.
         unit: Unit of the file's numbers.
         up: Axis of the file that points away from the skin.
-        axis: What x = y = 0 is: the `middle` of the box around the body, or of the `file`.
+        axis: Origin of x and y: the `middle` of the bounding box, or that of the `file`.
 
     Raises:
-        SceneError: A file that is cut short or no STL file, or triangles that do not enclose a
-            body of a plausible size.
+        SceneError: The file is truncated or no STL file, or its triangles do not enclose a body of
+            a plausible size.
     """
     mesh = _read(data, name)
     if not np.isfinite(mesh.vertices).all():
@@ -186,7 +186,7 @@ def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Tr
         )
     mesh.merge_vertices()
     faces = np.asarray(mesh.faces)
-    # Where corners fell together nothing is left of a triangle; its neighbours then meet.
+    # Triangles with merged corners have no area; without them their neighbours meet.
     faces = faces[(np.diff(np.sort(faces, axis=1), axis=1) > 0).all(axis=1)]
     _check_closed(faces, name)
     vertices = np.asarray(mesh.vertices, np.float64) * METRES[unit]
@@ -205,13 +205,13 @@ def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Tr
 
 
 def _read(data: bytes, name: str) -> Trimesh:
-    """The file's triangles as they are."""
+    """Return the file's unprocessed triangles."""
     import trimesh
 
     _check_whole(data, name)
     try:
         with warnings.catch_warnings():
-            # NumPy warns of numbers that it cannot read, and goes on with what it has.
+            # NumPy only warns of numbers that it cannot read, and continues with a partial result.
             warnings.simplefilter("error", DeprecationWarning)
             mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
     except (ValueError, IndexError, DeprecationWarning) as error:
@@ -222,7 +222,7 @@ def _read(data: bytes, name: str) -> Trimesh:
 
 
 def _check_whole(data: bytes, name: str) -> None:
-    """Refuse a file that is not as long as it says itself."""
+    """Check that a file is complete, by the length and counts in it."""
     count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
     if len(data) >= HEADER and len(data) == HEADER + RECORD * count:
         if count == 0:
@@ -248,7 +248,7 @@ def _check_whole(data: bytes, name: str) -> None:
 
 
 def _check_closed(faces: NDArray[np.int64], name: str) -> None:
-    """Refuse triangles that leave a gap, or neighbours that disagree on what is outside."""
+    """Check that triangles leave no gap, and that neighbours are oriented consistently."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     ends = np.sort(np.column_stack([start, end]), axis=1)
     _, edge, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
@@ -268,13 +268,13 @@ def _check_closed(faces: NDArray[np.int64], name: str) -> None:
 
 
 def _volume(vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Enclosed volume [m^3], below 0 when inside out."""
+    """Return the enclosed volume [m^3], below 0 if inside out."""
     first, second, third = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
     return float(np.einsum("ij,ij->", first, np.cross(second, third)) / 6)
 
 
 def _turned(vertices: Array, up: Up, axis: Axis) -> Array:
-    """The vertices with `up` as z, their lowest point at z = 0."""
+    """Return the vertices with `up` as z and their lowest point at z = 0."""
     along = "xyz".index(up[1])
     vertices = np.roll(vertices, 2 - along, axis=1)
     if up[0] == "-":
@@ -286,7 +286,7 @@ def _turned(vertices: Array, up: Up, axis: Axis) -> Array:
 
 
 def _tip_up(vertices: Array, faces: NDArray[np.int64], name: str, up: Up) -> list[str]:
-    """A note when the end that would press is the wider one, as the base of an indenter is."""
+    """Return a note if the pressing end is the wider one, as the base of an indenter is."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     plan = np.abs(np.cross(second - first, third - first)[:, 2]) / 2
     height = vertices[:, 2].max()
@@ -302,32 +302,32 @@ def _tip_up(vertices: Array, faces: NDArray[np.int64], name: str, up: Up) -> lis
     ]
 
 
-# Where a distance on a grid has a given value, as triangles that keep sharp edges.
+# Level set of a distance on a grid, as triangles that preserve sharp edges.
 
 Whole = NDArray[np.int64]
 
 # The four cells around an edge of the grid, as steps back along the two other axes.
 AROUND = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-# Looks at every edge that is crossed.
+# Iterations for every crossed edge.
 PASSES = 3
-# Directions that the planes of a cell hold less firmly than this, against the firmest, are free:
-# the normals lie within some 10 degrees of the others' plane.
+# Least eigenvalue of a cell's planes, relative to the largest. Directions below it are free: the
+# normals are within about 10 degrees of the others' plane.
 SHARP = 0.01
 
 
 def level_surface(
     values: Array, grid: Grid, function: Callable[[Array], tuple[Array, Array]]
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Vertices (V, 3) [m] and triangles (F, 3) of the surface where `values` [m] pass through 0.
+    """Return vertices (V, 3) [m] and triangles (F, 3) of the surface where `values` [m] are 0.
 
-    Dual contouring (Ju et al. 2002): every cell that is crossed gets one vertex, where the planes
-    in which the surface crosses the cell's sides meet; so the corners and edges of a body with flat
-    faces are exact. Triangles are neither oriented nor always apart, which distances do not mind.
+    This is dual contouring (Ju et al. 2002). Every crossed cell gets one vertex, where the planes
+    of the surface at the crossed edges meet, so that corners and edges between flat faces are
+    exact. Triangles are not oriented and may overlap, which does not matter for distances.
 
     Args:
-        values: A distance at the nodes.
+        values: Distance at the nodes.
         grid: The nodes.
-        function: The distance (N,) and its gradient (N, 3) at places (N, 3) near the surface.
+        function: Returns distance (N,) and gradient (N, 3) at places (N, 3) near the surface.
     """
     lower, axis = _crossed_edges(values <= 0)
     upper = lower + np.eye(3, dtype=np.int64)[axis]
@@ -343,7 +343,7 @@ def level_surface(
     offset = np.einsum("ij,ij->i", normal, crossing) - above
     corner = grid.places(np.column_stack(np.unravel_index(number, grid.shape)))
     vertices = _where_planes_meet(vertex, normal[edge], offset[edge], crossing[edge], len(number))
-    # Planes may meet a little outside of their cell, and there is the corner then.
+    # Planes may meet slightly outside their cell, and the corner is then there.
     vertices = np.clip(vertices, corner - grid.spacing, corner + 2 * grid.spacing)
 
     quads = np.full(cells.shape, -1)
@@ -354,7 +354,7 @@ def level_surface(
 
 
 def _crossed_edges(inside: NDArray[np.bool_]) -> tuple[Whole, Whole]:
-    """Lower node (N, 3) and axis (N,) of every edge of the grid with one end inside."""
+    """Return lower node (N, 3) and axis (N,) of every grid edge with exactly one end inside."""
     lower, axes = [], []
     for axis in range(3):
         found = np.argwhere(np.diff(inside, axis=axis))
@@ -368,10 +368,10 @@ def _crossings(
     upper: tuple[Array, Array],
     function: Callable[[Array], tuple[Array, Array]],
 ) -> tuple[Array, Array, Array]:
-    """Where edges are crossed (N, 3), the gradient there, and what the function still is there.
+    """Return the crossings of edges (N, 3), with gradient and remaining value of the function.
 
-    The ends are given with the function's values. They are drawn together by false position; what
-    is left of the way is along the gradient, and no matter on a plane.
+    The ends are given with the function's values; false position narrows them. The remaining value
+    shifts the plane along the gradient, which is exact for a plane.
     """
     (low, at_low), (high, at_high) = lower, upper
     for turn in range(PASSES):
@@ -389,7 +389,7 @@ def _crossings(
 
 
 def _cells_around(lower: Whole, axis: Whole, grid: Grid) -> Whole:
-    """Numbers of the four cells around edges (N, 4), by their lowest node; -1 where none is."""
+    """Return indices of the four cells around edges (N, 4), by their lowest node; -1 if none."""
     cells = np.repeat(lower[:, None, :], 4, axis=1)
     every = np.arange(len(lower))
     for turn in (0, 1):
@@ -403,10 +403,10 @@ def _cells_around(lower: Whole, axis: Whole, grid: Grid) -> Whole:
 def _where_planes_meet(
     vertex: Whole, normal: Array, offset: Array, crossing: Array, count: int
 ) -> Array:
-    """The point (count, 3) of each vertex that is nearest to its planes, normal . x = offset.
+    """Return the points (count, 3) that are nearest to their planes, normal . x = offset.
 
-    The least squares are solved from the mean of the crossings, and only along directions that
-    the planes hold.
+    The least-squares problem is solved relative to the mean of the crossings, and only along
+    directions that the planes determine.
     """
 
     def summed(values: Array) -> Array:
@@ -428,51 +428,50 @@ def _where_planes_meet(
     return met
 
 
-# Of the grid, and how far above the tip it goes, unless told otherwise [m].
+# Default spacing of the grid, and its height above the tip [m].
 SPACING, REACH = 0.1e-3, 5e-3
-# How far around the body distances are known [m]; what is farther is far (see `device.FAR`).
+# Margin of the grid around the body [m]; places beyond are far (see `device.FAR`).
 MARGIN = 1.2e-3
-# How far from the rounded surface distances are exact [m]; from there on they are good.
+# Distance from the rounded surface up to which distances are exact [m]; beyond they are close.
 EXACT = 0.5e-3
-# Nodes of a grid; a node takes 8 bytes, and 100 while it is made.
+# Most nodes of a grid; a node takes 8 bytes, and 100 during construction.
 NODES_MAX = 16_000_000
-# Least edge radius, in spacings: a smaller one is none to the grid.
+# Least edge radius, in spacings, that the grid resolves.
 FINENESS = 1.5
-# Most that rounding may take off anywhere, in radii: a corner between walls at 20 degrees loses
-# 4.8; what loses more is no corner, but a wall too narrow for the radius.
+# Largest loss of material by rounding, in radii. A corner between walls at 20 degrees loses 4.8;
+# a larger loss means that a wall is too narrow for the radius.
 LOSS_MAX = 5.0
-# Shortening of the tip, in edge radii, that is worth a note.
+# Shortening of the tip, in edge radii, above which there is a note.
 LIFT_NOTED = 0.05
-# Share of the surface that may be buried in the body or face inwards.
+# Largest fraction of the surface that may be buried in the body or face inwards.
 MISPLACED_MAX = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A body by its file; where that lies does not matter for being equal.
+    """Body from a file; equality depends on the file's content, not on its path.
 
-    Nothing is read before a distance is asked for, and then only a file with the very same content
-    will do.
+    The file is read when a distance is first needed, and must then still have the same content.
 
     Raises:
-        SceneError: An unknown unit or direction, or a grid that makes no sense.
+        SceneError: A unit or direction is unknown, or the grid is out of range.
     """
 
     path: str = field(compare=False)
     sha256: str
-    """Digest of the file's content."""
+    """SHA-256 of the file's content."""
     unit: Unit = "mm"
-    """Of the numbers in the file."""
+    """Unit of the numbers in the file."""
     up: Up = "+z"
     """Axis of the file that points away from the skin."""
     axis: Axis = "middle"
-    """What becomes x = y = 0: the middle of the box around the body, or the file's own axis."""
+    """Origin of x and y: the middle of the bounding box, or the file's axis."""
     spacing: float = SPACING
-    """Between the nodes of the grid of distances [m]."""
+    """Spacing of the grid of distances [m]."""
     reach: float = REACH
-    """How far above the tip the body is known [m]; above, it goes on straight up."""
+    """Height above the tip up to which the body is sampled [m]; above, it continues straight up."""
     notes: tuple[str, ...] = field(default=(), compare=False)
-    """What was repaired in the body or looks odd about it."""
+    """Remarks on repairs and suspicious features."""
 
     def __post_init__(self) -> None:
         for name, word, allowed in (
@@ -486,24 +485,24 @@ class Solid:
         check_range("solid", "reach", self.reach, 4 * self.spacing, 0.1, unit="m")
 
     def triangles(self) -> Triangles:
-        """The body's surface.
+        """Return the body's surface.
 
         Raises:
-            SceneError: The file is not there, has another content, or holds no body.
+            SceneError: The file is missing, its content has changed, or it holds no body.
         """
         return _triangles(self)
 
     def distances(self, edge_radius: float) -> Field:
-        """The signed distance to the body, its convex edges rounded to `edge_radius` [m].
+        """Return the signed distance to the body with convex edges rounded to `edge_radius` [m].
 
         Raises:
-            SceneError: See `triangles`; or a radius that the body has no room for.
+            SceneError: As `triangles`; or the body has no room for the radius.
         """
         return _distances(self, edge_radius)
 
 
 def digest(data: bytes) -> str:
-    """What tells contents of files apart."""
+    """Return the SHA-256 of a file's content."""
     return hashlib.sha256(data).hexdigest()
 
 
@@ -526,7 +525,7 @@ def _triangles(solid: Solid) -> Triangles:
     misplaced = misplaced_share(triangles.vertices, triangles.faces)
     if misplaced > MISPLACED_MAX:
         raise SceneError(
-            f"{path.name}: {100 * misplaced:.2g} % of its surface does not part inside from "
+            f"{path.name}: {100 * misplaced:.2g} % of its surface does not separate inside from "
             "outside; allowed: none of it (unite shells that overlap where they were drawn)"
         )
     return triangles
@@ -536,8 +535,8 @@ def _triangles(solid: Solid) -> Triangles:
 def _distances(solid: Solid, radius: float) -> Field:
     """See `Solid.distances`.
 
-    A body is rounded by what a ball of that radius can reach from within: the points from which
-    the ball fits inside are a smaller body, and the gap is the distance from that, less the radius.
+    A body is rounded to the volume that a ball of that radius can reach inside it. The centres of
+    balls that fit inside form a smaller body; the gap is the distance from it minus the radius.
     """
     from sim.indenters.nearest import Nearest
 
@@ -557,7 +556,7 @@ def _distances(solid: Solid, radius: float) -> Field:
         if not (gap <= -radius).any():
             raise SceneError(f"edge_radius: {radius:g} m leaves nothing of {name}; allowed: less")
 
-        # The core's surface, and every edge of the grid that it crosses, is within the body.
+        # The core's surface, and every grid edge that it crosses, is inside the body.
         def within(places: Array) -> tuple[Array, Array]:
             length, away = whole.distance(places)
             return radius - length, -away
@@ -588,9 +587,9 @@ def _distances(solid: Solid, radius: float) -> Field:
 
 
 def _grid(triangles: Triangles, radius: float, solid: Solid) -> Grid:
-    """Nodes around the lower part of a body, as far up as distances within `reach` need them."""
+    """Return nodes around the lower part of a body, as high as distances within `reach` need."""
     low, high = _extent(triangles, solid.reach)
-    # The spline at a node feels few others; what is rounded, all within the radius.
+    # The spline depends on a few nodes around a place; rounding, on all within the radius.
     top = min(high[2] + MARGIN, solid.reach + radius + 6 * solid.spacing)
     ends = np.array([*(low - MARGIN), high[0] + MARGIN, high[1] + MARGIN, top]) / solid.spacing
     first, last = np.floor(ends[:3]).astype(int) - 2, np.ceil(ends[3:]).astype(int) + 2
@@ -607,7 +606,7 @@ def _grid(triangles: Triangles, radius: float, solid: Solid) -> Grid:
 
 
 def _extent(triangles: Triangles, reach: float) -> tuple[Array, Array]:
-    """A box (3,), (3,) [m] around all triangles that come within reach."""
+    """Return corners (3,), (3,) [m] of a box around all triangles with a part below `reach`."""
     near = triangles.vertices[triangles.faces, 2].min(axis=1) <= reach
     corners = triangles.vertices[np.unique(triangles.faces[near])]
     return corners.min(axis=0), corners.max(axis=0)

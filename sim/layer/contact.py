@@ -1,4 +1,4 @@
-"""One contact problem: pressure that never pulls, friction that never exceeds its share of it."""
+"""Contact of a layer: pressure is never tensile, shear never exceeds Coulomb's limit."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from sim.indenters import Indenter
 from sim.layer.spectral import Elastic, Grid
 from sim.scene import Motion
 
-# Projected gradient descent: the least of a quadratic energy within simple bounds.
+# Projected gradient descent: the minimum of a quadratic energy within simple bounds.
 
 Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Find x within bounds for which 1/2 x.A x + b.x is least."""
+    """Minimisation of 1/2 x.A x + b.x for x within bounds."""
 
     apply: Callable[[Array], Array]
     """A x; A is symmetric and positive."""
     project: Callable[[Array], Array]
-    """The nearest point within the bounds."""
+    """Nearest point within the bounds."""
     local: float
-    """A typical element of A's diagonal."""
+    """Typical element of A's diagonal."""
     scale: float | None = None
-    """Norm that residuals are compared with; None: the norm of x itself."""
+    """Norm by which residuals are divided; None: the norm of x."""
 
     def residual(self, x: Array, slope: Array) -> float:
-        """|x - project(x - slope / local)| over the scale: 0 at the solution only, at most 1."""
+        """Return |x - project(x - slope / local)| over the scale: 0 only at the solution, <= 1."""
         distance = float(np.linalg.norm(x - self.project(x - slope / self.local)))
         scale = float(np.linalg.norm(x)) if self.scale is None else self.scale
         return distance / max(scale, distance) if distance > 0 else 0.0
@@ -40,11 +40,11 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a descent ended."""
+    """Result of a descent."""
 
     x: Array
     slope: Array
-    """A x + b there."""
+    """A x + b at the result."""
     residual: float
     iterations: int
 
@@ -52,12 +52,12 @@ class Found:
 def descend(
     problem: Problem, x: Array, slope: Array, *, tolerance: float, iterations: int
 ) -> Found:
-    """Go down from `x` (within the bounds, with its slope) to a residual of `tolerance`.
+    """Minimise from `x` (within the bounds, with its slope) to a residual of `tolerance`.
 
     Ends earlier after `iterations`. Step lengths are Barzilai and Borwein's (IMA J. Numer. Anal. 8
-    (1988) 141), long and short by turns. The energy falls in each iteration, because a move ends
-    where it is least on the way (Birgin, Martinez & Raydan, SIAM J. Optim. 10 (2000) 1196, with the
-    exact search that a quadratic allows). Each iteration takes one product with A.
+    (1988) 141), alternately long and short. The energy falls in each iteration, because a move ends
+    at its minimum along the way (Birgin, Martinez & Raydan, SIAM J. Optim. 10 (2000) 1196, with the
+    exact line search that a quadratic allows). Each iteration takes one product with A.
     """
     step, done = 1 / problem.local, 0
     residual = problem.residual(x, slope)
@@ -67,7 +67,7 @@ def descend(
         answer = problem.apply(move)
         curvature, size = float(np.vdot(move, answer)), float(np.vdot(answer, answer))
         if not (curvature > 0 and size > 0):
-            break  # nothing is left that a number can hold: squares vanish before residuals do
+            break  # the limit of the precision: squares underflow before residuals do
         share = min(1.0, -float(np.vdot(slope, move)) / curvature)
         x = x + share * move
         slope = slope + share * answer
@@ -76,38 +76,38 @@ def descend(
     return Found(x, slope, residual, done)
 
 
-# Iterations of one descent; 10 are usual, 30 from nothing.
+# Most iterations of one descent; 10 are usual, 30 without a guess.
 ITERATIONS = 300
-# Turns between normal and tangential contact; 2 to 4 are usual.
+# Most turns between normal and tangential contact; 2 to 4 are usual.
 TURNS = 200
-# How far below the residual it met a descent goes: the other one will move its goal again.
+# Target of a descent over its initial residual: the other descent will move its goal again.
 SHARE = 0.1
-# A turn that leaves more than this of the residual has overshot.
+# A turn that leaves more than this share of the residual has overshot.
 STALLED = 0.8
-# What is left of the share of the new shear that is taken, each time; and its least.
+# Factor on the share of the new shear that is applied, after each such turn; and the least share.
 DAMPED, DAMPED_MOST = 0.6, 0.05
-# Keeps 0 / 0 away where nothing presses [Pa].
+# Avoids 0 / 0 where there is no pressure [Pa].
 TINY = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The traction within a window of X by Y pixels, and how good it is."""
+    """Traction within a window of X by Y pixels, and its accuracy."""
 
     traction: Array
-    """On the body (3, X, Y) [Pa]; the normal component is never above 0."""
+    """Traction on the body (3, X, Y) [Pa]; the normal component is never above 0."""
     residual: float
-    """Natural residual of the pressure over its norm, or of the shear over the norm of the most
-    that friction allows: the larger one."""
+    """Natural residual of the pressure over its norm, or of the shear over the norm of Coulomb's
+    limit: the larger one."""
     iterations: int
     """Iterations of all descents."""
 
 
 def solve_frictionless(body: Elastic, gap: Array, start: Array, *, tolerance: float) -> Contact:
-    """The pressure that leaves no overlap, to a residual of `tolerance`.
+    """Return the pressure that leaves no overlap, to a residual of `tolerance`.
 
-    `gap` (X, Y) [m] is the gap that there would be without traction, `start` a guess of the
-    traction (3, X, Y). At every pixel pressure >= 0, gap >= 0, and one of them is 0.
+    `gap` (X, Y) [m] is the gap without traction, `start` a guess of the traction (3, X, Y). At
+    every pixel pressure >= 0, gap >= 0, and one of them is 0.
     """
     if gap.min() >= 0:
         return Contact(np.zeros_like(start), 0.0, 0)
@@ -126,14 +126,14 @@ def solve_frictionless(body: Elastic, gap: Array, start: Array, *, tolerance: fl
 def solve_frictional(
     body: Elastic, gap: Array, slip: Array, coefficient: float, start: Array, *, tolerance: float
 ) -> Contact:
-    """The pressure and shear that obey Coulomb's law, to a residual of `tolerance`.
+    """Return the pressure and shear that obey Coulomb's law, to a residual of `tolerance`.
 
-    `slip` (2, X, Y) [m] is how far the body slides over the indenter in this step, as `gap`
-    without any traction. Besides what holds without friction: |shear| <= coefficient * pressure,
-    and where the body slips the shear opposes it and is equal to that. Normal and tangential
-    contact are each the least of an energy; they take turns, each with the other's latest answer
-    (Panagiotopoulos, Ingenieur-Archiv 44 (1975) 421), until both hold together. With much friction
-    on a material that couples them strongly the turns overshoot and have to be damped.
+    `slip` (2, X, Y) [m] is the sliding of the body over the indenter in this step, like `gap`
+    without any traction. In addition to the conditions without friction, |shear| <= coefficient *
+    pressure, and where the body slips the shear opposes it and equals that limit. Normal and
+    tangential contact are each the minimum of an energy; they are solved in turns, each with the
+    other's latest solution (Panagiotopoulos, Ingenieur-Archiv 44 (1975) 421), until both hold. With
+    high friction on a material that couples them strongly the turns overshoot and are damped.
     """
     if gap.min() >= 0:
         return Contact(np.zeros_like(start), 0.0, 0)
@@ -188,28 +188,28 @@ def _within(shear: Array, bound: Array) -> Array:
     return inside
 
 
-# The gap between the untouched body and the indenter, wherever its tip goes.
+# Gap between the undeformed body and the indenter, for any position of its tip.
 
-# Samples of the indenter's lower surface in a pixel's width.
+# Samples of the indenter's lower surface per width of a pixel.
 FINENESS = 2
 
 
 class Clearance:
-    """Heights of an indenter, sampled once, and read between the samples as the tip moves.
+    """Heights of an indenter, sampled once and interpolated as the tip moves.
 
-    Samples lie under the pixels when the tip is at the motion's first waypoint: a straight press
-    reads the samples themselves. In between, the height is the cubic through the 4 x 4 samples
-    around, kept within those of the cell; in a cell with a corner that cannot touch, the nearest
-    sample's, which keeps a wall's place on average.
+    Samples lie under the pixels when the tip is at the motion's first waypoint, so a straight press
+    reads the samples themselves. In between, the height is the cubic through the surrounding 4 x 4
+    samples, limited to the range of the cell's corners. In a cell with a corner that cannot touch
+    it is the nearest sample's, which keeps the position of a wall on average.
     """
 
     def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
-        """Sample everything that the motion can bring over the body."""
+        """Sample all of the indenter that the motion can bring over the body."""
         body, tip = grid.body, np.asarray(motion.tip)
         self._grid, self._anchor = grid, tip[0]
         self._step = tuple(pixel / FINENESS for pixel in grid.pixel)
         self.surface = body.heights(grid.x, grid.y)
-        """Height of the untouched top (nx, ny) [m]."""
+        """Height of the undeformed top (nx, ny) [m]."""
         self._on_body = body.covers(grid.x[:, None], grid.y)
         self._cap = 2 * (motion.depth_max - float(self.surface.min())) + body.thickness / 2
         far = tip[:, :2] - self._anchor[:2]
@@ -226,7 +226,7 @@ class Clearance:
         self._heights = np.minimum(heights, self._cap)
 
     def at(self, tip: Array) -> Array:
-        """The gap at every pixel (nx, ny) with the tip at (3,) [m]; below 0 they overlap."""
+        """Return the gap at every pixel (nx, ny) with the tip at (3,) [m]; negative: overlap."""
         whole, rest = [], []
         for axis in range(2):
             place = (self._anchor[axis] - tip[axis]) / self._step[axis]
@@ -254,12 +254,12 @@ class Clearance:
 
 
 def _every(first: int, count: int) -> slice:
-    """The samples under `count` pixels, the first of them given."""
+    """Return the slice of samples under `count` pixels, starting at sample `first`."""
     return slice(first, first + FINENESS * (count - 1) + 1, FINENESS)
 
 
 def _weights(rest: float) -> tuple[float, float, float, float]:
-    """Lagrange's weights of the samples at -1, 0, 1, 2 for the place `rest`."""
+    """Return Lagrange weights of the samples at -1, 0, 1, 2 for the position `rest`."""
     before, here, after, beyond = rest + 1, rest, rest - 1, rest - 2
     return (
         -here * after * beyond / 6,

@@ -1,4 +1,4 @@
-"""The `layer` tier: linear elastic, a few milliseconds a step."""
+"""Solver of the `layer` tier: linear elastic, a few milliseconds per step."""
 
 from __future__ import annotations
 
@@ -21,44 +21,44 @@ from sim.layer.spectral import Grid, convolutions
 from sim.result import Quality, Result
 from sim.scene import Scene
 
-# What a relaxing layer remembers: the stress in its Maxwell branches, pixel by pixel.
+# History of a relaxing layer: the stress in its Maxwell branches, per pixel.
 
 Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class Relaxed:
-    """How a step's traction follows from its elastic part: factor * elastic + held."""
+    """Relation of a step's traction to its elastic part: factor * elastic + held."""
 
     factor: float
     held: Array
-    """(3, X, Y) [Pa]."""
+    """Traction from the history (3, X, Y) [Pa]."""
     kept: tuple[float, ...]
-    """What is left of each branch's stress after the step, of 1."""
+    """Share of each branch's stress that remains after the step."""
     gained: tuple[float, ...]
-    """What each branch takes up of a change in the elastic part."""
+    """Share of a change in the elastic part that each branch takes up."""
 
 
 class History:
-    """Tractions of a layer whose relaxation is the same for all deformations.
+    """Tractions of a layer that relaxes in the same way for all deformations.
 
     With E(t) = E (1 + sum_i ratio_i exp(-t / time_i)) and a constant Poisson's ratio, the traction
-    is that of the elastic layer with the present displacement, `elastic`, and for each branch the
-    convolution of its change with ratio_i exp(-t / time_i). `elastic` changes evenly within a
-    step, for which the convolution is exact (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2
+    is that of the elastic layer with the current displacement, `elastic`, plus one convolution per
+    branch of its change with ratio_i exp(-t / time_i). `elastic` changes linearly within a step.
+    For that the convolution is exact (Taylor, Pister & Goudreau, Int. J. Numer. Meth. Eng. 2
     (1970) 45).
     """
 
     def __init__(self, viscosity: Viscosity | None, shape: tuple[int, int]) -> None:
-        """Begin at rest and untouched; without viscosity there is nothing to remember."""
+        """Begin at rest and undeformed; without viscosity there is no history."""
         self._ratios = viscosity.ratios if viscosity else ()
         self._times = viscosity.times if viscosity else ()
         self.elastic: Array = np.zeros((3, *shape))
-        """Traction that the elastic layer would need for the present displacement [Pa]."""
+        """Traction that the elastic layer would need for the current displacement [Pa]."""
         self._tractions: list[Array] = [np.zeros((3, *shape)) for _ in self._ratios]
 
     def after(self, duration: float) -> Relaxed:
-        """How the traction follows from the elastic part after `duration` [s]; 0 is a jump."""
+        """Return the relation of traction to elastic part after `duration` [s]; 0 is a jump."""
         spans = [duration / time for time in self._times]
         kept = tuple(math.exp(-span) for span in spans)
         gained = tuple(
@@ -80,7 +80,7 @@ class History:
         self.elastic = elastic
 
     def branches(self) -> list[tuple[float, Array]]:
-        """Stiffness over that at rest, and traction [Pa], of every branch that has any."""
+        """Return stiffness over that at rest, and traction [Pa], of each branch with stiffness."""
         return [
             (ratio, traction)
             for ratio, traction in zip(self._ratios, self._tractions, strict=True)
@@ -88,72 +88,73 @@ class History:
         ]
 
 
-# A layer under an indenter: the state it is in, and the steps that move it on.
+# A layer under an indenter: its state, and the steps that advance it.
 
-# Longest step in radii of the contact. Within a step every pixel slides and relaxes evenly, also
-# those touched half-way, and halving the step halves that error. At 0.1 a sphere's shear forces are
-# off by 0.1, 0.3, 1.5 % of their peak with friction 0.3, 0.8, 3, against steps 20 times as short.
+# Longest step in radii of the contact. Within a step every pixel is assumed to slide and relax
+# evenly, even if it is touched half-way; halving the step halves that error. At 0.1 a sphere's
+# shear forces are off by 0.1, 0.3, 1.5 % of their peak with friction 0.3, 0.8, 3, compared with
+# steps 20 times as short.
 TRAVEL = 0.1
-# The same in pixels, where the contact is small.
+# Longest step in pixels, if the contact is small.
 TRAVEL_LEAST = 0.5
-# How often a step that does not converge is halved.
+# Most times that a step that does not converge is halved.
 HALVINGS = 4
-# Share of the overlap by which the skin may rise beside the contact and touch elsewhere.
+# Share of the overlap by which the skin may rise next to the contact and touch elsewhere.
 BULGE = 0.2
-# Windows grow by this many pixels, so that few sizes occur.
+# Window sizes are multiples of this many pixels, so that few sizes occur.
 BLOCK = 8
-# Least tolerance that is left to single precision, which ends at some 1e-5.
+# Least tolerance for single precision, which reaches about 1e-5.
 SINGLE = 1e-3
-# Share of the tip's depth that may be left as overlap outside of the window.
+# Overlap outside of the window, over the tip's depth, that is tolerated.
 OVERLAP = 1e-2
 
 
 def precision(tolerance: float) -> type[np.floating[Any]]:
-    """What contacts are solved in: single precision where it can reach the tolerance."""
+    """Return the precision of contacts: single if it can reach the tolerance."""
     return np.float32 if tolerance >= SINGLE else np.float64
 
 
 def _product(one: Array, other: Array) -> float:
-    """Sum of the products of two fields; by one thread, as threads cost more than they save."""
+    """Return the sum of products of two fields, on one thread: more threads would be slower."""
     return float(np.einsum("kij,kij->", one, other, dtype=np.float64))
 
 
 @dataclass(slots=True)
 class Spent:
-    """What moves have cost."""
+    """Cost of moves."""
 
     iterations: int = 0
     steps: int = 0
 
 
 class Press:
-    """One scene's layer, moved step by step; `traction` and `displacement` are its state."""
+    """Layer of one scene, moved step by step; `traction` and `displacement` are its state."""
 
     def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
-        """Start untouched, the tip above the first waypoint."""
+        """Start undeformed, with the tip above the first waypoint."""
         effects = scene.effects
         self._scene = scene
         self.grid = grid
         self.traction: Array = np.zeros((3, *grid.shape))
-        """Of the indenter on the body (3, nx, ny) [Pa]."""
+        """Traction of the indenter on the body (3, nx, ny) [Pa]."""
         self.history = History(effects.viscosity, grid.shape)
         x, y, z = scene.motion.tip[0]
         self.tip = np.array([x, y, max(z, 0.0)])
-        """Where the tip is [m]."""
+        """Position of the tip [m]."""
         self.residual = 0.0
-        """Of the last step's contact."""
+        """Residual of the last step's contact."""
         self.work = 0.0
-        """Done by the indenter so far, by the trapezoid rule [J]."""
+        """Work of the indenter so far, by the trapezoid rule [J]."""
         self.spent = Spent()
         self._tolerance = tolerance
         self._rubs = effects.friction is not None
         self._coefficient = effects.friction.coefficient if effects.friction else 0.0
         self._clearance = Clearance(scene.indenter, grid, scene.motion)
-        self._clear = self._clearance.at(self.tip)  # above the untouched body
+        self._clear = self._clearance.at(self.tip)  # above the undeformed body
         self._convolutions = convolutions(grid, np.dtype(precision(tolerance)))
         self._tried: list[str] = []
         self.displacement: Array = np.zeros((3, *grid.shape), np.float32)
-        """Of the top (3, nx, ny) [m]."""
+        """Displacement of the top (3, nx, ny) [m]."""
 
     @property
     def force(self) -> Array:
@@ -163,7 +164,7 @@ class Press:
 
     @property
     def gap(self) -> Array:
-        """Between indenter and body (nx, ny) [m]; below 0 they overlap."""
+        """Gap between indenter and body (nx, ny) [m]; negative: overlap."""
         gap: Array = self._clear - self.displacement[2]
         return gap
 
@@ -181,7 +182,7 @@ class Press:
 
     @property
     def slip_excess(self) -> float:
-        """Most by which shear exceeds friction, over the largest pressure; NaN without friction."""
+        """Largest shear in excess of friction over the largest pressure; NaN without friction."""
         pressure = -self.traction[2]
         if not self._rubs or not pressure.any():
             return 0.0 if self._rubs else math.nan
@@ -190,7 +191,7 @@ class Press:
 
     @property
     def energy(self) -> float:
-        """Held in all springs [J]."""
+        """Energy stored in all springs [J]."""
         rest = _product(self.history.elastic, self.displacement)
         branches = (
             _product(traction, self._moved_by(traction)) / stiffness
@@ -199,10 +200,10 @@ class Press:
         return 0.5 * self.grid.area * (rest + sum(branches))
 
     def move(self, tip: Array, duration: float) -> None:
-        """Bring the tip straight to `tip` (3,) [m] in `duration` [s], in as many steps as it takes.
+        """Move the tip straight to `tip` (3,) [m] in `duration` [s], in as many steps as needed.
 
         Raises:
-            SimulationDiverged: A step did not converge, halved again and again.
+            SimulationDiverged: A step did not converge after repeated halving.
         """
         start, left = self.tip, 1.0
         length = float(np.linalg.norm(tip - start))
@@ -213,7 +214,7 @@ class Press:
             self._step_or_halve(tip + (start - tip) * left, duration * share, 0)
 
     def _longest(self, tip: Array) -> float:
-        """How far the next step on the way to `tip` may go [m]."""
+        """Return the longest next step on the way to `tip` [m]."""
         radius = math.sqrt(np.count_nonzero(self.traction[2]) * self.grid.area / math.pi)
         longest = max(TRAVEL * radius, TRAVEL_LEAST * min(self.grid.pixel))
         if radius == 0:
@@ -245,7 +246,7 @@ class Press:
         )
 
     def _dump(self) -> Path | None:
-        """The file that the present state was written to; None where it could not be."""
+        """Write the current state to a file and return its path; None if that failed."""
         try:
             path = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
             np.savez_compressed(
@@ -260,7 +261,7 @@ class Press:
         return path
 
     def _step(self, tip: Array, duration: float) -> bool:
-        """Whether the step converged; if not, nothing has changed."""
+        """Attempt a step and return True if it converged; if not, the state is unchanged."""
         gap = self._clearance.at(tip)
         relaxed = self.history.after(duration)
         touching = self.history.elastic.any(axis=0)
@@ -296,7 +297,7 @@ class Press:
     def _solve(
         self, window: tuple[slice, ...], gap: Array, tip: Array, relaxed: Relaxed
     ) -> Contact:
-        """Solve the elastic contact that the step's relaxing one comes down to.
+        """Solve the elastic contact problem equivalent to the step's relaxing one.
 
         With traction = factor * elastic + held, the gap is gap - C (traction - held) / factor: that
         of an elastic layer, all lengths multiplied by the factor.
@@ -308,7 +309,7 @@ class Press:
         body = self._convolutions.within(away.shape)
         relief = body.answer.full(held) if held.any() else np.zeros_like(held)
         away += relief[2]
-        # A guess: the displacement stays as it is.
+        # Initial guess: an unchanged displacement.
         start = relaxed.factor * elastic + held
         if not self._coefficient:
             return solve_frictionless(body, away, start, tolerance=self._tolerance)
@@ -322,7 +323,7 @@ class Press:
         return self._convolutions.whole.full(elastic.astype(np.float32))
 
     def _window(self, touching: NDArray[np.bool_]) -> tuple[slice, ...]:
-        """The block of pixels to solve on, as slices of (3, nx, ny)."""
+        """Return the block of pixels to solve on, as slices of (3, nx, ny)."""
         window: list[slice] = [slice(None)]
         for axis in range(2):
             size = self.grid.shape[axis]
@@ -334,17 +335,17 @@ class Press:
         return tuple(window)
 
 
-# What is kept of a press at each waypoint: force, surface, and how far it can be trusted.
+# Values kept at each waypoint of a press: force, surface, and quality measures.
 
 
 class Frames:
     """Frames of one press, filled one after the other.
 
-    `balance` stays NaN: base and top are in balance wave by wave, there is nothing to compare.
+    `balance` stays NaN: base and top are in balance wave by wave, so there is no difference.
     """
 
     def __init__(self, scene: Scene, press: Press) -> None:
-        """Make room for a frame at each waypoint."""
+        """Allocate a frame for each waypoint."""
         self._scene, self._press = scene, press
         count = len(scene.motion)
         self._wrench = np.zeros((count, 6))
@@ -362,7 +363,7 @@ class Frames:
         self._work_most = 0.0
 
     def keep(self, frame: int) -> None:
-        """Keep the press as it is now."""
+        """Store the current state of the press as frame `frame`."""
         press, quality = self._press, self._quality
         self._surface[frame] = np.moveaxis(press.displacement, 0, -1)
         self._traction[frame] = np.moveaxis(press.traction, 0, -1)
@@ -389,7 +390,7 @@ class Frames:
         return (done - stored) / self._work_most if self._work_most > 0 else 0.0
 
     def result(self, record: dict[str, Any]) -> Result:
-        """The result, once every frame was kept."""
+        """Return the result; every frame must have been kept."""
         grid = self._press.grid
         return Result(
             scene=self._scene,
@@ -409,9 +410,9 @@ class Frames:
         )
 
 
-# Pixels along the longer side: on a body of 20 mm, forces of spheres within 0.1 %.
+# Pixels along the longer side: on a body of 20 mm, forces of spheres are within 0.1 %.
 GRID = 128
-# Natural residual of the contact: moves forces by some 1e-4.
+# Natural residual of the contact: changes forces by about 1e-4.
 TOLERANCE = 2e-3
 
 Progress = Callable[[float], None]
@@ -424,17 +425,17 @@ def simulate_layer(
     tolerance: float = TOLERANCE,
     progress: Progress | None = None,
 ) -> Result:
-    """Simulate one scene with small strains on an infinite layer, sides and all beyond left out.
+    """Simulate one scene with small strains on an infinite layer, without sides or a surrounding.
 
     Args:
-        scene: Friction and viscosity that relaxes all are known, mass is not.
+        scene: Scene with friction and viscosity that relaxes all, but no mass.
         grid: Pixels along the body's longer side, 16 to 512.
-        tolerance: Residual of the contact to reach, 1e-10 to 0.1 (`Contact.residual`).
+        tolerance: Target residual of the contact, 1e-10 to 0.1 (`Contact.residual`).
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: An effect, a body or a setting that this tier does not have.
-        SimulationDiverged: A step for which no contact was found.
+        SceneError: This tier does not support an effect, the body or a setting.
+        SimulationDiverged: The contact of a step did not converge.
     """
     check_known(scene, tolerance)
     began = time.perf_counter()
@@ -470,10 +471,10 @@ def simulate_layer(
 
 
 def check_known(scene: Scene, tolerance: float) -> None:
-    """Refuse what this tier does not have.
+    """Reject scenes that this tier does not support.
 
     Raises:
-        SceneError: An effect or a tolerance that is not known.
+        SceneError: An effect or a tolerance is not supported.
     """
     effects = scene.effects
     for name in ("inertia", "gravity"):

@@ -1,4 +1,4 @@
-"""What tractions on the layer's top do to it: convolutions, as large as they need to be."""
+"""Displacement of a bonded layer's top by tractions on it: convolutions over windows."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import DTypeLike, NDArray
 from sim.errors import SceneError
 from sim.scene import Body
 
-# The compliance of a bonded elastic layer, wave by wave: what its top does under a traction.
+# Compliance of a bonded elastic layer, per wave: displacement of its top under a traction.
 
 Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class Compliance:
-    """Displacement over traction of the top, for waves of wave number k [m/Pa]; shaped as k.
+    """Displacement over traction of the top, for waves of wave number k [m/Pa]; same shape as k.
 
     A traction (along, across, normal) exp(i k x) with x along the wave gives the displacement
 
@@ -38,10 +38,10 @@ class Compliance:
 def compliance(
     wave_number: Array, *, thickness: float, shear_modulus: float, poisson: float
 ) -> Compliance:
-    """The compliance at each wave number k >= 0 [rad/m] of a layer [m, Pa] bonded to a rigid base.
+    """Return the compliance at wave numbers k >= 0 [rad/m] of a layer [m, Pa] on a rigid base.
 
-    The plane-strain field of a wave is (a + b z) exp(k z) + (c + d z) exp(-k z); clamped below and
-    loaded on top it solves to the closed forms here, with q = k h, kappa = 3 - 4 nu and everything
+    The plane-strain field of a wave is (a + b z) exp(k z) + (c + d z) exp(-k z). Clamped below and
+    loaded on top, the layer has the closed forms here, with q = k h, kappa = 3 - 4 nu and all terms
     divided by exp(2 q), so that no wave number overflows. `from_normal` is the textbook form
     (2 kappa sinh 2q - 4q) / (2 kappa cosh 2q + 1 + kappa^2 + 4 q^2) * (1 - nu) / (G k). At k = 0:
     simple shear h / G, confined compression h / (K + 4 G / 3).
@@ -64,13 +64,13 @@ def compliance(
     )
 
 
-# Where the layer is sampled: pixels across the body, and the period its waves repeat with.
+# Sampling of the layer: pixels across the body, and the period of its waves.
 
-# Thicknesses that are added to twice the body's size before its waves repeat. Against waves that
-# never repeat, forces are 0.005 % off at most on the default body and 0.06 % on one as thick as
-# wide (contacts to two thirds of the body's width, nu to 0.5).
+# Thicknesses added to twice the body's size before its waves repeat. Compared with waves that never
+# repeat, forces differ by at most 0.005 % on the default body and 0.06 % on one as thick as wide
+# (contacts up to two thirds of the body's width, nu up to 0.5).
 MARGIN = 5.0
-# Thickest body over its narrower side: the model knows no sides, and the period grows with it.
+# Thickest body over its narrower side: the model has no sides, and the period grows with it.
 THICKNESS_MAX = 2.0
 
 
@@ -78,14 +78,14 @@ THICKNESS_MAX = 2.0
 class Grid:
     """Pixels across the top of a body: (nx, ny) of about equal width.
 
-    Tractions and displacements are sampled at the pixels' centres and carry every wave that the
-    pixels can hold and none beyond (a pixel is a sinc). Against averaging over pixels on one side
-    or both, this is the choice whose force has no bias.
+    Tractions and displacements are sampled at the pixels' centres and contain every wave that the
+    pixels can represent and none beyond (a pixel is a sinc). Compared with averaging over pixels on
+    one side or both, this is the choice whose force has no bias.
     """
 
     body: Body
     count: int
-    """Pixels along the longer side."""
+    """Number of pixels along the longer side."""
 
     def __post_init__(self) -> None:
         limit = THICKNESS_MAX * min(self.body.size_x, self.body.size_y)
@@ -100,7 +100,7 @@ class Grid:
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Pixels along x and along y."""
+        """Number of pixels along x and along y."""
         longer = max(self.body.size_x, self.body.size_y)
         x, y = (
             max(1, round(self.count * size / longer))
@@ -130,7 +130,7 @@ class Grid:
 
     @cached_property
     def period(self) -> tuple[int, int]:
-        """Pixels after which the waves repeat, along x and along y; even."""
+        """Number of pixels after which the waves repeat, along x and along y; even."""
         sizes = (self.body.size_x, self.body.size_y)
         x, y = (
             2
@@ -143,7 +143,7 @@ class Grid:
 
     @cached_property
     def symbol(self) -> Array:
-        """The layer's compliance for every wave of the period (6, px, py // 2 + 1) [m/Pa].
+        """Compliance of the layer for every wave of the period (6, px, py // 2 + 1) [m/Pa].
 
         Rows: xx, yy, zz, xy, and xz, yz divided by i. zx = -xz and zy = -yz (both over i); the rest
         is symmetric.
@@ -165,12 +165,12 @@ class Grid:
                 layer.coupling * sine,
             ]
         )
-        # The shortest wave has no odd part that samples could hold (the transform knows, along y).
+        # Samples cannot represent the odd part of the shortest wave (irfft drops it along y).
         symbol[3:, self.period[0] // 2, :] = 0
         return symbol
 
     def _compliance(self, length: Array) -> Compliance:
-        # A square period has each wave number eight times over.
+        # With a square period each wave number occurs eight times.
         numbers, index = np.unique(length, return_inverse=True)
         layer = compliance(
             numbers,
@@ -184,7 +184,7 @@ class Grid:
 
 Spectrum = NDArray[np.complexfloating[Any, Any]]
 
-# Shapes of windows that are kept before all are made anew; each takes a megabyte or so.
+# Most window shapes that are cached before the cache is cleared; each takes about a megabyte.
 SHAPES_KEPT = 64
 
 
@@ -198,9 +198,9 @@ class Convolution:
         padded: tuple[int, int],
         dtype: DTypeLike = np.float64,
     ) -> None:
-        """Take the answer wave by wave, laid out as `Grid.symbol`, for waves over `padded` pixels.
+        """Take the compliance per wave, laid out as `Grid.symbol`, for waves over `padded` pixels.
 
-        `shape` is the field's; beyond it, up to `padded`, there is no traction.
+        `shape` is that of the field; beyond it, up to `padded`, there is no traction.
         """
         self._shape, self._padded = shape, padded
         parts = spectrum.astype(dtype)
@@ -208,26 +208,26 @@ class Convolution:
         self._xz, self._yz = 1j * parts[4:]
 
     def normal(self, traction: Array) -> Array:
-        """Normal displacement (X, Y) by a normal traction (X, Y)."""
+        """Return the normal displacement (X, Y) by a normal traction (X, Y)."""
         return self._back(self._zz * self._forward(traction))
 
     def shear(self, traction: Array) -> Array:
-        """In-plane displacement (2, X, Y) by an in-plane traction (2, X, Y)."""
+        """Return the in-plane displacement (2, X, Y) by an in-plane traction (2, X, Y)."""
         x, y = self._forward(traction)
         return self._back(np.stack([self._xx * x + self._xy * y, self._xy * x + self._yy * y]))
 
     def shear_by_normal(self, traction: Array) -> Array:
-        """In-plane displacement (2, X, Y) by a normal traction (X, Y)."""
+        """Return the in-plane displacement (2, X, Y) by a normal traction (X, Y)."""
         z = self._forward(traction)
         return self._back(np.stack([self._xz * z, self._yz * z]))
 
     def normal_by_shear(self, traction: Array) -> Array:
-        """Normal displacement (X, Y) by an in-plane traction (2, X, Y)."""
+        """Return the normal displacement (X, Y) by an in-plane traction (2, X, Y)."""
         x, y = self._forward(traction)
         return self._back(-self._xz * x - self._yz * y)
 
     def full(self, traction: Array) -> Array:
-        """Displacement (3, X, Y) by a traction (3, X, Y)."""
+        """Return the displacement (3, X, Y) by a traction (3, X, Y)."""
         if not traction[:2].any():
             z = self._forward(traction[2])
             return self._back(np.stack([self._xz * z, self._yz * z, self._zz * z]))
@@ -243,7 +243,7 @@ class Convolution:
         )
 
     def _forward(self, field: Array) -> Spectrum:
-        # One axis at a time: rows of nothing but padding are not transformed.
+        # One axis at a time, so that rows of padding only are not transformed.
         half = scipy.fft.rfft(field, n=self._padded[1], axis=-1)
         spectrum: Spectrum = scipy.fft.fft(half, n=self._padded[0], axis=-2, overwrite_x=True)
         return spectrum
@@ -256,30 +256,33 @@ class Convolution:
 
 @dataclass(frozen=True, slots=True)
 class Elastic:
-    """The layer under a window, as contact sees it."""
+    """Layer under a window, as the contact solvers use it."""
 
     answer: Convolution
     local_normal: float
     """Normal displacement of a pixel by a normal traction on it alone [m/Pa]."""
     local_shear: float
-    """The same in the plane."""
+    """In-plane displacement of a pixel by an in-plane traction on it alone [m/Pa]."""
 
 
 class Convolutions:
-    """The whole top's convolution, and smaller ones for windows that hold the contact."""
+    """Convolution of the whole top, and smaller ones for windows that contain the contact."""
 
     def __init__(self, grid: Grid, dtype: DTypeLike = np.float64) -> None:
-        """Transform the grid's symbol to the answer to one loaded pixel; `dtype` is a window's."""
+        """Transform the grid's symbol to the response to one loaded pixel.
+
+        Convolutions of windows have `dtype`.
+        """
         self.dtype = np.dtype(dtype)
         symbol = grid.symbol
         waves = np.concatenate([symbol[:4], 1j * symbol[4:]])
         self._kernel = scipy.fft.irfft2(waves, s=grid.period)
         self.whole = self._cut(grid.shape, np.float32)
-        """Over all pixels, in single precision: for what is shown, not for what is solved."""
+        """Over all pixels, in single precision: for output, not for the solution."""
         self._made: dict[tuple[int, ...], Elastic] = {}
 
     def within(self, shape: tuple[int, ...]) -> Elastic:
-        """The layer within a window of `shape`, made once for each shape."""
+        """Return the layer within a window of `shape`, cached by shape."""
         found = self._made.get(shape)
         if found is None:
             if len(self._made) == SHAPES_KEPT:
@@ -291,10 +294,10 @@ class Convolutions:
         return found
 
     def _cut(self, shape: tuple[int, ...], dtype: DTypeLike) -> Convolution:
-        """The convolution over a window of `shape`, without the period's images.
+        """Return the convolution over a window of `shape`, without the period's images.
 
-        Padded to twice the window, it meets the kernel at true distances only, so the margin
-        around the body costs it nothing.
+        Padded to twice the window, it uses the kernel at true distances only, so the margin around
+        the body costs nothing here.
         """
         padded = [scipy.fft.next_fast_len(2 * size - 1, real=True) for size in shape]
         reach = [np.r_[0:size, 1 - size : 0] for size in shape]
@@ -308,5 +311,5 @@ class Convolutions:
 
 @lru_cache(maxsize=2)
 def convolutions(grid: Grid, dtype: np.dtype[Any]) -> Convolutions:
-    """The convolutions of a grid, made once for all presses on it that follow each other."""
+    """Return the convolutions of a grid, cached for consecutive presses on it."""
     return Convolutions(grid, dtype)

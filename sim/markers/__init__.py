@@ -1,4 +1,4 @@
-"""From deformed surfaces to images of markers, and the displacement field that keeps them all."""
+"""Rendering of marker images from deformed surfaces or from stored displacement fields."""
 
 from __future__ import annotations
 

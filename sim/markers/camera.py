@@ -1,4 +1,4 @@
-"""A pinhole on the gel's axis, and where it sees points of the gel."""
+"""Pinhole camera on the gel's axis, and its projection of points of the gel."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
-# Pixels of an image: those of a mask (`recorder.markers`), which needs a store to be imported.
+# Size of an image [px], as that of a mask in `recorder.markers`, whose import needs a store.
 WIDTH, HEIGHT = 640, 480
-# Focal length and width of the film [m]: Blender's defaults, which the paper renders with.
+# Focal length and width of the film [m]: Blender's defaults, used for the paper's images.
 LENS, FILM = 35e-3, 36e-3
-# Its focal length in pixels.
+# The same focal length in pixels.
 FOCAL = LENS / FILM * WIDTH
-# From the paper's pinhole to the untouched top [m]; a pixel sees 33.9 um of it.
+# Distance from the paper's pinhole to the untouched top [m], at which a pixel covers 33.9 um.
 DISTANCE = 21.11e-3
-# Column and row of the middle of the image; pixel centres lie at whole numbers.
+# Column and row of the middle of the image; pixel centres are at integers.
 MIDDLE = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """Looks up at the gel's top from below, along z of the contact frame.
+    """Pinhole camera that looks up at the gel's top from below, along z of the contact frame.
 
-    Without a mount of its own: column = 319.5 + focal x / (distance + z), row = 239.5 - focal y /
-    (distance + z). So x is to the right and y up, as seen from the side that is touched; a real
-    camera below sees the mirror image.
+    Without shift and rotation: column = 319.5 + focal x / (distance + z), row = 239.5 - focal y /
+    (distance + z). So x is to the right and y up, as seen from the touched side; a real camera
+    below sees the mirror image.
 
     Raises:
-        SceneError: A value outside of what its field allows.
+        SceneError: A value is out of range.
     """
 
     focal: float = FOCAL
     """Focal length [px], 1 to 1e6."""
     distance: float = DISTANCE
-    """From the pinhole to the untouched top (a dome's apex) [m], 1e-4 to 10."""
+    """Distance from the pinhole to the untouched top (a dome's apex) [m], 1e-4 to 10."""
     shift: tuple[float, float] = (0.0, 0.0)
-    """What the mount shifts the image by, to the right and downwards [px], up to 1000."""
+    """Shift of the image by the mount, to the right and downwards [px], up to 1000."""
     rotation: float = 0.0
-    """What the mount turns the image by about its middle before that, anticlockwise [rad]."""
+    """Rotation of the image by the mount before the shift, anticlockwise about the middle [rad]."""
 
     def __post_init__(self) -> None:
         check_range("camera", "focal", self.focal, 1.0, 1e6, unit="px")
@@ -55,30 +55,30 @@ class Camera:
 
     @classmethod
     def paper(cls) -> Camera:
-        """The camera that the paper renders its simulated images with."""
+        """Return the camera of the paper's simulated images."""
         return cls()
 
     @classmethod
     def of_scale(cls, mm_per_px: float) -> Camera:
-        """The paper's lens at the distance where a pixel sees so much of the untouched top."""
+        """Return the paper's lens at the distance with this pixel size on the untouched top."""
         check_range("camera", "mm_per_px", mm_per_px, 1e-4, 10.0, unit="mm")
         return cls(distance=mm_per_px * 1e-3 * FOCAL)
 
     @property
     def mm_per_px(self) -> float:
-        """What a pixel sees of the untouched top [mm]."""
+        """Size of a pixel on the untouched top [mm]."""
         return 1e3 * self.distance / self.focal
 
     def on_film(self, points: Array) -> Array:
-        """Where points (..., 3) [m] are seen from the axis (..., 2) [px], x right and y up.
+        """Return image positions (..., 2) [px] of points (..., 3) [m] from the axis, x right, y up.
 
-        focal (x, y) / (distance + z): what is pressed comes nearer and looks larger. Shift and
-        rotation of the mount are left out.
+        These are focal (x, y) / (distance + z), larger for pressed points, which are nearer. They
+        do not include the mount's shift and rotation.
         """
         return np.asarray(self.focal * points[..., :2] / (self.distance + points[..., 2:]))
 
     def project(self, points: Array) -> Array:
-        """Column and row (..., 2) [px] at which points (..., 3) of the contact frame are seen."""
+        """Return column and row (..., 2) [px] of points (..., 3) in the contact frame."""
         x, y = np.moveaxis(self.on_film(points), -1, 0)
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         return np.stack(
@@ -90,9 +90,9 @@ class Camera:
         )
 
     def places(self, pixels: Array, body: Body) -> Array:
-        """Places (..., 2) [m], x and y, of the body's untouched top that pixels (..., 2) see.
+        """Return x and y (..., 2) [m] on the body's untouched top at pixels (..., 2).
 
-        The top is taken to go on beyond the body; NaN where the ray misses its sphere.
+        The top is extended beyond the body; NaN where the ray misses the sphere of a dome.
         """
         right = pixels[..., 0] - MIDDLE[0] - self.shift[0]
         up = MIDDLE[1] + self.shift[1] - pixels[..., 1]
@@ -101,7 +101,7 @@ class Camera:
         slope = slope / self.focal
         if body.dome_radius is None:
             return np.asarray(slope * self.distance)
-        # A point of the ray is (slope d, d - distance); the sphere's middle lies at -dome_radius.
+        # A point of the ray is (slope d, d - distance); the sphere's centre is at -dome_radius.
         low = body.dome_radius - self.distance
         size = 1 + (slope**2).sum(axis=-1)
         root = low**2 - size * (low**2 - body.dome_radius**2)

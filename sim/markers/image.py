@@ -1,4 +1,4 @@
-"""A pattern from any image: what is darker (or lighter) than a threshold is marker."""
+"""Marker pattern from an image: areas darker (or lighter) than a threshold are markers."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ from scipy.spatial import cKDTree
 from sim.errors import SceneError, check_range
 from sim.scene import Body
 
-# The contour of an image at a threshold, to a fraction of a pixel, and the distance to it.
+# Subpixel contour of an image at a threshold, and the distance to it.
 
 Array = NDArray[np.float64]
 
-# Segments looked at for each point: the nearest middle need not be that of the nearest segment.
+# Candidate segments for each point, since the segment with the nearest middle need not be nearest.
 NEAREST = 4
 _TOP, _RIGHT, _BOTTOM, _LEFT = range(4)
 
 
 def contour(level: Array) -> Array:
-    """Segments (n, 2, 2) of the zero contour of `level` (R, C), as (column, row) of their ends.
+    """Return segments (n, 2, 2) of the zero contour of `level` (R, C), as (column, row) of ends.
 
-    Marching squares: values lie at pixel centres (whole numbers) and are linear along the lines
-    between neighbours. A cell with two opposite corners inside is joined or split by the mean of
-    its corners.
+    This is marching squares: values are at pixel centres (integers) and linear between neighbours.
+    In a cell with two opposite corners inside, the mean of its corners decides if they are joined.
     """
     row, column = np.indices(level.shape, dtype=float)
     across = _crossings(level[:, :-1], level[:, 1:])
@@ -57,7 +56,7 @@ def contour(level: Array) -> Array:
     segments = [np.stack([ends[plain, first], ends[plain, last]], axis=1)]
     mean = (level[:-1, :-1] + level[:-1, 1:] + level[1:, :-1] + level[1:, 1:])[cells]
     joined = (mean < 0) == (level[:-1, :-1][cells] < 0)
-    # The middle belongs to the upper left corner and the one across: the others are cut off.
+    # If joined, the cell's middle belongs to the upper left corner and its opposite.
     for which, pairs in (
         (saddle & joined, ((_TOP, _RIGHT), (_BOTTOM, _LEFT))),
         (saddle & ~joined, ((_TOP, _LEFT), (_BOTTOM, _RIGHT))),
@@ -67,9 +66,9 @@ def contour(level: Array) -> Array:
 
 
 def distance_to(segments: Array, points: Array, limit: float) -> Array:
-    """Distance (m,) from points (m, 2) to the nearest of the segments (n, 2, 2), `limit` at most.
+    """Return the distance (m,) from points (m, 2) to the nearest segment (n, 2, 2), up to `limit`.
 
-    Exact where no segment is longer than what is between its neighbours, as those of a contour are.
+    It is exact if no segment is longer than the gap between its neighbours, as in a contour.
     """
     found = np.full(len(points), limit)
     if not len(segments):
@@ -91,7 +90,7 @@ def distance_to(segments: Array, points: Array, limit: float) -> Array:
 
 
 def _crossings(before: Array, after: Array) -> Array:
-    """Where between two neighbours the sign changes, as a share of the way; NaN where it does not.
+    """Return the fraction of the way between neighbours at which the sign changes, or NaN.
 
     0 counts as outside.
     """
@@ -105,15 +104,14 @@ Ink = Literal["dark", "light"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePattern:
-    """Markers drawn by an image that lies over the middle of the gel, its first row at +y.
+    """Markers defined by an image, centred on the gel with its first row at +y.
 
-    The markers' edges lie where the grey level, linear between pixels, crosses the threshold:
-    an image with soft edges places them to a fraction of its pixels. What reaches beyond the gel
-    is cut off by it.
+    Edges of markers lie where the grey level, linear between pixels, crosses the threshold, so that
+    images with soft edges give subpixel positions. Markers are clipped at the border of the gel.
 
     Raises:
-        SceneError: No image of two dimensions, levels that are not finite, a width or threshold
-            out of range, or no marker at all.
+        SceneError: The image is not two-dimensional, levels are not finite, width or threshold is
+            out of range, or there is no marker.
     """
 
     name: str
@@ -124,7 +122,7 @@ class ImagePattern:
     threshold: float = 127.5
     """Grey level of the markers' edges."""
     ink: Ink = "dark"
-    """Whether markers are darker or lighter than that."""
+    """`dark` if markers are darker than the threshold, `light` if lighter."""
 
     def __post_init__(self) -> None:
         if self.levels.ndim != 2 or min(self.levels.shape) < 2:
@@ -154,11 +152,11 @@ class ImagePattern:
         ink: Ink = "dark",
         name: str = "",
     ) -> ImagePattern:
-        """The pattern that an image file (PNG, JPEG ...) shows; named after the file unless told.
+        """Read a pattern from an image file (PNG, JPEG ...), named after the file by default.
 
         Raises:
-            SceneError: What is no image, or is cut short; as the constructor.
-            OSError: A file that cannot be read.
+            SceneError: The file is no image or truncated; or as the constructor.
+            OSError: The file cannot be read.
         """
         try:
             with Image.open(path) as image:
@@ -175,11 +173,11 @@ class ImagePattern:
         return self.width / int(self.levels.shape[1])
 
     def distance(self, x: Array, y: Array, band: float) -> Array:
-        """Signed distance (Y, X) [m] to the markers' edges at x (X,) and y (Y,) [m].
+        """Return the signed distance (Y, X) [m] to the markers' edges at x (X,) and y (Y,) [m].
 
-        Exact up to `band` [m] either side, `band` beyond.
+        It is exact up to `band` [m] on either side, and `band` beyond.
         """
-        # A rim of background closes the edge of a marker that the image cuts.
+        # A border of background closes the edges of markers that the image clips.
         depth = np.pad(self._depth, 1, constant_values=float(np.abs(self._depth).max()))
         middle = (np.array(depth.shape) - 1) / 2
         column, row = np.meshgrid(x / self.pixel + middle[1], middle[0] - y / self.pixel)
@@ -189,10 +187,10 @@ class ImagePattern:
         return np.where(inside, -apart, apart) * self.pixel
 
     def check_within(self, body: Body) -> None:
-        """Any gel will do: it cuts off what lies beside it."""
+        """Accept any gel, as markers are clipped at its border."""
 
     @property
     def _depth(self) -> Array:
-        """Grey level beyond the threshold (R, C), negative in markers."""
+        """Grey level relative to the threshold (R, C), negative in markers."""
         beyond = self.levels - self.threshold
         return np.asarray(beyond if self.ink == "dark" else -beyond)

@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""What the camera sees, pixel by pixel, as Warp kernels: the gel, its markers, their motion."""
+"""Warp kernels of rendering: material points at pixels, marker masks, displacement fields."""
 
 import functools
 import math
@@ -20,7 +20,7 @@ from sim.scene import Body
 
 @wp.struct
 class Lens:
-    """A `sim.markers.Camera`: lengths in m and px, the turn as cosine and sine."""
+    """A `sim.markers.Camera`: lengths in m and px, rotation as cosine and sine."""
 
     focal: float
     distance: float
@@ -31,7 +31,7 @@ class Lens:
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The struct with a camera's numbers."""
+    """Return the struct of a camera."""
     lens = Lens()
     lens.focal, lens.distance = camera.focal, camera.distance
     lens.cosine, lens.sine = math.cos(camera.rotation), math.sin(camera.rotation)
@@ -42,10 +42,10 @@ def lens_of(camera: Camera) -> Lens:
 
 @wp.func
 def seen(lens: Lens, place: wp.vec3):
-    """Column and row at which a place [m] is seen, and the camera's distance over its depth.
+    """Return column and row of a place [m] in the image, and its nearness: distance over depth.
 
-    The third is 1 in the plane of the untouched top, larger nearer to the camera, and, unlike the
-    depth, linear over the image of a plane.
+    The nearness is 1 in the plane of the untouched top, larger nearer to the camera, and, unlike
+    the depth, linear over the image of a plane.
     """
     nearness = lens.distance / (lens.distance + place[2])
     scale = lens.focal / lens.distance * nearness
@@ -58,43 +58,43 @@ def seen(lens: Lens, place: wp.vec3):
     )
 
 
-# From vertices to the material map: which point of the untouched gel each pixel sees.
+# From vertices to the material map: the point of the undeformed gel at each pixel.
 #
-# Every cell of the grid of vertices is two triangles. First each pixel learns which triangle it
-# sees, the one nearest to the camera where the gel folds over; then its place within that triangle
-# gives the material point. The first pass keeps one number a pixel, nearness before triangle, and
-# takes the largest: the result does not depend on the order in which triangles come.
+# Every cell of the grid of vertices is two triangles. The first pass finds the triangle at each
+# pixel, the one nearest to the camera where the gel folds over. The second computes the material
+# point from the position within that triangle. The first pass keeps the largest of a number per
+# pixel, with nearness in its upper bits, so that the order of triangles does not matter.
 
-# Steps of nearness in a pixel's number: finer than float32 tells; 1 is the untouched top.
+# Steps per unit of nearness in a pixel's number, finer than float32; 1 is the untouched top.
 NEARNESS_UNIT = 2.0**28
-# Larger ones are taken for this; the number keeps its sign.
+# Upper limit of nearness, so that the number stays positive.
 NEARNESS_MOST = 7.9
 NEARNESS_BITS = wp.int64(32)
 TRIANGLE_MASK = wp.int64(2**32 - 1)
 CELL_BITS = 15
-# A pixel's number is its nearness, the cell along x, the cell along y, which of its triangles.
+# A pixel's number holds nearness, cell along x, cell along y, and which of the cell's triangles.
 CELL_MASK = 2**CELL_BITS - 1
-# The number of a pixel that sees no gel.
+# Number of a pixel without gel.
 NOTHING = -1
-# Share of a triangle's height that a pixel's centre may lie beyond its edge: ten times what float32
-# is off, so that no pixel on an edge is lost between two triangles.
+# Fraction of a triangle's height by which a pixel's centre may lie beyond its edge: ten times the
+# error of float32, so that no pixel is lost between two triangles.
 OVERLAP = 1e-4
-# Twice the area of what is too thin to be seen [px^2].
+# Twice the area below which a triangle is too thin to be visible [px^2].
 AREA_LEAST = 1e-9
-# Pixels that one thread of a CPU takes, one after the other; a GPU's takes one.
+# Pixels per thread on a CPU; on a GPU a thread takes one.
 RUN = 32
 
 
 @wp.func
 def sampled(vertex: wp.vec3, samples: float):
-    """A vertex with column and row counted in samples."""
+    """Return a vertex with column and row in samples."""
     shift = 0.5 * samples - 0.5
     return wp.vec3(vertex[0] * samples + shift, vertex[1] * samples + shift, vertex[2])
 
 
 @wp.func
 def shares(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
-    """Barycentric coordinates of a sample's centre; -inf or NaN in a triangle without area."""
+    """Return barycentric coordinates of a sample's centre; -inf or NaN if there is no area."""
     ab = b - a
     ac = c - a
     area = ab[0] * ac[1] - ab[1] * ac[0]
@@ -110,7 +110,7 @@ def shares(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
 def cover_triangle(
     number: wp.array3d[wp.int64], frame: int, triangle: int, a: wp.vec3, b: wp.vec3, c: wp.vec3
 ):
-    """Offer a triangle to every sample that it covers."""
+    """Update the number of every sample that a triangle covers."""
     last_column = float(number.shape[2] - 1)
     last_row = float(number.shape[1] - 1)
     left = wp.ceil(wp.max(wp.min(wp.min(a[0], b[0]), c[0]) - OVERLAP, 0.0))
@@ -135,7 +135,7 @@ def _cover_kernel():
         samples: float,
         # In: column, row, nearness
         vertex: wp.array3d[wp.vec3],
-        # Out: what each sample sees
+        # Out: number of each sample
         number_out: wp.array3d[wp.int64],
     ):
         frame, i, j = wp.tid()
@@ -151,10 +151,10 @@ def _cover_kernel():
 
 
 def see_triangles(vertex, samples: int) -> wp.array:
-    """The number of what each of `samples` x `samples` samples a pixel sees (F, H, W) int64.
+    """Return the numbers of `samples` x `samples` samples per pixel (F, H, W) int64.
 
     Raises:
-        SceneError: More cells along an axis than a number holds.
+        SceneError: There are more cells along an axis than a number can hold.
     """
     frames, x, y = vertex.shape
     if max(x, y) > CELL_MASK:
@@ -184,7 +184,7 @@ def _material_kernel(run: int):
         # In:
         vertex: wp.array3d[wp.vec3],
         number: wp.array3d[wp.int64],
-        # Out: x and y of the material point; NaN where no gel is seen
+        # Out: x and y of the material point; NaN without gel
         material_out: wp.array3d[wp.vec2],
     ):
         frame, row, part = wp.tid()
@@ -200,7 +200,7 @@ def _material_kernel(run: int):
                 b = sampled(vertex[frame, i + 1, j + second], samples)
                 c = sampled(vertex[frame, i + 1 - second, j + 1], samples)
                 share = shares(a, b, c, float(column), float(row))
-                # What is linear in space is so over the image once it is divided by the depth.
+                # A quantity that is linear in space is linear in the image once divided by depth.
                 share_b = share[1] * b[2]
                 share_c = share[2] * c[2]
                 scale = 1.0 / (share[0] * a[2] + share_b + share_c)
@@ -217,7 +217,7 @@ def _material_kernel(run: int):
 
 
 def find_material(top: Top, vertex, number, samples: int) -> wp.array:
-    """Material point, x and y [m], that each sample sees (F, H, W) vec2; NaN for nothing."""
+    """Return x and y [m] of the material point at each sample (F, H, W) vec2; NaN without gel."""
     material = wp.empty(number.shape, dtype=wp.vec2, device=number.device)
     run = RUN if number.device.is_cpu else 1
     frames, rows, columns = number.shape
@@ -231,16 +231,16 @@ def find_material(top: Top, vertex, number, samples: int) -> wp.array:
     return material
 
 
-# From the material map to images: which pixels, or which share of each, a marker covers.
+# From the material map to images: masks, or the coverage of each pixel by markers.
 #
-# A straight edge covers half of a pixel exactly when the pixel's centre lies on it. So a pixel is
-# marker (at least half of it) where the signed distance at its centre is not above 0: anti-aliased,
-# then thresholded, to first order in the size of a pixel. Several samples a pixel count the share
-# that is covered instead; bent edges and corners are then as exact as the samples are fine.
+# A straight edge covers half of a pixel exactly when the pixel's centre lies on it. A pixel is
+# therefore marker (at least half covered) if the signed distance at its centre is not above 0. To
+# first order in the size of a pixel, this equals anti-aliasing and thresholding. With several
+# samples per pixel, covered samples are counted instead, which resolves bent edges and corners.
 
-# Pixels in a byte of a packed mask.
+# Pixels per byte of a packed mask.
 BITS = 8
-# Change of the distance from pixel to pixel below which there is no edge [m].
+# Change of the distance between pixels below which there is no edge [m].
 FLAT = 1e-12
 
 
@@ -248,9 +248,9 @@ FLAT = 1e-12
 def distance_at(
     values: wp.array3d[float], pattern: int, corner: wp.vec2, density: float, place: wp.vec2
 ):
-    """Signed distance to a marker's edge [m] at a material point; far from all where NaN.
+    """Return the signed distance to a marker's edge [m] at a material point; inf at NaN.
 
-    `density` is the number of values a metre.
+    `density` is the number of values per metre.
     """
     if wp.isnan(place[0]):
         return wp.inf
@@ -279,7 +279,7 @@ def covered(
     corner: wp.vec2,
     density: float,
 ):
-    """How many of a pixel's samples a marker covers."""
+    """Return the number of a pixel's samples that a marker covers."""
     count = wp.int32(0)
     for r in range(samples):
         for c in range(samples):
@@ -300,7 +300,7 @@ def _mask_kernel(several: bool):
         # In:
         values: wp.array3d[float],
         material: wp.array3d[wp.vec2],
-        # Out: eight pixels a byte, the first in the highest bit
+        # Out: eight pixels per byte, the first in the highest bit
         packed_out: wp.array3d[wp.uint8],
     ):
         frame, pattern, byte = wp.tid()
@@ -313,7 +313,7 @@ def _mask_kernel(several: bool):
             for k in range(BITS):
                 place = material[frame, row, first + k]
                 here = far
-                # Bilinear between distances, it changes by sqrt 2 times the way at most.
+                # The bilinear distance changes by at most sqrt 2 times the way.
                 if not 2.0 * wp.length_sq(place - middle) < far * far:
                     here = distance_at(values, pattern, corner, density, place)
                 bits = 2 * bits + wp.where(here <= 0.0, 1, 0)
@@ -329,7 +329,7 @@ def _mask_kernel(several: bool):
 
 
 def packed_masks(material, samples: int, textures: Textures) -> wp.array:
-    """Packed masks (F, P, H W / 8) uint8 of every frame and pattern."""
+    """Return packed masks (F, P, H W / 8) uint8 of every frame and pattern."""
     shape = (material.shape[0], len(textures), HEIGHT * WIDTH // BITS)
     packed = wp.empty(shape, dtype=wp.uint8, device=material.device)
     wp.launch(
@@ -354,7 +354,7 @@ def distance_beside(
     density: float,
     instead: float,
 ):
-    """Distance at a pixel; `instead` where there is no pixel or it sees no gel."""
+    """Return the distance at a pixel, or `instead` outside the image or the gel."""
     if row < 0 or row >= material.shape[1] or column < 0 or column >= material.shape[2]:
         return instead
     place = material[frame, row, column]
@@ -374,7 +374,7 @@ def _coverage_kernel(several: bool):
         # In:
         values: wp.array3d[float],
         material: wp.array3d[wp.vec2],
-        # Out: 255 where all of a pixel is marker
+        # Out: 255 for a fully covered pixel
         coverage_out: wp.array4d[wp.uint8],
     ):
         frame, pattern, row, column = wp.tid()
@@ -407,7 +407,7 @@ def _coverage_kernel(several: bool):
 
 
 def coverages(material, samples: int, textures: Textures) -> wp.array:
-    """Share of each pixel that markers cover (F, P, H, W) uint8, 255 for all of it."""
+    """Return each pixel's coverage by markers (F, P, H, W) uint8, 255 if complete."""
     shape = (material.shape[0], len(textures), HEIGHT, WIDTH)
     coverage = wp.empty(shape, dtype=wp.uint8, device=material.device)
     wp.launch(
@@ -420,7 +420,7 @@ def coverages(material, samples: int, textures: Textures) -> wp.array:
     return coverage
 
 
-# Where the camera sees the material points of the top: (frame, x, y) -> column, row, nearness.
+# Projection of the top's material points: (frame, x, y) -> column, row, nearness.
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,7 +433,7 @@ class DeviceTop:
 
     @classmethod
     def of(cls, top: Top, device):
-        """Copy it there."""
+        """Copy a `Top` to the device."""
         values = (top.x, top.y, top.height)
         return cls(*(wp.array(value.astype(np.float32), device=device) for value in values))
 
@@ -447,7 +447,7 @@ def moved_by(
     weight_x: wp.vec4,
     weight_y: wp.vec4,
 ):
-    """Displacement at a place, from the four by four values around it."""
+    """Return the displacement at a place from the four by four values around it."""
     total = wp.vec3()
     for a in range(wp.static(TAPS)):
         along = wp.vec3()
@@ -485,7 +485,7 @@ def _kernel():
 
 
 def tap_arrays(axes: Sequence[Taps], device) -> list[wp.array]:
-    """First values and weights of each axis in turn, on the device."""
+    """Return first indices and weights of each axis in turn, on the device."""
     return [
         wp.array(values, dtype=kind, device=device)
         for taps in axes
@@ -494,7 +494,7 @@ def tap_arrays(axes: Sequence[Taps], device) -> list[wp.array]:
 
 
 def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface) -> wp.array:
-    """Vertices (F, N, M) of the displaced top; `surface` is (F, X, Y) of vec3 [m]."""
+    """Return vertices (F, N, M) of the displaced top; `surface` is (F, X, Y) of vec3 [m]."""
     device = surface.device
     shape = (surface.shape[0], len(top.x), len(top.y))
     out = wp.empty(shape, dtype=wp.vec3, device=device)
@@ -509,18 +509,18 @@ def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface
     return out
 
 
-# From the displacement of the untouched image back to where material points are seen.
+# From the displacement of the untouched image back to the image positions of material points.
 
-# Layers of places beside the gel that are given a displacement before anything is drawn: four
-# values around a point of its border reach two of them, three where the image is turned.
+# Layers of places beside the gel to which the displacement is extrapolated: the four values around
+# a point of the border extend into two of them, or three if the image is rotated.
 LAYERS = 4
 
 
 def without_gaps(field: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The field (F, R, C, 2) gone on straight from its known places (R, C); 0 far beyond them.
+    """Return the field (F, R, C, 2), extrapolated linearly from known places (R, C); 0 far beyond.
 
-    A place that has two known ones in a row beside it goes on from them, from several such pairs
-    in the mean; then its neighbours do, `LAYERS` times.
+    A place next to two known ones in a row is extrapolated from them, with the mean over several
+    such pairs. This is repeated `LAYERS` times, outwards.
     """
     field = field.astype(np.float32)
     field[:, ~known] = 0
@@ -540,7 +540,7 @@ def without_gaps(field: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def _shifted(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Each place's neighbour so many rows and columns on; 0 or False beyond the border."""
+    """Return values shifted by `rows` and `columns`; 0 or False beyond the border."""
     axes = (0, 1) if values.ndim == 2 else (1, 2)
     found = np.roll(values, (-rows, -columns), axis=axes)
     for axis, shift in zip(axes, (rows, columns), strict=True):
@@ -555,7 +555,7 @@ def _shifted(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
 def _vertices_kernel():
     @wp.func
     def weights(t: float):
-        """Catmull and Rom's four weights between evenly spaced values."""
+        """Return Catmull and Rom's four weights between evenly spaced values."""
         return wp.vec4(
             0.5 * t * ((2.0 - t) * t - 1.0),
             0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
@@ -601,9 +601,9 @@ def _vertices_kernel():
 
 
 def vertices_from_lattice(lens: Lens, top: DeviceTop, lattice: Lattice, field) -> wp.array:
-    """Vertices (F, N, M) of the top, moved in the image by a field (F, R, C) of vec2 [px].
+    """Return vertices (F, N, M) of the top, moved in the image by a field (F, R, C) of vec2 [px].
 
-    The field does not say how near to the camera anything is: vertices are as near as untouched.
+    The field does not contain nearness, so vertices keep that of the untouched top.
     """
     device = field.device
     shape = (field.shape[0], len(top.x), len(top.y))
@@ -626,16 +626,16 @@ def vertices_from_lattice(lens: Lens, top: DeviceTop, lattice: Lattice, field) -
     return out
 
 
-# The displacement that the camera sees, on a lattice of the untouched image.
+# Displacement field in the image, on a lattice of the untouched image.
 #
-# What the untouched gel shows at pixel p is seen at p + d(p). d is kept instead of images: whatever
-# the pattern, its image follows.
+# The material point at pixel p of the untouched image moves to p + d(p). Storing d instead of
+# images allows rendering of any pattern later.
 
 
 def seen_places(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.ndarray, np.ndarray]:
-    """Place and height (n, 3) [m] of the material points that places see, and which places (R, C).
+    """Return x, y and height (n, 3) [m] of the material points on a lattice, and a mask (R, C).
 
-    Places that see no gel are left out.
+    The mask is True for lattice pixels on the gel; others have no point.
     """
     pixels = np.stack(np.meshgrid(lattice.columns, lattice.rows), axis=-1)
     places = camera.places(pixels, body)
@@ -659,7 +659,7 @@ def _displacement_kernel():
         weight_y: wp.array[wp.vec4],
         # In:
         surface: wp.array3d[wp.vec3],
-        # Out: columns and rows that each place moved
+        # Out: displacement of each place in columns and rows
         displacement_out: wp.array2d[wp.vec2],
     ):
         frame, k = wp.tid()
@@ -672,7 +672,7 @@ def _displacement_kernel():
 
 
 def displacements(lens: Lens, places: np.ndarray, taps_x: Taps, taps_y: Taps, surface) -> wp.array:
-    """How far (F, n) vec2 [px] the images of material points moved; taps are one a point."""
+    """Return image displacements (F, n) vec2 [px] of material points, with one tap per point."""
     device = surface.device
     out = wp.empty((surface.shape[0], len(places)), dtype=wp.vec2, device=device)
     on_device = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)

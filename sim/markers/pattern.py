@@ -1,4 +1,4 @@
-"""A pattern of markers as data: one shape, one size, and where its copies lie on the gel."""
+"""Marker patterns as data: a shape, a size, and the positions of its copies on the gel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Shape = Literal["disc", "square", "diamond"]
 Place = tuple[float, float]
 
 SHAPES = get_args(Shape)
-# What a marker may reach beyond the gel by rounding [m].
+# Tolerance for markers that extend beyond the gel by rounding [m].
 ROUND_OFF = 1e-9
 
 
@@ -27,19 +27,19 @@ class Pattern:
     """Equal markers on the untouched top of a gel, in the contact frame.
 
     Raises:
-        SceneError: A shape that is unknown, a size or place that is out of range, or no marker.
+        SceneError: The shape is unknown, a size or place is out of range, or there is no marker.
     """
 
     name: str
     shape: Shape
-    """A diamond is a square that stands on a corner."""
+    """Shape of the markers; a diamond is a square rotated by 45 degrees."""
     size: float
-    """Width of a marker along x before any turn [m]: a disc's diameter, a square's side, a
-    diamond's diagonal; 1e-5 to 0.1."""
+    """Width of a marker along x before rotation [m], 1e-5 to 0.1: a disc's diameter, a square's
+    side, a diamond's diagonal."""
     places: tuple[Place, ...]
     """Centres of the markers (x, y) [m]."""
     angle: float = 0.0
-    """How far each marker is turned about its centre, anticlockwise [rad], up to pi."""
+    """Rotation of each marker about its centre, anticlockwise [rad], up to pi."""
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
@@ -55,7 +55,7 @@ class Pattern:
                 check_range("pattern", f"places[{index}]", value, -1.0, 1.0, unit="m")
 
     def __len__(self) -> int:
-        """Number of markers."""
+        """Return the number of markers."""
         return len(self.places)
 
     @property
@@ -65,14 +65,14 @@ class Pattern:
 
     @property
     def reach(self) -> float:
-        """How far a marker reaches from its centre along x, and along y [m]."""
+        """Half the extent of a marker along x, and along y [m]."""
         if self.shape == "disc":
             return self.size / 2
         half, angle = self._square
         return half * (abs(math.cos(angle)) + abs(math.sin(angle)))
 
     def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Pattern:
-        """The pattern turned by `angle` [rad] about the gel's middle, then shifted [m]."""
+        """Return the pattern rotated by `angle` [rad] about the gel's middle, then shifted [m]."""
         cosine, sine = math.cos(angle), math.sin(angle)
         places = tuple(
             (cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1])
@@ -81,9 +81,9 @@ class Pattern:
         return replace(self, name=name or self.name, places=places, angle=self.angle + angle)
 
     def marker_distance(self, offset: Array) -> Array:
-        """Signed distance (...) [m] of points to one marker, given from its centre (..., 2) [m].
+        """Return the signed distance (...) [m] to a marker at offsets (..., 2) [m] from its centre.
 
-        Negative inside.
+        It is negative inside.
         """
         if self.shape == "disc":
             return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - self.size / 2)
@@ -96,9 +96,9 @@ class Pattern:
         return np.asarray(outside + np.minimum(np.maximum(beyond_x, beyond_y), 0))
 
     def distance(self, x: Array, y: Array, band: float) -> Array:
-        """Signed distance (Y, X) [m] to the nearest marker at rising x (X,) and y (Y,) [m].
+        """Return the signed distance (Y, X) [m] to the nearest marker at ascending x, y [m].
 
-        Exact up to `band` [m] outside of the markers, `band` beyond.
+        It is exact up to `band` [m] outside the markers, and `band` beyond.
         """
         found = np.full((len(y), len(x)), band)
         reach = self.reach + band
@@ -111,10 +111,10 @@ class Pattern:
         return found
 
     def check_within(self, body: Body) -> None:
-        """Refuse a gel that some marker does not lie wholly on.
+        """Check that all markers lie wholly on a gel.
 
         Raises:
-            SceneError: Names the marker that reaches furthest.
+            SceneError: Some do not; the message names the marker that extends furthest.
         """
         room = body.from_side(*self.centres.T) - self.reach
         worst = int(room.argmin())
@@ -129,17 +129,17 @@ class Pattern:
 
     @property
     def _square(self) -> tuple[float, float]:
-        """Half the side of the marker, and its angle, for a square or a diamond."""
+        """Half the side of a square or diamond marker, and its angle."""
         if self.shape == "square":
             return self.size / 2, self.angle
         return self.size / (2 * math.sqrt(2)), self.angle + math.pi / 4
 
 
-# Where markers lie: rows, staggered rows, rings and hexagons, all around the gel's middle.
+# Marker positions: rows, staggered rows, rings and hexagons, all about the gel's middle.
 
 
 def rows(columns: int, count: int, pitch: float, row_pitch: float | None = None) -> list[Place]:
-    """`count` rows of `columns` markers, `pitch` apart along x and `row_pitch` along y [m]."""
+    """Return `count` rows of `columns` markers, `pitch` apart along x, `row_pitch` along y [m]."""
     across = _centred(columns, pitch)
     return [(x, y) for y in _centred(count, row_pitch or pitch) for x in across]
 
@@ -147,10 +147,10 @@ def rows(columns: int, count: int, pitch: float, row_pitch: float | None = None)
 def staggered(
     columns: int, count: int, pitch: float, row_pitch: float, *, shorter: bool
 ) -> list[Place]:
-    """`count` rows, every other one aside by half a pitch [m].
+    """Return `count` rows, every other one offset by half a pitch [m].
 
-    With `shorter` the rows that lie aside have a marker less and all rows are centred; otherwise
-    all rows are alike and lie a quarter of the pitch to the left or to the right.
+    With `shorter`, offset rows have one marker less and all rows are centred; otherwise all rows
+    are equal and are shifted by a quarter of the pitch to the left or to the right.
     """
     places = []
     for index, y in enumerate(_centred(count, row_pitch)):
@@ -165,10 +165,10 @@ def staggered(
 
 
 def rings(counts: Sequence[int], spacing: float, *, middle: bool) -> list[Place]:
-    """Rings about the middle, `spacing` [m] apart, of so many evenly spaced markers each.
+    """Return rings about the middle, `spacing` [m] apart, of `counts` evenly spaced markers.
 
-    Every ring begins at an angle of its own, half a gap further for every other one, so that its
-    markers do not line up with its neighbours'. `middle` adds one in the middle.
+    Every other ring is rotated by half a gap, so that its markers do not line up with its
+    neighbours'. `middle` adds one in the middle.
     """
     if any(count < 1 for count in counts):
         raise SceneError(f"rings: {tuple(counts)!r}; allowed: at least 1 marker each")
@@ -182,9 +182,9 @@ def rings(counts: Sequence[int], spacing: float, *, middle: bool) -> list[Place]
 
 
 def hexagon(ring_count: int, pitch: float) -> list[Place]:
-    """A triangular lattice of `pitch` [m] within a hexagon of so many rings about its middle.
+    """Return a triangular lattice of `pitch` [m] within a hexagon of `ring_count` rings.
 
-    1 + 3 n (n + 1) places for n rings: 127 for 6.
+    It has 1 + 3 n (n + 1) places for n rings: 127 for 6.
     """
     reach = range(-ring_count, ring_count + 1)
     axial = [(q, r) for r in reach for q in reach if abs(q + r) <= ring_count]
@@ -193,7 +193,7 @@ def hexagon(ring_count: int, pitch: float) -> list[Place]:
 
 
 def turned(places: Sequence[Place], angle: float) -> list[Place]:
-    """The places turned about the middle by `angle` [rad], anticlockwise."""
+    """Return the places rotated about the middle by `angle` [rad], anticlockwise."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return [(cosine * x - sine * y, sine * x + cosine * y) for x, y in places]
 
@@ -208,16 +208,16 @@ def _centred(count: int, pitch: float) -> list[float]:
 #
 # Of the authors' textures only the number of markers is known (225, 100, 80, 99; 320, 115, 111,
 # 124; 245, 100, 81, 81, over the whole gel of 20 x 20 mm). Everything else here is assumed: "array"
-# is rows and columns, "circle" is rings of discs about the middle, "diamond" is diamonds in
-# lattices that are turned or staggered; markers are 25 to 45 % as wide as they are apart, and rows
-# do not lie across the upper or lower border of the paper's image.
+# is rows and columns, "circle" is rings of discs about the middle, "diamond" is diamonds in rotated
+# or staggered lattices. Markers are 25 to 45 % as wide as they are apart, and no row crosses the
+# upper or lower border of the paper's image.
 #
-# Of the real GelSights the markers' pitch of 2.4 mm is known (5 rows of 7 in view) and that two of
-# them had their elastomer moved or turned; shape, size and the amount are assumed. Of the GelSight
-# that is compared with other sensors, that 56 markers are in view.
+# Of the real GelSights the pitch of 2.4 mm is known (5 rows of 7 in view), and that two of them had
+# their elastomer shifted or rotated; shape, size and amounts are assumed. Of the GelSight that is
+# compared with other sensors, it is known that 56 markers are in view.
 
 MM = 1e-3
-# Shift [m] and turn [rad] that make Array-II of Array-I.
+# Shift [m] and rotation [rad] from Array-I to Array-II.
 MOVED: tuple[Place, float] = ((0.55 * MM, -0.4 * MM), math.radians(3.0))
 # The same for the circles.
 MOVED_CIRCLE: tuple[Place, float] = ((-0.45 * MM, 0.5 * MM), math.radians(-4.0))
@@ -266,10 +266,10 @@ HOMOGENEOUS = NAMES[12:17]
 
 
 def named(name: str) -> Pattern:
-    """The pattern of that name.
+    """Return the pattern of that name.
 
     Raises:
-        SceneError: A name that is not there.
+        SceneError: The name is unknown.
     """
     if name not in _BY_NAME:
         raise SceneError(f"pattern: {name!r}; allowed: {', '.join(NAMES)}")

@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Holds Warp arrays, typed at run time; mypy cannot follow them.
-"""From a deformed surface to what the camera sees, whatever the pattern."""
+"""Render a deformed surface as a camera sees it, with any marker pattern."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from sim.markers.textures import STEP, Markers, Textures, textures_of
 from sim.markers.top import TAPS, Taps, cubic_taps, top_of
 from sim.scene import Body
 
-# What the camera sees of a gel, before any pattern: the material point at each pixel.
+# The view of a gel, independent of patterns: the material point at each pixel.
 
 
 class View:
-    """F frames as a camera sees them; any pattern can be looked at."""
+    """F frames as a camera sees them, from which any pattern can be rendered."""
 
     def __init__(self, material, samples: int, body: Body) -> None:
-        """Hold `material`, x and y [m] at `samples` x `samples` samples a pixel (F, H, W)."""
+        """Hold `material`, x and y [m] at `samples` x `samples` samples per pixel (F, H, W)."""
         self._material, self._samples, self._body = material, samples, body
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return the number of frames."""
         return self._material.shape[0]
 
     def material(self) -> NDArray[np.float32]:
-        """Untouched place, x and y [m], of what each sample sees (F, H, W, 2).
+        """Return undeformed x and y [m] of the material point at each sample (F, H, W, 2).
 
         NaN where there is no gel. H and W are 480 and 640 times the samples along a pixel's side.
         """
@@ -56,35 +56,35 @@ class View:
         return np.where(on_gel[..., None], seen, np.float32(np.nan))
 
     def packed(self, textures: Textures) -> NDArray[np.uint8]:
-        """Masks of every frame and pattern as packed bits (F, P, 38400)."""
+        """Return masks of every frame and pattern as packed bits (F, P, 38400)."""
         return packed_masks(self._material, self._samples, textures).numpy()
 
     def masks(self, textures: Textures) -> NDArray[np.bool_]:
-        """The same (F, P, 480, 640): True where a marker covers at least half of a pixel."""
+        """Return masks (F, P, 480, 640): True if a marker covers at least half of a pixel."""
         return unpack(self.packed(textures))
 
     def coverage(self, textures: Textures) -> NDArray[np.uint8]:
-        """Share of each pixel that markers cover, 255 for all of it (F, P, 480, 640)."""
+        """Return each pixel's coverage by markers, 255 if complete (F, P, 480, 640)."""
         return coverages(self._material, self._samples, textures).numpy()
 
 
 Array = NDArray[np.float64]
 Surface = NDArray[np.float32]
 
-# Distance of the points that the surface is refined to [m].
+# Spacing of the points to which the surface is refined [m].
 SPACING = 0.1e-3
-# Samples along a pixel's side. An even number makes markers larger: an edge along a pixel's middle
-# lies between samples, and half of them count as half of the pixel wherever it is in between.
+# Samples along a pixel's side. Even numbers enlarge markers: anywhere between the two middle
+# samples, an edge covers half of them, which counts as half of the pixel.
 SAMPLES = (1, 3, 5, 7, 9)
 
 
 class Renderer:
-    """One gel under one camera; keeps what is computed once.
+    """Renderer of one gel under one camera; keeps constant data between calls.
 
     A frame takes 5 MB of the device's memory, times the square of `samples`; patterns share it.
 
     Raises:
-        SceneError: A camera that sits in the gel, or an option that is out of range.
+        SceneError: The camera is inside the gel, or an option is out of range.
     """
 
     def __init__(
@@ -96,12 +96,12 @@ class Renderer:
         samples: int = 1,
         device: str = "cpu",
     ) -> None:
-        """Look at `body` with `camera` (the paper's unless given).
+        """Prepare rendering of `body` with `camera`.
 
         Args:
             body: The gel.
-            camera: Where it is seen from.
-            spacing: Distance of the points that the surface is refined to [m].
+            camera: The camera; by default the paper's.
+            spacing: Spacing of the points to which the surface is refined [m].
             samples: Samples along each side of a pixel; 1 is exact to first order in its size.
             device: `cpu`, `cuda:0` and the like.
         """
@@ -120,25 +120,25 @@ class Renderer:
         self._lens = lens_of(self.camera)
 
     def textures(self, markers: Sequence[Markers], *, step: float = STEP) -> Textures:
-        """Patterns made ready for `View.masks`; each must fit on the gel."""
+        """Return textures of patterns for `View.masks`; each must fit on the gel."""
         return textures_of(markers, self.body, step=step, device=self.device)
 
     def untouched(self) -> View:
-        """What is seen before anything touches: one frame, the reference of every pattern."""
+        """Return the view of the untouched gel: one frame, the reference of every pattern."""
         axes = [np.linspace(-size / 2, size / 2, TAPS) for size in self._size]
         return self.see(*axes, np.zeros((1, TAPS, TAPS, 3), np.float32))
 
     def see(self, x: Array, y: Array, surface: Surface) -> View:
-        """What is seen of the gel in F frames.
+        """Return the view of the gel in F frames.
 
         Args:
-            x: x of the surface's points before anything touched them (X,) [m], rising.
+            x: Undeformed x of the surface's points (X,) [m], ascending.
             y: The same for y (Y,).
-            surface: Their displacement (F, X, Y, 3) [m].
+            surface: Displacement of the points (F, X, Y, 3) [m].
 
         Raises:
-            SceneError: Displacements that are not finite or of another shape, or points that
-                leave more of the gel's border out than their distance from each other.
+            SceneError: Displacements are not finite or have another shape, or the points end
+                further from the gel's border than their spacing.
         """
         taps = _taps(x, y, self._top.x, self._top.y)
         moved = self._checked(x, y, surface)
@@ -153,13 +153,14 @@ class Renderer:
         *,
         dtype: type[np.floating] = np.float16,
     ) -> NDArray[np.floating]:
-        """How far what the untouched gel shows at places of the image has moved.
+        """Return the displacement in the image of material points on a lattice of pixels.
 
-        Arguments and errors as `see`; `dtype` is of the answer, float16 as archives keep it.
+        Arguments and errors are those of `see`; `dtype` is that of the result, by default float16
+        as in archives.
 
         Returns:
-            (F, rows, columns, 2) [px], columns to the right and rows down; NaN where the untouched
-            gel is not seen.
+            Displacement (F, rows, columns, 2) [px], columns to the right and rows down; NaN where
+            the untouched image shows no gel.
         """
         lattice = Lattice() if lattice is None else lattice
         places, on_gel = seen_places(lattice, self.camera, self.body)
@@ -170,12 +171,12 @@ class Renderer:
         return field
 
     def see_displacement(self, field: NDArray[np.floating], lattice: Lattice | None = None) -> View:
-        """What is seen, from what `displacement` gave (F, rows, columns, 2) [px].
+        """Return the view for a field from `displacement` (F, rows, columns, 2) [px].
 
-        Where the gel folds over, the field cannot tell which part is nearer.
+        Where the gel folds over, the field does not determine which part is nearer.
 
         Raises:
-            SceneError: A field of another shape, or not finite somewhere on the gel.
+            SceneError: The field has another shape, or is not finite somewhere on the gel.
         """
         lattice = Lattice() if lattice is None else lattice
         if field.ndim != 4 or field.shape[1:] != lattice.shape:
@@ -200,7 +201,7 @@ class Renderer:
         return View(material, self.samples, self.body)
 
     def _checked(self, x: Array, y: Array, surface: Surface) -> wp.array:
-        """The displacement on the device."""
+        """Check a displacement and copy it to the device."""
         if surface.ndim != 4 or surface.shape[1:] != (len(x), len(y), 3) or not len(surface):
             allowed = f"(frames, {len(x)}, {len(y)}, 3)"
             raise SceneError(f"surface: shape {surface.shape}; allowed: {allowed}")
@@ -224,5 +225,5 @@ class Renderer:
 
 
 def _taps(x: Array, y: Array, to_x: Array, to_y: Array) -> tuple[Taps, Taps]:
-    """Taps of places along x and along y among the surface's points."""
+    """Return the taps of places along x and along y among the surface's points."""
     return cubic_taps(x, to_x, name="surface_x"), cubic_taps(y, to_y, name="surface_y")

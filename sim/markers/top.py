@@ -1,4 +1,4 @@
-"""The fine, even grid of material points of a gel's top that images are drawn from."""
+"""Fine, even grid of material points of a gel's top, from which images are rendered."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Top:
-    """Material points of the untouched top, border to border."""
+    """Material points of the untouched top, from border to border."""
 
     x: Array
-    """(N,) [m], evenly spaced."""
+    """x of the points (N,) [m], evenly spaced."""
     y: Array
-    """(M,) [m], evenly spaced."""
+    """y of the points (M,) [m], evenly spaced."""
     height: Array
-    """Height of the untouched top at them (N, M) [m]; 0 when flat."""
+    """Height of the untouched top at the points (N, M) [m]; 0 if flat."""
 
     @property
     def corner(self) -> tuple[float, float]:
-        """Place of the first point, x and y [m]."""
+        """Position of the first point, x and y [m]."""
         return float(self.x[0]), float(self.y[0])
 
     @property
     def step(self) -> tuple[float, float]:
-        """Distance of neighbours along x and y [m]."""
+        """Distance between neighbours along x and y [m]."""
         return float(self.x[1] - self.x[0]), float(self.y[1] - self.y[0])
 
 
 def top_of(body: Body, spacing: float) -> Top:
-    """The grid of a body with its points about `spacing` [m] apart.
+    """Return the grid of a body with points about `spacing` [m] apart.
 
     Raises:
-        SceneError: A spacing out of range.
+        SceneError: The spacing is out of range.
     """
     check_range("render", "spacing", spacing, 1e-6, min(body.size_x, body.size_y) / 4, unit="m")
     x, y = (
@@ -51,40 +51,41 @@ def top_of(body: Body, spacing: float) -> Top:
 
 
 def heights(body: Body, x: Array, y: Array) -> Array:
-    """Height of the untouched top at x and y, broadcast together [m]."""
+    """Return the height of the untouched top at x and y, broadcast together [m]."""
     if body.dome_radius is None:
         return np.zeros(np.broadcast_shapes(x.shape, y.shape))
     each: Array = np.vectorize(body.height, otypes=[float])(x, y)
     return each
 
 
-# A smooth curve through values at uneven places: weights of four of them, for any place between.
+# Smooth interpolation between unevenly spaced values, with four weights for each place.
 #
-# Cubic Hermite pieces whose slope at a place is that of the parabola through it and its neighbours
-# (at an end, through the last three): the curve and its slope are continuous, parabolas come out
-# exactly, and the curve depends linearly on the values, so its weights are computed once.
+# The curve consists of cubic Hermite pieces. Its slope at a value is that of the parabola through
+# the value and its neighbours (at an end, through the last three). Curve and slope are continuous,
+# parabolas are reproduced exactly, and weights do not depend on the values.
 
-# Values that a place depends on.
+# Number of values that each place depends on.
 TAPS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Taps:
-    """Which values places depend on, and how much."""
+    """Interpolation weights of places."""
 
     first: NDArray[np.int32]
-    """The first of four neighbouring values (n,)."""
+    """Index of the first of four neighbouring values (n,)."""
     weight: NDArray[np.float32]
-    """Their weights (n, 4); they sum up to 1."""
+    """Weights of the four values (n, 4), with a sum of 1."""
 
 
 def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> Taps:
-    """The taps for places (n,) among values at `axis` (m,), both in the same unit.
+    """Return taps for places (n,) among values at `axis` (m,), both in the same unit.
 
-    Beyond the ends the curve goes on straight, over one gap between values at most.
+    Beyond the ends the curve is extrapolated linearly, by at most one interval.
 
     Raises:
-        SceneError: Fewer than four values, an axis that does not rise, or places further outside.
+        SceneError: There are fewer than four values, the axis does not ascend, or places are
+            further outside.
     """
     _check(axis, places, name)
     slope = _slopes(axis)
@@ -107,12 +108,12 @@ def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> Taps:
 
 
 def _slopes(axis: Array) -> Array:
-    """Weights (m, m) of the values in the slope at each place."""
+    """Return weights (m, m) of the values in the slope at each place."""
     count = len(axis)
     near = np.clip(np.arange(count), 1, count - 2)[:, None] + np.arange(-1, 2)
     three = axis[near]
     one, other = three[:, [1, 0, 0]], three[:, [2, 2, 1]]
-    # The derivative of each of Lagrange's parabolas, which are 1 at one of the three places.
+    # Derivatives of the Lagrange parabolas, each of which is 1 at one of the three places.
     weight = (2 * axis[:, None] - one - other) / ((three - one) * (three - other))
     slope = np.zeros((count, count))
     np.put_along_axis(slope, near, weight, axis=1)
@@ -128,6 +129,6 @@ def _check(axis: Array, places: Array, name: str) -> None:
     low, high = axis[0] - room[0], axis[-1] + room[1]
     if places.min() < low or places.max() > high:
         raise SceneError(
-            f"{name}: {axis[0]:.6g} to {axis[-1]:.6g}, asked for {places.min():.6g} to "
+            f"{name}: {axis[0]:.6g} to {axis[-1]:.6g}, requested {places.min():.6g} to "
             f"{places.max():.6g}; allowed: within {low:.6g} to {high:.6g} (are both in metres?)"
         )

@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Kernels of the material-point method: grid nodes, the material's law, tips, particles."""
+"""Kernels of the material-point method: grid nodes, material law, tips, particles."""
 
 import functools
 
@@ -10,16 +10,16 @@ from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
 from sim.mpm.lattice import BASE_NODE
 from sim.scalars import matrix_of, vector_of
 
-# The quadratic B-spline that ties a particle to 27 grid nodes, and the integers nodes sum up in.
+# Quadratic B-spline that couples a particle to 27 grid nodes, and fixed-point sums at the nodes.
 #
 # Weights and their affine moment: Jiang et al., The affine particle-in-cell method (2015), section
 # 5; for this spline the moment of inertia is a quarter of a cell squared along each axis.
 
-# Units of the integers in which nodes sum up mass and momentum.
+# Fixed-point units per 1 of the integers in which nodes sum up mass and momentum.
 #
-# Integers add to the same bits in any order, so that a run repeats on every device. One unit is
-# 2e-16, the range is +-2,048; in units of cells and time steps a node's mass is about 1 and speeds
-# are below 0.5. Larger units would let a slow body lose speed: the conversion cuts towards 0.
+# Integer sums are the same to the last bit in any order, so a run is repeatable on every device.
+# One unit is 2e-16, the range is +-2,048; in units of cells and time steps a node's mass is about 1
+# and speeds are below 0.5. Larger units would slow a slow body: the conversion truncates towards 0.
 FIXED_POINT = 2.0**52
 # One over the spline's moment of inertia [1/cell^2].
 MOMENT = 4.0
@@ -27,9 +27,11 @@ MOMENT = 4.0
 
 @functools.cache
 def spline_functions(real):
-    """`first_node(x)` and the way from it; of that way, `weights` and `arms`, ways to all nodes.
+    """Return `first_node`, `weights` and `arms` of the spline.
 
-    Of the matrices, rows are axes and columns the three nodes along each.
+    `first_node(x)` also returns the offset from that node; `weights` and `arms` (offsets to all
+    nodes) are functions of this offset. Rows of their matrices are axes, columns the three nodes
+    along each.
     """
     vec3, mat33 = vector_of(real), matrix_of(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
@@ -65,14 +67,14 @@ def spline_functions(real):
 
 # Impulses of a step: force of the indenter, its torque about the tip, force of the base.
 READINGS = 9
-# Units of the integers in which these are summed up: one is 1e-12, the range is +-8 million.
+# Fixed-point units per 1 of these sums: one unit is 1e-12, the range is +-8 million.
 IMPULSE_UNIT = 2.0**40
 
 
-# A grid node's time step: velocity from momentum, weight, the bonded base, the rigid indenter.
+# Time step of a grid node: velocity from momentum, weight, the bonded base, the rigid indenter.
 #
 # The base: inside the body the velocity field is extended below the base plane as an odd function,
-# so that a spline over nodes on both sides of it vanishes there. The first node below is bound to
+# so that a spline over nodes on both sides of it vanishes there. The first node below is tied to
 # the first above: they share one unknown, and its mass and momentum are gathered from both.
 
 
@@ -80,7 +82,7 @@ IMPULSE_UNIT = 2.0**40
 def node_kernel(
     real, sticky: bool, friction: bool, gravity: bool, bonded: bool, traits: Traits = PLAIN
 ):
-    """Kernel of a node's time step, for one precision, contact law, base and table's traits."""
+    """Return the kernel of a node's time step for one precision, contact law, base and traits."""
     vec3 = vector_of(real)
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
@@ -117,7 +119,7 @@ def node_kernel(
         k = n % nodes[2]
         if wp.static(bonded) and k == base - 1:
             return
-        # Where nothing came there is nothing to clear, and no particle reads the old velocity.
+        # Nodes that received nothing need no clearing, and no particle reads their old velocity.
         some = sums[env, n, 0] | sums[env, n, 1] | sums[env, n, 2] | sums[env, n, 3]
         if some == wp.int64(0) and not (wp.static(bonded) and k == base + 1):
             return
@@ -144,7 +146,7 @@ def node_kernel(
         if mass + below > zero:
             v = momentum / (mass + below)
             if wp.static(gravity):
-                # The bound pair falls as one with the upper node: their weights nearly cancel.
+                # The tied pair falls as one with the upper node: their weights nearly cancel.
                 v += weight[env] * ((mass - below) / (mass + below))
                 before += weight[env] * (mass + below)
             v = v * (one - damping[env])
@@ -194,18 +196,18 @@ def node_kernel(
     return step_nodes
 
 
-# The neo-Hookean law of `Body`, from the displacement gradient H = F - I.
+# Neo-Hookean law of `Body`, from the displacement gradient H = F - I.
 #
-# Written in H, nothing that is 1 at rest is ever rounded: a body at rest has no stress, exactly,
-# and float32 keeps its digits at small strain.
+# Written in H, no term that is 1 at rest is ever rounded: a body at rest has exactly no stress, and
+# float32 keeps its digits at small strain.
 
 
 @functools.cache
 def law_functions(real):
-    """`dilatation(H)` = det(F) - 1, `kirchhoff(H, G, K)` and `energy(H, G, K)` per rest volume."""
+    """Return `dilatation(H)` = det(F) - 1, `kirchhoff(H, G, K)`, `energy(H, G, K)` per volume."""
     mat33 = matrix_of(real)
     one, half, third = real(1.0), real(0.5), real(1.0 / 3.0)
-    # Quotients inside a kernel are taken in float32.
+    # Inside a kernel quotients are computed in float32.
     power = real(-2.0 / 3.0)
 
     @wp.func
@@ -244,17 +246,17 @@ def law_functions(real):
     return dilatation, kirchhoff, energy
 
 
-# Where each tip is after the next time step, and whether its environment takes that step.
+# Position of each tip after the next time step, and the check if its environment takes that step.
 
 
 @functools.cache
 def tip_kernel(real):
-    """Kernel that begins a time step, for one precision."""
+    """Return the kernel that begins a time step, for one precision."""
     vec3 = vector_of(real)
 
     @wp.kernel(enable_backward=False, module="unique")
     def begin_step(
-        # Schedule: corners [cells], and the steps after which the tip is there
+        # Schedule: corners [cells], and the numbers of the steps that end there
         corners: wp.array2d(dtype=vec3),
         at: wp.array2d(dtype=wp.int32),
         settling: wp.array(dtype=real),
@@ -294,22 +296,22 @@ def tip_kernel(real):
     return begin_step
 
 
-# A particle's time step: take velocity and its gradient from the grid, move, give momentum back.
+# Time step of a particle: take velocity and its gradient from the grid, move, return momentum.
 #
 # MLS-MPM (Hu et al., A moving least squares material point method, 2018, eq. 16) with affine
-# transfers. Both transfers are one kernel: velocity and its gradient live in registers between
-# them, and a particle keeps only its displacement and its displacement gradient. Lengths are in
+# transfers. Both transfers are one kernel: velocity and its gradient stay in registers between
+# them, and a particle stores only its displacement and its displacement gradient. Lengths are in
 # cells, times in time steps, masses in that of a cell of the material.
 
-# Why a simulation ended early.
+# Reasons for which a simulation ends early.
 LEFT_GRID, COLLAPSED, TOO_FAST = 1, 2, 3
-# Cells a particle may move in a step: far beyond anything stable.
+# Most cells that a particle may move in a step: far beyond any stable motion.
 SPEED_LIMIT = 0.5
 
 
 @functools.cache
 def particle_kernel(real):
-    """Kernel of a particle's time step, for one precision."""
+    """Return the kernel of a particle's time step, for one precision."""
     vec3, mat33 = vector_of(real), matrix_of(real)
     first_node, weights, arms = spline_functions(real)
     dilatation, kirchhoff, _energy = law_functions(real)
@@ -334,7 +336,7 @@ def particle_kernel(real):
         # In and out: displacement, and its gradient
         shift: wp.array2d(dtype=vec3),
         gradient: wp.array2d(dtype=mat33),
-        # Out: mass and momentum at nodes, and why an environment ended
+        # Out: mass and momentum at nodes, and the reason for which an environment ended
         sums_out: wp.array3d(dtype=wp.int64),
         status_out: wp.array(dtype=wp.int32),
     ):
@@ -399,12 +401,12 @@ def particle_kernel(real):
     return move
 
 
-# What the particles say at a waypoint: surface, energy, and how far the material is squeezed.
+# Readings of the particles at a waypoint: surface, energy, and compression of the material.
 
 
 @functools.cache
 def reading_kernels(real):
-    """Kernels of the surface's displacement and of the whole body's sums, for one precision."""
+    """Return the kernels of the surface's displacement and of sums over the body."""
     vec3, mat33 = vector_of(real), matrix_of(real)
     first_node, weights, _arms = spline_functions(real)
     dilatation, _kirchhoff, energy = law_functions(real)
@@ -412,7 +414,7 @@ def reading_kernels(real):
 
     @wp.kernel(enable_backward=False, module="unique")
     def surface(
-        # Particles: the first of the highest layer, and the way from each of it to the surface
+        # Particles: the first of the highest layer, and offsets from that layer to the surface
         first: int,
         to_surface: wp.array(dtype=vec3),
         # In:

@@ -1,4 +1,4 @@
-"""Where the particles are before anything moves, and the grid they move on."""
+"""Initial positions of the particles, their grid, and the schedule of time steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 # Height of the base plane above the lowest grid node [cells]: the spline reaches 1.5 down.
 BASE_NODE = 2
-# Cells of air beside and above the body, beyond what the press is expected to squeeze out.
+# Cells of air next to and above the body, beyond the bulge that the press is expected to cause.
 ROOM = 3
 PARTICLES_MOST = 50_000_000
 
@@ -33,41 +33,41 @@ class Lattice:
     cell: float
     """Edge of a cell [m]."""
     nodes: tuple[int, int, int]
-    """Grid nodes along x, y and z."""
+    """Number of grid nodes along x, y and z."""
     corner: tuple[int, int, int]
-    """Which of the nodes is the body's corner."""
+    """Indices of the grid node at the body's corner."""
     origin: Array
-    """Where the contact frame's origin is (3,)."""
+    """Position of the contact frame's origin (3,)."""
     rest: Array
-    """Particles (P, 3)."""
+    """Positions of the particles (P, 3)."""
     volume: Array
-    """Volume of each (P,)."""
+    """Volume of each particle (P,)."""
     counts: tuple[int, int, int]
-    """Particles along x, y and z."""
+    """Number of particles along x, y and z."""
     held: int
-    """How many of the first particles stand still."""
+    """Number of fixed particles, which are the first."""
     surface_x: Array
     """x of the columns of particles [m] (X,)."""
     surface_y: Array
-    """The same for y (Y,)."""
+    """y of the columns of particles [m] (Y,)."""
     to_surface: Array
-    """From each particle of the highest layer straight to the top, at its column's place (X Y, 3).
+    """Offsets from particles of the highest layer to the top at their column's place (X Y, 3).
 
-    Jitter moves the particle off its column; this leads back."""
+    Jitter moves a particle off its column; the offset reverts that."""
 
     @property
     def node_count(self) -> int:
-        """Nodes of the grid."""
+        """Number of grid nodes."""
         return self.nodes[0] * self.nodes[1] * self.nodes[2]
 
 
 def build_lattice(scenes: Sequence[Scene], numerics: MpmNumerics) -> Lattice:
-    """The particles of the body that the scenes share, on a grid with room for all of them.
+    """Return the particles of the body that the scenes share, on a grid with room for all scenes.
 
-    Columns of particles under a dome are shortened to fit, their volumes with them.
+    Columns of particles under a dome are shortened to fit, and their volumes with them.
 
     Raises:
-        SceneError: Fewer than two particles along an axis, or too many in all.
+        SceneError: There are fewer than two particles along an axis, or too many in all.
     """
     body = scenes[0].body
     cell = numerics.cell if numerics.cell is not None else body.thickness / 8
@@ -117,7 +117,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: MpmNumerics) -> Lattice:
 
 
 def _places(count: int, on_faces: bool) -> Array:
-    """Places of particles along an edge, from 0 to 1."""
+    """Return positions of particles along an edge, from 0 to 1."""
     if on_faces:
         return np.linspace(0.0, 1.0, count)
     return (np.arange(count) + 0.5) / count
@@ -126,7 +126,7 @@ def _places(count: int, on_faces: bool) -> Array:
 def _grid(
     scenes: Sequence[Scene], cell: float
 ) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """Nodes along each axis, and which of them is the body's corner."""
+    """Return the number of nodes along each axis, and the indices of the body's corner."""
     body = scenes[0].body
     squeezed = max(scene.motion.depth_max for scene in scenes) / 2 + body.thickness / 20
     room = ROOM + math.ceil(squeezed / cell)
@@ -135,10 +135,10 @@ def _grid(
 
 
 def same_body(scenes: Sequence[Scene]) -> Body:
-    """The body whose shape all scenes share.
+    """Return the body whose shape all scenes share.
 
     Raises:
-        SceneError: A scene with a body of another shape.
+        SceneError: A scene has a body of another shape.
     """
     first = scenes[0].body
     for index, scene in enumerate(scenes):
@@ -151,47 +151,47 @@ def same_body(scenes: Sequence[Scene]) -> Body:
     return first
 
 
-# How heavy the body is made, how long a time step is, and at which step each waypoint comes.
+# Mass of the body, duration of a time step, and the step of each waypoint.
 
-# Tip speed over wave speed above which a press without inertia is not called quasi-static.
+# Tip speed over wave speed above which a press without inertia does not count as quasi-static.
 QUASI_STATIC = 0.03
-# How long the tip of a scene without inertia stands where its motion has it stand still [slowest
-# periods of the layer].
+# Time for which the tip stands still in a scene without inertia, where its motion has a hold
+# [slowest periods of the layer].
 STANDING = 4.0
-# How long a body is given to come to rest under its weight, with critical damping [periods].
+# Time for a body to come to rest under its weight, with critical damping [periods].
 SETTLING = 6.0
-# Speed of a tip whose motion has none [m/s].
+# Speed of the tip if its motion has none [m/s].
 ENTRY_SPEED = 10e-3
-# The readings of that many steps fill 360 MB.
+# Most steps: the readings of this many take 360 MB.
 STEPS_MOST = 5_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """One scene's mass, time step and schedule."""
+    """Mass, time step and schedule of one scene."""
 
     mass_scaling: float
     """Mass over real mass."""
     wave_speed: float
-    """Of pressure waves in the body with that mass [m/s]."""
+    """Speed of pressure waves in the body with that mass [m/s]."""
     time_step: float
-    """[s]."""
+    """Duration of a time step [s]."""
     courant: float
     """Wave speed * time step / cell."""
     tip_speed: float
-    """Fastest the tip goes [m/s]."""
+    """Largest speed of the tip [m/s]."""
     corners: Array
     """Start and waypoints in the contact frame (F + 1, 3) [m]."""
     at: NDArray[np.int64]
-    """Step after which the tip is at each of them (F + 1,); until the first, the body settles."""
+    """Step after which the tip is at each corner (F + 1,); the body settles until the first."""
     window: int
-    """Steps that a frame's force is fitted to."""
+    """Number of steps to which a frame's force is fitted."""
     settling: float
-    """Share of its velocity that the body loses each step until the first corner."""
+    """Share of its velocity that the body loses per step until the first corner."""
 
     @property
     def steps(self) -> int:
-        """Steps of the whole motion."""
+        """Number of steps of the whole motion."""
         return int(self.at[-1])
 
     @property
@@ -201,11 +201,11 @@ class Pace:
 
 
 def pace_of(scene: Scene, numerics: MpmNumerics, cell: float) -> Pace:
-    """The mass and the schedule of a scene on a grid of this cell [m].
+    """Return the mass and the schedule of a scene on a grid with cells of this size [m].
 
     Raises:
-        SceneError: A time step that is not stable, a mass that is asked for twice, or a motion of
-            more steps than can be counted.
+        SceneError: The time step is unstable, the mass is specified twice, or the motion has more
+            steps than allowed.
     """
     body = scene.body
     corners = _corners(scene)
@@ -232,7 +232,7 @@ def pace_of(scene: Scene, numerics: MpmNumerics, cell: float) -> Pace:
         )
     at = np.round(moments / step).astype(np.int64)
     for index in range(1, len(at)):
-        # Each waypoint has a step of its own, except a start that is the first of them.
+        # Each waypoint gets a separate step, except a start that is the first waypoint.
         at[index] = max(at[index], at[index - 1] + (index > 1 or lengths[0] > 0))
     return Pace(
         mass_scaling=scaling,
@@ -249,13 +249,13 @@ def pace_of(scene: Scene, numerics: MpmNumerics, cell: float) -> Pace:
 
 
 def wave_speed(body: Body, mass_scaling: float = 1.0) -> float:
-    """Speed of pressure waves, sqrt((K + 4/3 G) / density) [m/s]."""
+    """Return the speed of pressure waves, sqrt((K + 4/3 G) / density) [m/s]."""
     stiffness = body.bulk_modulus + 4 / 3 * body.shear_modulus
     return math.sqrt(stiffness / (body.density * mass_scaling))
 
 
 def _corners(scene: Scene) -> Array:
-    """Waypoints, after a start straight above the first where that one is inside the body."""
+    """Return the waypoints, after a start straight above the first if that is inside the body."""
     tip = np.asarray(scene.motion.tip, float)
     start = tip[0].copy()
     start[2] = max(start[2], 0.0)

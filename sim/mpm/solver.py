@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Drives and reads Warp arrays, typed at run time; mypy cannot follow them.
-"""The `mpm` tier: presses walked through in time, all of them side by side."""
+"""Solver of the `mpm` tier: presses stepped through time, all of them in one batch."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from sim.mpm.state import ROUND, Means, State, Units
 from sim.result import Outcome, Quality, Result
 from sim.scene import Scene
 
-# What is kept of a press at its waypoints: force, surface, and how far it can be trusted.
+# Values kept at the waypoints of a press: force, surface, and quality measures.
 
-# Penetration is compared with the depth of the press, and with this where it is less [m].
+# Penetration is divided by the depth of the press, or by this if the depth is less [m].
 DEPTH_LEAST = 1e-6
 
 
 def end_of_line(values: np.ndarray) -> np.ndarray:
-    """End of the straight line fitted to rows (N, ...) of evenly spaced values: (...).
+    """Return the end of a straight line fitted to rows (N, ...) of evenly spaced values: (...).
 
-    Unlike their mean it does not lag behind values that rise evenly.
+    Unlike the mean it does not lag behind values that rise evenly.
     """
     count = len(values)
     if count < 3:
@@ -39,11 +39,12 @@ def end_of_line(values: np.ndarray) -> np.ndarray:
 
 
 class Frames:
-    """Frames of one press, filled as they are reached; SI units outside.
+    """Frames of one press, filled as they are reached; results are in SI units.
 
-    `residual` and `slip_excess` stay NaN: nothing is solved for, and Coulomb's law holds node by
-    node. `balance` is the rate of momentum over the force: what a press without inertia is from
-    balance. With inertia it is no error, and NaN; so it is where held particles take the reaction.
+    `residual` and `slip_excess` stay NaN: no equations are solved, and Coulomb's law holds at each
+    node. `balance` is the rate of momentum over the force: the imbalance of a press without
+    inertia. With inertia that is no error, and it is NaN; it is also NaN if fixed particles take
+    the reaction.
     """
 
     def __init__(self, scene: Scene, pace: Pace, state: State, env: int) -> None:
@@ -64,16 +65,16 @@ class Frames:
 
     @property
     def at(self) -> np.ndarray:
-        """Steps after which a frame is to be kept (F,)."""
+        """Numbers of steps after which a frame is kept (F,)."""
         return self._pace.at[1:]
 
     def read(self, first: int, readings: np.ndarray) -> None:
-        """Take note of the impulses of steps `first` onwards (N, 9); those past the end are 0."""
+        """Store the impulses of steps `first` onwards (N, 9); those past the end are dropped."""
         kept = self._readings[first : first + len(readings)]
         kept[:] = readings[: len(kept)]
 
     def keep(self, frame: int, surface: np.ndarray, means: Means) -> None:
-        """Keep the state of this environment after step `at[frame]` as that frame."""
+        """Store the state of this environment after step `at[frame]` as that frame."""
         units, pace, quality = self._units, self._pace, self._quality
         end, before = int(pace.at[frame + 1]), int(pace.at[frame])
         self._steps[frame] = end - (before if frame else 0)
@@ -109,7 +110,7 @@ class Frames:
             self._kinetic_share = max(self._kinetic_share, means.kinetic / means.stored)
 
     def _weight(self) -> np.ndarray:
-        """The body's weight (3,), as an impulse a step."""
+        """Return the body's weight (3,), as an impulse per step."""
         gravity = self._scene.effects.gravity
         if gravity is None:
             return np.zeros(3)
@@ -117,7 +118,7 @@ class Frames:
         return np.array(gravity.acceleration) * mass / self._units.force
 
     def _penetration(self, frame: int) -> float:
-        """Deepest a point of the top lies inside the indenter, over the depth of the press."""
+        """Return the largest depth of the top inside the indenter, over the depth of the press."""
         lattice, body = self._lattice, self._scene.body
         place = np.zeros((*lattice.counts[:2], 3))
         place[..., 0], place[..., 1] = lattice.surface_x[:, None], lattice.surface_y
@@ -128,11 +129,11 @@ class Frames:
 
     @property
     def lost(self) -> float:
-        """Largest share of the work that was neither stored nor in motion."""
+        """Largest share of the work that was neither stored nor kinetic."""
         return float(np.nanmax(self._quality["energy_gap"]))
 
     def result(self, record: dict) -> Result:
-        """The result, once every frame was kept; no map of the traction, which is NaN."""
+        """Return the result; every frame must have been kept. The traction map is NaN."""
         return Result(
             scene=self._scene,
             tier="mpm",
@@ -152,7 +153,7 @@ class Frames:
 
 
 def _tip_velocity(pace: Pace, cell: float) -> np.ndarray:
-    """Way of the tip in each step (N, 3) [cells]."""
+    """Return the displacement of the tip in each step (N, 3) [cells]."""
     velocity = np.zeros((pace.steps, 3))
     for k in range(1, len(pace.at)):
         first, last = pace.at[k - 1 : k + 1]
@@ -165,11 +166,11 @@ Progress = Callable[[float], None]
 
 # Particles per cell and dimension below which the material falls apart into loose columns.
 COUPLED = 1.0
-# Share of the work above which what a frictionless press loses is told of: spheres lose 0.05.
+# Share of the work of a frictionless press above which its loss is a warning: spheres lose 0.05.
 LOST = 0.1
 
 
-# Least height of a dome at its corners, over the thickness: particles are squeezed there.
+# Least height of a dome at its corners, over the thickness: lower, particles would be compressed.
 RIM_LEAST = 0.5
 
 
@@ -180,17 +181,17 @@ def simulate_mpm(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[Outcome]:
-    """Simulate presses on bodies of one shape; a result or the reason for none, in their order.
+    """Simulate presses on bodies of one shape; return a result or the reason for none, in order.
 
     Args:
-        scenes: Same size, thickness and dome, same set of effects; everything else may differ.
+        scenes: Scenes with the same size, thickness, dome and set of effects; the rest may differ.
         numerics: Grid, sampling, mass, time step and contact.
         device: `cpu`, or `cuda:0` and the like.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: Viscosity; scenes that cannot share a lattice; a lattice or a time step that
-            cannot be.
+        SceneError: A scene has viscosity, the scenes cannot share a lattice, or the lattice or the
+            time step is not possible.
     """
     numerics = numerics or MpmNumerics()
     scenes = list(scenes)
@@ -240,7 +241,7 @@ def simulate_mpm(
 
 
 def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverged]:
-    """Take all steps, stopping wherever a frame is due; what failed, by environment."""
+    """Take all steps, stopping where a frame is due; return the failures by environment."""
     total = max(pace.steps for pace in paces)
     failed: dict[int, SimulationDiverged] = {}
     now = 0
@@ -274,7 +275,7 @@ def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverge
 REASONS = {
     LEFT_GRID: "a particle left the grid",
     COLLAPSED: "a particle was squeezed to nothing (numerics.det_floor)",
-    TOO_FAST: f"a particle went {SPEED_LIMIT:g} cells in one step",
+    TOO_FAST: f"a particle moved {SPEED_LIMIT:g} cells in one step",
 }
 
 
@@ -304,7 +305,7 @@ def _of_pace(pace: Pace) -> dict:
 
 
 def _warnings(scene: Scene, pace: Pace, numerics: MpmNumerics, lost: float) -> list[str]:
-    """What makes this result less than a solution of the scene."""
+    """Return warnings about differences between this result and a solution of the scene."""
     found = []
     if numerics.per_cell < COUPLED:
         found.append(
@@ -313,7 +314,7 @@ def _warnings(scene: Scene, pace: Pace, numerics: MpmNumerics, lost: float) -> l
         )
     if scene.effects.inertia is None and pace.speed_ratio > QUASI_STATIC:
         found.append(
-            f"the tip goes at {pace.speed_ratio:.3g} of the wave speed of {pace.wave_speed:.3g} "
+            f"the tip moves at {pace.speed_ratio:.3g} of the wave speed of {pace.wave_speed:.3g} "
             f"m/s: not quasi-static; allowed without this warning: up to {QUASI_STATIC:g}"
         )
     if scene.effects.friction is None and lost > LOST:

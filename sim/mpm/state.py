@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Drives Warp arrays, typed at run time; mypy cannot follow them.
-"""Presses side by side on the device: their particles, their grids, and time steps."""
+"""Batch of presses on the device: particles, grids, and time steps."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from sim.mpm.numerics import MpmNumerics
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
-# Steps between two looks at the device, and of one captured graph.
+# Steps between two reads from the device, and per captured graph.
 ROUND = 64
-# Gaps beyond this may be given too small [cells].
+# Gaps beyond this may be underestimated [cells].
 FAR = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """What one unit of an environment's numbers is; lengths are in cells, times in time steps."""
+    """SI values of an environment's units; lengths are in cells, times in time steps."""
 
     length: float
-    """A cell [m]."""
+    """Edge of a cell [m]."""
     time: float
-    """A time step [s]."""
+    """Duration of a time step [s]."""
     density: float
-    """Of the material, its mass scaled [kg/m^3]."""
+    """Density of the material, with scaled mass [kg/m^3]."""
 
     @property
     def stress(self) -> float:
@@ -61,14 +61,14 @@ class Means:
     """Elastic energy per rest volume."""
     kinetic: float
     displacement: np.ndarray
-    """(3,)."""
+    """Displacement (3,)."""
     det_min: float
 
 
 class State:
-    """Particles and grids of a batch; environments end where their schedule or a failure ends.
+    """Particles and grids of a batch; environments end with their schedule or with a failure.
 
-    Memory of an environment: 48 bytes a particle and 44 a node in float32, 96 and 56 in float64.
+    Memory per environment: 48 bytes a particle and 44 a node in float32, 96 and 56 in float64.
     """
 
     def __init__(
@@ -113,11 +113,11 @@ class State:
         self._held, self._det_floor = lattice.held, real(numerics.det_floor)
         self._origin, self._reach = vec3(*lattice.origin), real(numerics.reach)
         self._graph = None
-        # The grid's first sums: a time step of particles that stand still changes nothing else.
+        # Initial sums of the grid: a time step of particles at rest changes nothing else.
         self.move_particles()
 
     def _fill_environments(self, scenes, paces, numerics) -> None:
-        """What differs between environments: material, contact, weight."""
+        """Set the parameters of each environment: material, contact, weight."""
         real, units = self.real, self.units
         stress = np.array([unit.stress for unit in units])
         self.shear = self.array([one.body.shear_modulus for one in scenes] / stress, real)
@@ -131,7 +131,7 @@ class State:
         weight = np.zeros((len(scenes), 3))
         for env, (scene, unit, pace) in enumerate(zip(scenes, units, paces, strict=True)):
             if scene.effects.gravity is not None:
-                # The weight is that of the real mass: a scaled one falls more slowly.
+                # Weight is that of the real mass, so a scaled one falls more slowly.
                 fall = np.array(scene.effects.gravity.acceleration) / pace.mass_scaling
                 weight[env] = fall * unit.time**2 / unit.length
         self._weight = self.array(weight, self.vec3)
@@ -145,7 +145,7 @@ class State:
         )
 
     def _fill_schedules(self, paces: Sequence[Pace]) -> None:
-        """Corners and steps of every environment, padded with their last to the longest."""
+        """Set corners and steps of every environment, padded with their last to the longest."""
         longest = max(len(pace.at) for pace in paces)
         corners = np.stack(
             [np.pad(pace.corners, ((0, longest - len(pace.at)), (0, 0)), "edge") for pace in paces]
@@ -156,20 +156,20 @@ class State:
         self._settling = self.array([pace.settling for pace in paces], self.real)
 
     def array(self, values, dtype) -> wp.array:
-        """Values on the device."""
+        """Return values as an array on the device."""
         plain = np.int32 if dtype is wp.int32 else numpy_of(self.real)
         return wp.array(np.asarray(values, plain), dtype=dtype, device=self.device)
 
     @property
     def bytes(self) -> int:
-        """Memory of all arrays."""
+        """Memory of all arrays [bytes]."""
         arrays = [value for value in vars(self).values() if isinstance(value, wp.array)]
         return sum(array.capacity for array in arrays)
 
     def advance(self, steps: int) -> np.ndarray:
-        """Take up to `ROUND` steps; the readings of each (steps, environments, 9) [cells, steps].
+        """Take up to `ROUND` steps; return their readings (steps, environments, 9) [cells, steps].
 
-        Environments that have ended read 0.
+        Readings of environments that have ended are 0.
         """
         self.history.zero_()
         before = int(self.step.numpy().max())
@@ -182,11 +182,11 @@ class State:
         return np.moveaxis(self.history.numpy()[:, slots], 0, 1) / IMPULSE_UNIT
 
     def _replay(self) -> None:
-        """`ROUND` steps as one graph; the first time they run as they are recorded from."""
+        """Run `ROUND` steps as one graph; the first time run them directly and record the graph."""
         if self._graph is not None:
             wp.capture_launch(self._graph)
             return
-        # The kernels were loaded by the steps before: a graph holds none that is still to load.
+        # The steps before have loaded the kernels: a capture must not load any.
         self._one_step()
         with wp.ScopedCapture(device=self.device) as capture:
             for _ in range(ROUND):
@@ -201,7 +201,7 @@ class State:
         self.move_particles()
 
     def begin_step(self) -> None:
-        """Move the tips on and see which environments take a step."""
+        """Advance the tips and determine which environments take a step."""
         wp.launch(
             tip_kernel(self.real),
             self._count,
@@ -211,7 +211,7 @@ class State:
         )
 
     def step_nodes(self) -> None:
-        """Velocities of the nodes from what particles gave them."""
+        """Compute velocities of the nodes from mass and momentum of the particles."""
         wp.launch(
             self._node_kernel,
             (self._count, self.lattice.node_count),
@@ -225,7 +225,7 @@ class State:
         )  # fmt: skip
 
     def move_particles(self) -> None:
-        """Displace and deform the particles, and give the nodes what they carry."""
+        """Displace and deform the particles, and transfer their mass and momentum to the nodes."""
         wp.launch(
             particle_kernel(self.real),
             (self._count, self._particles),
@@ -238,7 +238,7 @@ class State:
         )  # fmt: skip
 
     def surface(self) -> np.ndarray:
-        """Displacement of the top in every environment (environments, X, Y, 3) [cells]."""
+        """Return displacements of the top of all environments (environments, X, Y, 3) [cells]."""
         kernel, _ = reading_kernels(self.real)
         size = len(self.lattice.to_surface)
         wp.launch(
@@ -252,7 +252,7 @@ class State:
         return self._surface.numpy().reshape(self._count, nx, ny, 3).astype(float)
 
     def means(self) -> list[Means]:
-        """Energies, displacement and smallest determinant of every environment."""
+        """Return energies, displacement and smallest determinant of every environment."""
         _, kernel = reading_kernels(self.real)
         whole = self.real(self.lattice.volume.sum())
         self._means.zero_()

@@ -1,11 +1,11 @@
-"""Sensors: rows of data that say what is soft, what acts on it, and what is measured of it.
+"""Simulated sensors: rows of data with a soft body, its effects and its signal.
 
     each = sensor("uskin")
     result = simulate(each.scene(named("prism"), press([1e-3])), tier="layer")
     masks = readout(each).masks(SurfaceField.of(result))
 
-One deformation serves them all: a signal is made from the displacement of the top alone. What they
-assume, and where from: docs/sensors.md.
+Every signal is computed from the displacement of the top alone, so that sensors can share a
+deformation. Assumptions and sources are in docs/sensors.md.
 """
 
 from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights

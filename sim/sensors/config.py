@@ -1,8 +1,8 @@
-"""Strict YAML into frozen values: every error names file, key, what was found, what is allowed.
+"""Read strict YAML into frozen values; errors name file, key, the found and the allowed value.
 
-A number that is not plain SI is written under a key with its unit: `modulus_kpa: 145`. Values of
-this package carry the unit in the metadata of their fields; those of the rest of `sim`, which speak
-SI alone, have theirs in `UNITS`.
+A number that is not in plain SI has its unit in its key: `modulus_kpa: 145`. Classes of this
+package give the unit in the metadata of a field; for those of the rest of `sim`, which are in SI,
+it is in `UNITS`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sim.scene import Body
 
 Value = TypeVar("Value")
 
-# SI value of one of each unit, by the suffix of a key.
+# Value of each unit in SI, by the suffix of a key.
 SI_PER_UNIT = {
     "um": 1e-6,
     "mm": 1e-3,
@@ -48,10 +48,10 @@ UNITS: Mapping[type, Mapping[str, str]] = {
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file, merged over the file that its `extends` names.
+    """Read the mapping in a YAML file, merged over the file that its `extends` names.
 
     Raises:
-        SceneError: No such file, not YAML, not a mapping, or files that extend each other.
+        SceneError: The file is missing, not YAML or not a mapping, or files extend each other.
     """
     try:
         return strict_yaml.read_mapping(path)
@@ -60,10 +60,10 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def build(kind: type[Value], content: Any, where: str) -> Value:
-    """The dataclass `kind` of a mapping as YAML gives it; `where` is file and path, for errors.
+    """Build the dataclass `kind` from a YAML mapping; errors begin with `where`, file and path.
 
     Raises:
-        SceneError: A key that is unknown or missing, or a value of the wrong kind or refused.
+        SceneError: A key is unknown or missing, or a value is of the wrong type or rejected.
     """
     if not isinstance(content, dict):
         raise SceneError(f"{where}: found {said(content)}; allowed: a mapping")
@@ -89,7 +89,7 @@ def build(kind: type[Value], content: Any, where: str) -> Value:
 
 
 def key_of(kind: type, field: dataclasses.Field[Any]) -> str:
-    """The key of a field in a file: its name, and its unit where it has one."""
+    """Return the key of a field in a file: its name, followed by its unit if any."""
     unit = _unit(kind, field)
     return f"{field.name}_{unit}" if unit else field.name
 
@@ -100,7 +100,7 @@ def _unit(kind: type, field: dataclasses.Field[Any]) -> str | None:
 
 
 def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
-    """`value` as the field's annotation asks, in SI."""
+    """Convert `value` to the type of the field's annotation, in SI."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return _union(inner, value, where, unit)
@@ -131,7 +131,7 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         if type(value) is not hint:
             raise SceneError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
         return value
-    raise TypeError(f"{where}: the reader knows no {hint!r}")
+    raise TypeError(f"{where}: unsupported type {hint!r}")
 
 
 def _union(options: tuple[Any, ...], value: Any, where: str, unit: str | None) -> Any:

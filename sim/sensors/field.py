@@ -1,4 +1,4 @@
-"""The displacement of a sensor's top: the one deformation that every signal is made from."""
+"""Displacement of a sensor's top, from which every signal is computed."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from sim.scene import Body
 Array = NDArray[np.float64]
 Places = NDArray[np.float32]
 
-# Step of the even grid that slopes are taken on [m]: a few times finer than any mesh.
+# Spacing of the even grid on which slopes are computed [m]: a few times finer than any mesh.
 EVEN_STEP = 0.2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceField:
-    """Displacement of the material points of a top, at F moments; contact frame, SI units.
+    """Displacement of the material points of a top in F frames; contact frame, SI units.
 
     Raises:
-        SceneError: Axes that do not ascend, shapes that do not fit, or a number that is not finite.
+        SceneError: An axis does not ascend, shapes do not match, or a number is not finite.
     """
 
     x: Array
-    """x of the untouched points (X,) [m]."""
+    """x of the undeformed points (X,) [m]."""
     y: Array
-    """y of the untouched points (Y,) [m]."""
+    """y of the undeformed points (Y,) [m]."""
     displacement: Places
-    """(F, X, Y, 3) [m]."""
+    """Displacement (F, X, Y, 3) [m]."""
 
     def __post_init__(self) -> None:
         for name in ("x", "y"):
@@ -55,39 +55,39 @@ class SurfaceField:
 
     @classmethod
     def of(cls, result: Result) -> SurfaceField:
-        """The surface of a simulated scene."""
+        """Return the surface of a simulated scene."""
         return cls(result.surface_x, result.surface_y, result.surface)
 
     @classmethod
     def untouched(cls, body: Body) -> SurfaceField:
-        """One frame of a top that nothing has touched."""
+        """Return one frame of an untouched top."""
         x, y = (np.linspace(-size / 2, size / 2, 4) for size in (body.size_x, body.size_y))
         return cls(x, y, np.zeros((1, 4, 4, 3), np.float32))
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return the number of frames."""
         return len(self.displacement)
 
     def at(self, places: Array) -> Array:
-        """Displacement (F, n, 3) of the material points (n, 2) [m]; beside the grid its edge's."""
+        """Return displacement (F, n, 3) at points (n, 2) [m]; beyond the grid, that of its edge."""
         across_x = cubic_weights(self.x, places[:, 0])
         across_y = cubic_weights(self.y, places[:, 1])
         frames, rows, columns, _ = self.displacement.shape
-        # (n, X) @ (F, X, Y * 3): every place's own line along y, then one point of each.
+        # (n, X) @ (F, X, Y * 3): a line along y for every point, then one value of each line.
         flat = self.displacement.reshape(frames, rows, columns * 3).astype(float)
         lines = (across_x @ flat).reshape(frames, len(places), columns, 3)
         moved: Array = np.einsum("fnyc,ny->fnc", lines, across_y)
         return moved
 
     def resampled(self, x: Array, y: Array) -> SurfaceField:
-        """The field on another grid; a cubic in between, beside the old grid its edge's values."""
+        """Return the field on another grid: cubic interpolation, edge values beyond the old one."""
         across_x, across_y = cubic_weights(self.x, x), cubic_weights(self.y, y)
         planes = np.moveaxis(self.displacement, 3, 1).astype(float)
         moved = np.moveaxis(across_x @ planes @ across_y.T, 1, 3)
         return SurfaceField(x, y, moved.astype(np.float32))
 
     def even(self, step: float = EVEN_STEP) -> SurfaceField:
-        """The field on an even grid of about `step` [m] over the same rectangle."""
+        """Return the field on an even grid of about `step` [m] over the same rectangle."""
         axes = []
         for axis in (self.x, self.y):
             count = max(2, round((axis[-1] - axis[0]) / step) + 1)
@@ -95,15 +95,15 @@ class SurfaceField:
         return self.resampled(*axes)
 
     def shifted(self, x: float, y: float) -> SurfaceField:
-        """The field with the whole top displaced by (x, y) [m] on top of what it did."""
+        """Return the field with an additional displacement (x, y) [m] of the whole top."""
         shift = np.array([x, y, 0.0], np.float32)
         return replace(self, displacement=self.displacement + shift)
 
     def turned(self, angle: float) -> SurfaceField:
-        """The field seen from a frame that is turned by `angle` about z [rad]; an even grid.
+        """Return the field in a frame rotated by `angle` about z [rad], on an even grid.
 
-        What is at X there was at R X here, R the turn: u'(X) = R^T u(R X). The rectangle itself is
-        taken to lie along the axes of either frame.
+        The point X there is R X here, with R the rotation: u'(X) = R^T u(R X). The rectangle itself
+        is assumed to lie along the axes of both frames.
         """
         if angle == 0:
             return self
@@ -132,10 +132,10 @@ class SurfaceField:
 
 
 def cubic_weights(known: Array, wanted: Array) -> Array:
-    """Weights (W, K) that take values at `known` (K,) to `wanted` (W,); beyond the ends, the end's.
+    """Return weights (W, K) that interpolate values at `known` (K,) to `wanted` (W,).
 
-    A cubic Hermite curve through the values with three-point slopes: exact for parabolas, C1, and
-    every value reaches no further than two intervals.
+    The interpolant is a cubic Hermite curve with three-point slopes: exact for parabolas, C1, and
+    each value affects at most two intervals on either side. Beyond the ends it is constant.
     """
     unit = np.eye(len(known))
     slopes = np.gradient(unit, known, axis=0, edge_order=2 if len(known) > 2 else 1)
@@ -145,15 +145,15 @@ def cubic_weights(known: Array, wanted: Array) -> Array:
 
 
 def outward_normals(field: SurfaceField) -> Array:
-    """Unit normals (F, X, Y, 3) of the displaced top, out of the material.
+    """Return unit normals (F, X, Y, 3) of the displaced top, out of the material.
 
-    The cross product of the displaced grid's two tangents: right at any rotation and stretch.
+    They are cross products of the displaced grid's tangents, exact at any rotation and stretch.
     """
     u = field.displacement.astype(float)
     tangent_x = np.gradient(u, field.x, axis=1, edge_order=1) + np.array([1.0, 0.0, 0.0])
     tangent_y = np.gradient(u, field.y, axis=2, edge_order=1) + np.array([0.0, 1.0, 0.0])
     normal = np.cross(tangent_x, tangent_y)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    # A surface folded flat has no normal; it keeps the untouched one.
+    # A surface folded flat has no normal; it keeps that of the undeformed surface.
     unit: Array = np.where(length > 0, normal / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
     return unit

@@ -1,4 +1,4 @@
-"""The colours of a GelSight: three lamps on a reflecting skin that leans."""
+"""Colours of a GelSight: a reflecting skin, shaded by lamps according to its slope; and pins."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A lamp far away."""
+    """Distant lamp."""
 
     azimuth: float = field(metadata={"unit": "deg"})
-    """Where its light comes from, in the image: 0 is the right, anticlockwise [rad]."""
+    """Direction that its light comes from, in the image: anticlockwise from the right [rad]."""
     elevation: float = field(metadata={"unit": "deg"})
-    """How far it stands above the plane of the gel, on the camera's side [rad], 0 to pi / 2."""
+    """Elevation above the plane of the gel, on the camera's side [rad], 0 to pi / 2."""
     colour: Colour
-    """Red, green, blue of what a skin reflects that faces it, 0 to 255."""
+    """Red, green, blue reflected by a skin that faces the lamp, 0 to 255."""
 
     def __post_init__(self) -> None:
         check_range("lamp", "elevation", self.elevation, 0.0, math.pi / 2, unit="rad")
@@ -33,7 +33,7 @@ class Lamp:
 
     @property
     def direction(self) -> Array:
-        """Unit vector (3,) towards the lamp: right, up, to the camera."""
+        """Unit vector (3,) towards the lamp: right, up, towards the camera."""
         level = math.cos(self.elevation)
         return np.array(
             [
@@ -46,10 +46,10 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Shading:
-    """Phong's model (Communications of the ACM 18, 1975) of the skin as the camera sees it.
+    """Phong's reflection model (Communications of the ACM 18, 1975) of the skin.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     lamps: tuple[Lamp, ...]
@@ -57,13 +57,13 @@ class Shading:
     background: Colour
     """Red, green, blue of the skin without lamps, 0 to 255."""
     ambient: float = 0.8
-    """Share of the background that is always seen."""
+    """Fraction of the background that is always visible."""
     diffuse: float = 0.6
-    """Share of a lamp's colour that is scattered."""
+    """Fraction of a lamp's colour that is reflected diffusely."""
     specular: float = 0.3
-    """Share of it that is mirrored."""
+    """Fraction of a lamp's colour that is reflected specularly."""
     shininess: float = 5.0
-    """Exponent of the mirrored light: the larger, the smaller its spot."""
+    """Exponent of the specular reflection; larger values give smaller highlights."""
     ink: Colour = (28.0, 26.0, 30.0)
     """Red, green, blue of a marker, 0 to 255."""
 
@@ -77,10 +77,10 @@ class Shading:
         _check_colour("shading.ink", self.ink)
 
     def colours(self, normals: Array) -> Array:
-        """Red, green, blue (..., 3), 0 to 255, of skin with outward unit normals (..., 3).
+        """Return red, green, blue (..., 3), 0 to 255, of skin with outward normals (..., 3).
 
-        The camera looks from inside: it sees the back of the skin, whose normal is the opposite
-        one, and x stays to the right (`sim.markers`).
+        The camera looks from inside, at the back of the skin, whose normal is opposite; x stays to
+        the right (`sim.markers`).
         """
         facing = normals * np.array([-1.0, -1.0, 1.0])
         light = self.ambient * np.broadcast_to(np.array(self.background), normals.shape)
@@ -97,14 +97,14 @@ class Shading:
     def image(
         self, normals: Array, x: Array, y: Array, material: Array, coverage: Array
     ) -> NDArray[np.uint8]:
-        """A picture (H, W, 3): the lit skin, and markers in ink over it.
+        """Return a picture (H, W, 3) of the lit skin with markers in ink.
 
         Args:
-            normals: Of the skin out of the material (X, Y, 3), on the even grid `x`, `y` [m].
-            x: (X,) [m].
-            y: (Y,) [m].
-            material: Untouched (x, y) [m] of what each pixel sees (H, W, 2); NaN sees nothing.
-            coverage: How much of each pixel markers cover (H, W), 0 to 1.
+            normals: Outward normals of the skin (X, Y, 3) on the even grid `x`, `y`.
+            x: Grid along x (X,) [m].
+            y: Grid along y (Y,) [m].
+            material: Undeformed (x, y) [m] of the material point at each pixel (H, W, 2), or NaN.
+            coverage: Fraction of each pixel that markers cover (H, W), 0 to 1.
         """
         seen = np.isfinite(material[..., 0])
         places = np.where(seen[..., None], material, 0.0)
@@ -123,7 +123,7 @@ class Shading:
 
 
 def skin_normals(skin: SurfaceField) -> tuple[Array, Array, Array]:
-    """Outward normals (F, X, Y, 3) of a displaced top, and the even grid x, y they are on."""
+    """Return outward normals (F, X, Y, 3) of a displaced top, and their even grid x, y."""
     even = skin.even()
     return outward_normals(even), even.x, even.y
 
@@ -135,35 +135,35 @@ def _check_colour(owner: str, colour: Colour) -> None:
         check_range(owner, "colour", value, 0.0, 255.0)
 
 
-# Pins under a skin, as TacTip and TacPalm have them: the camera sees their tips, not the skin.
+# Pins under a skin, as in TacTip and TacPalm: the camera sees their tips, not the skin.
 
 
 @dataclass(frozen=True, slots=True)
 class Pins:
-    """Rigid pins that stand on the inner side of the skin and point to the camera.
+    """Rigid pins on the inner side of the skin that point to the camera.
 
     Raises:
-        SceneError: A length outside of what is allowed.
+        SceneError: A length is out of range.
     """
 
     length: float = field(metadata={"unit": "mm"})
-    """From the skin to the tip [m], 0 to 0.02; with 0 the tips are the skin."""
+    """Length from the skin to the tip [m], 0 to 0.02; with 0 the tips are the skin."""
     base: float = field(metadata={"unit": "mm"})
-    """Width of a pin where it grows out of the skin [m], 0 to 0.02: it moves as the skin under it
-    does on average, since a pin does not bend with an edge that is narrower than itself."""
+    """Width of a pin at the skin [m], 0 to 0.02. A pin moves with the mean of the skin over this
+    width, since it does not bend with features narrower than itself."""
 
     def __post_init__(self) -> None:
         for name in ("length", "base"):
             check_range("pins", name, getattr(self, name), 0.0, 0.02, unit="m")
 
     def tips(self, skin: SurfaceField) -> SurfaceField:
-        """How tips displace that hang below each point of the skin; an even grid.
+        """Return the displacement of tips below each point of the skin, on an even grid.
 
-        A tip hangs at x_tip = x_skin - l n, n the outward normal. It is displaced by
+        A tip is at x_tip = x_skin - l n, n the outward normal. It is displaced by
 
             u_tip = u + l (z - n):  in the plane u_t + l grad(u_z) while the slope is small,
 
-        so the slope of the skin is seen l times enlarged: the tips under a dent fan out.
+        so the slope of the skin appears multiplied by l: the tips under a dent fan out.
         """
         even = skin.even()
         if self.length == 0 and self.base == 0:
@@ -176,28 +176,28 @@ class Pins:
         return SurfaceField(even.x, even.y, moved.astype(np.float32))
 
     def _averaged(self, values: Array, field: SurfaceField) -> Array:
-        """Values (F, X, Y, 3) averaged over the foot of a pin.
+        """Return values (F, X, Y, 3) averaged over the base of a pin.
 
-        By a Gaussian with the spread of a disc: along each axis a disc's is a quarter of its width.
+        The weights are a Gaussian with a disc's standard deviation, a quarter of its width.
         """
         for axis, places in ((1, field.x), (2, field.y)):
             spread = self.base / 4 / (places[1] - places[0])
-            # Below a tenth of a step the kernel is one sample wide: nothing to average.
+            # Below a tenth of a step the kernel is one sample wide and has no effect.
             if spread > 0.1:
                 values = gaussian_filter1d(values, spread, axis=axis, mode="nearest")
         return values
 
 
 def tip_coverage(centres: Array, radii: Array, *, width: int, height: int) -> NDArray[np.uint8]:
-    """Grey images (F, height, width) of round pin tips, 255 where a pixel is covered wholly.
+    """Return grey images (F, height, width) of round pin tips, 255 for a fully covered pixel.
 
-    A tip is rigid: it stays round however the skin stretches, and a nearer one looks larger.
+    A tip is rigid: it stays round when the skin stretches, and looks larger when nearer.
 
     Args:
         centres: Columns and rows of the tips (F, n, 2) [px]; whole numbers are pixel centres.
         radii: Their radii (F, n) [px].
-        width: Pixels a row.
-        height: Rows.
+        width: Number of columns.
+        height: Number of rows.
     """
     reach = math.ceil(float(radii.max(initial=0.0)) + 1.0)
     step = np.arange(-reach, reach + 1)

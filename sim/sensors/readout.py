@@ -1,4 +1,4 @@
-"""From the deformation of a sensor's top to the marker images, counts and pictures it gives."""
+"""Compute marker images, counts and pictures from the deformation of a sensor's top."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from sim.sensors.variation import Placement, Segmenter, generator
 
 Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
-# Least coverage of a marker's pixel, of 255.
+# Least coverage at which a pixel counts as marker, of 255.
 COVERED = 128
 
 
 class Readout(Protocol):
-    """What gives marker images of a sensor's deformation."""
+    """Protocol of readouts, which render marker images of a sensor's deformation."""
 
     patterns: tuple[str, ...]
-    """Names of the patterns (P) that it gives images of."""
+    """Names of the patterns (P) that it renders."""
 
     def masks(self, top: SurfaceField, first: int = 0) -> Masks:
-        """Marker images (F, P, 480, 640); `first` is the number of the first frame."""
+        """Return marker images (F, P, 480, 640); `first` is the number of the first frame."""
 
 
 def readout(
@@ -40,13 +40,13 @@ def readout(
     session: tuple[str | int, ...] = (),
     device: str = "cpu",
 ) -> CameraReadout | TaxelReadout:
-    """What reads this sensor.
+    """Return the readout of a sensor.
 
     Args:
-        sensor: Which one.
-        seed: Of all that its life and its noise draw; None leaves out both.
-        session: What tells its frames from those of other sessions, such as the indenter.
-        device: Where images are rendered, `cpu` or `cuda:0` and the like.
+        sensor: The sensor.
+        seed: Seed of its noise and of the variations in its `life`; None disables both.
+        session: Names that distinguish its frames from other sessions, such as the indenter.
+        device: Device that renders the images, `cpu` or `cuda:0` and the like.
     """
     if isinstance(sensor.signal, TaxelSignal):
         return TaxelReadout(sensor, sensor.signal, seed, session)
@@ -54,7 +54,7 @@ def readout(
 
 
 class TaxelReadout:
-    """Counts of a pad of taxels, and the image of discs that is drawn from them."""
+    """Readout of a pad of taxels: counts, and the image of discs drawn from them."""
 
     patterns = ("taxels",)
 
@@ -70,15 +70,15 @@ class TaxelReadout:
         self._seed, self._names = seed, (sensor.name, *session)
 
     def counts(self, top: SurfaceField, first: int = 0) -> Counts:
-        """Counts (F, 16, 3) less the untouched pad's."""
+        """Return counts (F, 16, 3) minus those of the untouched pad."""
         return self._pad.counts(self._placement.field(top), self._noise(len(top), first))
 
     def raw(self, top: SurfaceField, first: int = 0) -> Counts:
-        """Counts (F, 16, 3) as the device sends them."""
+        """Return raw counts (F, 16, 3) as the device sends them."""
         return self._pad.raw(self._placement.field(top), self._noise(len(top), first))
 
     def masks(self, top: SurfaceField, first: int = 0) -> Masks:
-        """Images of discs (F, 1, 480, 640)."""
+        """Return images of discs (F, 1, 480, 640)."""
         return draw_discs(self.counts(top, first))[:, None]
 
     def _noise(self, frames: int, first: int) -> Array | None:
@@ -93,7 +93,7 @@ class TaxelReadout:
 
 
 class CameraReadout:
-    """What a camera below the gel sees: masks of markers, how they moved, pictures in colour."""
+    """Readout of a camera below the gel: marker masks, their displacement, colour pictures."""
 
     def __init__(
         self,
@@ -117,12 +117,12 @@ class CameraReadout:
         )
 
     def seen(self, top: SurfaceField) -> SurfaceField:
-        """What the camera looks at, in the sensor's frame: the skin, or the tips of its pins."""
+        """Return the visible surface in the sensor's frame: the skin, or the tips of its pins."""
         turned = self._placement.field(top)
         return turned if self._signal.pins is None else self._signal.pins.tips(turned)
 
     def coverage(self, top: SurfaceField) -> NDArray[np.uint8]:
-        """Share of each pixel that markers cover (F, P, 480, 640), 255 for all of it."""
+        """Return each pixel's coverage by markers (F, P, 480, 640), 255 if complete."""
         seen = self.seen(top)
         if self._signal.pins is not None:
             return np.stack([self._tips(seen, pattern) for pattern in self._patterns], axis=1)
@@ -130,7 +130,7 @@ class CameraReadout:
         return view.coverage(self._textures)
 
     def masks(self, top: SurfaceField, first: int = 0) -> Masks:
-        """Masks (F, P, 480, 640), with the errors of segmentation if the sensor has them."""
+        """Return masks (F, P, 480, 640), with segmentation errors if the sensor has them."""
         if not self._segmenters and self._signal.pins is None:
             seen = self.seen(top)
             return self._renderer.see(seen.x, seen.y, seen.displacement).masks(self._textures)
@@ -144,7 +144,7 @@ class CameraReadout:
         return np.stack(found, axis=1)
 
     def packed(self, top: SurfaceField, first: int = 0) -> NDArray[np.uint8]:
-        """The same masks as packed bits (F, P, 38400); nothing is unpacked on the way."""
+        """Return the same masks as packed bits (F, P, 38400), without intermediate unpacking."""
         if self._segmenters or self._signal.pins is not None:
             return pack(self.masks(top, first))
         seen = self.seen(top)
@@ -153,15 +153,15 @@ class CameraReadout:
     def displacement(
         self, top: SurfaceField, lattice: Lattice | None = None
     ) -> NDArray[np.float16]:
-        """How far what the untouched image shows at a lattice of pixels has moved [px].
+        """Return the displacement (F, rows, columns, 2) [px] of points on a lattice of pixels.
 
-        (F, rows, columns, 2); NaN where the untouched image shows no gel.
+        The lattice is in the untouched image; NaN where that image shows no gel.
         """
         seen = self.seen(top)
         return self._renderer.displacement(seen.x, seen.y, seen.displacement, lattice)
 
     def pictures(self, top: SurfaceField) -> NDArray[np.uint8]:
-        """Pictures (F, 480, 640, 3) of the lit skin, the first pattern's markers over it.
+        """Return pictures (F, 480, 640, 3) of the lit skin with the first pattern's markers.
 
         Raises:
             SceneError: The sensor has no lamps.
@@ -182,7 +182,7 @@ class CameraReadout:
         )
 
     def _tips(self, tips: SurfaceField, pattern: Pattern) -> NDArray[np.uint8]:
-        """Coverage (F, 480, 640) by rigid, round tips of pins."""
+        """Return the coverage (F, 480, 640) by rigid, round tips of pins."""
         centres = pattern.centres
         places = np.concatenate([centres, np.zeros((len(centres), 1))], axis=1) + tips.at(centres)
         nearness = self.camera.focal / (self.camera.distance + places[..., 2])

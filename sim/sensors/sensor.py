@@ -1,4 +1,4 @@
-"""A simulated sensor is a row of data: a body, effects on it, and what is measured of it."""
+"""Simulated sensor as a row of data: a body, its effects and its signal."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from trajectories import ForceDepth, PressShear
 
 @dataclass(frozen=True, slots=True)
 class CameraSignal:
-    """A camera below the gel that sees markers.
+    """Camera below the gel that images markers.
 
     Raises:
-        SceneError: No pattern, one that is unknown, or not just one of scale and distance.
+        SceneError: There is no pattern or an unknown one, or not exactly one of scale and distance.
     """
 
     KIND: ClassVar[str] = "camera"
 
     patterns: tuple[str, ...]
-    """Patterns of markers by name (`sim.markers`); with several, each makes images of its own."""
+    """Names of marker patterns (`sim.markers`); each of several gives separate images."""
     scale: float | None = field(default=None, metadata={"unit": "mm_per_px"})
-    """What a pixel sees of the untouched top [m/px], or else:"""
+    """Size of a pixel on the untouched top [m/px], in place of `distance`."""
     distance: float | None = field(default=None, metadata={"unit": "mm"})
-    """From the pinhole to the untouched top, or to the untouched tips of pins [m]."""
+    """Distance from the pinhole to the untouched top, or to the untouched tips of pins [m]."""
     pins: Pins | None = None
     """Pins under the skin, whose tips are the markers; None: markers are on the skin."""
     shading: Shading | None = None
-    """Lamps, for pictures in colour; None has marker images only."""
+    """Lamps, for colour pictures; None gives marker images only."""
 
     def __post_init__(self) -> None:
         if not self.patterns:
@@ -53,46 +53,46 @@ class CameraSignal:
         self.camera()
 
     def camera(self) -> Camera:
-        """The camera, as it was meant to be mounted."""
+        """Return the camera in its nominal mounting."""
         if self.distance is not None:
             return Camera(distance=self.distance)
         return Camera.of_scale((self.scale or 0.0) * 1e3)
 
     def drawn(self) -> tuple[Pattern, ...]:
-        """The patterns."""
+        """Return the patterns."""
         return tuple(named(name) for name in self.patterns)
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSensor:
-    """Everything that a simulated sensor is. Rows of them: `sim.sensors.sensor`.
+    """Complete description of a simulated sensor; `sim.sensors.sensor` reads them by name.
 
     Raises:
-        SceneError: Values that do not fit each other.
+        SceneError: Values are inconsistent.
     """
 
     name: str
     description: str
-    """What it stands for, in a line."""
+    """Description in one line."""
     body: Body
-    """The soft part that is touched."""
+    """Soft body that is touched."""
     signal: CameraSignal | TaxelSignal
-    """What is measured of its deformation."""
+    """Signal that is measured from its deformation."""
     depth_max: float = field(metadata={"unit": "mm"})
-    """Deepest press that it is meant for [m]."""
+    """Deepest press that the sensor is meant for [m]."""
     effects: Effects = field(default_factory=Effects)
-    """What happens in it beyond elasticity."""
+    """Effects beyond elasticity."""
     film: float = field(default=0.0, metadata={"unit": "mm"})
-    """Thickness of a stiff skin on the body [m]: it bends round no edge more sharply than that, so
-    that every edge of an indenter is rounded as far, or as far as the indenter has room for."""
+    """Thickness of a stiff skin on the body [m], also the least radius to which it bends. Edges of
+    an indenter are rounded to it, or as far as the indenter has room."""
     speed: float = field(default=5e-3, metadata={"unit": "mm_s"})
-    """Speed of the tip while it presses [m/s]; the viscosity was fitted at this one."""
+    """Speed of the tip while pressing [m/s], at which the viscosity was fitted."""
     trajectory: PressShear | None = None
-    """The recorded presses; None where there is no such recording."""
+    """Recorded presses; None without such a recording."""
     force_depth: ForceDepth | None = None
-    """The press that relates force and depth, for material compensation."""
+    """Presses that relate force and depth, for material compensation."""
     life: Life = field(default_factory=Life)
-    """What tells this one from its drawing; all off unless asked for."""
+    """Deviations of this device from its design; all off by default."""
 
     def __post_init__(self) -> None:
         deepest = 0.9 * self.body.thickness
@@ -118,10 +118,10 @@ class SimulatedSensor:
             )
 
     def scene(self, indenter: Indenter, motion: Motion) -> Scene:
-        """The scene of this indenter on this motion, both as the sensor's frame has them.
+        """Return the scene of an indenter and a motion, both given in the sensor's frame.
 
         Raises:
-            SceneError: Deeper than the sensor is meant for.
+            SceneError: The motion is deeper than `depth_max`.
         """
         if motion.depth_max > self.depth_max * (1 + 1e-9):
             raise SceneError(
@@ -131,15 +131,15 @@ class SimulatedSensor:
         return Scene(self._felt(indenter), motion, body=self.body, effects=self.effects)
 
     def _felt(self, indenter: Indenter) -> Indenter:
-        """The indenter as it is on the inner side of the film; one without edges stays itself."""
+        """Return the indenter with edges rounded by the film; one without edges is unchanged."""
         if not 0 < indenter.edge_radius < self.film:
             return indenter
         return replace(indenter, edge_radius=min(self.film, indenter.edge_radius_max))
 
     def placed(self, indenter: Indenter, motion: Motion, *, seed: int) -> Scene:
-        """The scene that the robot makes of this motion: mount and grip of its life are drawn.
+        """Return the scene of a robot's motion, with mount and grip drawn at random from `life`.
 
-        `Mount.drawn(seed, name).field` then takes its deformation to what the sensor sees.
+        `Mount.drawn(seed, name).field` then transforms its deformation to the sensor's frame.
         """
         if self.life.mount is not None:
             motion = self.life.mount.drawn(seed, self.name).motion(motion)
@@ -149,27 +149,27 @@ class SimulatedSensor:
         return self.scene(indenter, motion)
 
 
-# The sensors that come with the simulator, by name, and sensors from files of one's own.
+# Sensors that come with the simulator, by name, and sensors from the user's files.
 
-# A file a sensor; its name is the sensor's.
+# One file per sensor, named as the sensor.
 ROWS = Path(__file__).parent / "rows"
 
-# The names that `sensor` knows.
+# Names that `sensor` accepts.
 NAMES: tuple[str, ...] = tuple(sorted(path.stem for path in ROWS.glob("*.yaml")))
 
-# The paper's five GelSights of one material and different markers.
+# The paper's five GelSights of one material with different markers.
 HOMOGENEOUS = ("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i")
-# Its seven skins of different hardness, from hard to soft.
+# The paper's seven skins of different hardness, from hard to soft.
 MATERIAL = ("r6", "r8", "r10", "r12", "r14", "r16", "r18")
-# Its three kinds of sensors, from hard to soft.
+# The paper's three kinds of sensors, from hard to soft.
 HETEROGENEOUS = ("uskin", "gelsight", "tacpalm")
 
 
 def sensor(name: str) -> SimulatedSensor:
-    """The sensor of that name.
+    """Return the sensor of that name.
 
     Raises:
-        SceneError: No such name.
+        SceneError: The name is unknown.
     """
     if name not in NAMES:
         raise SceneError(f"sensor: {name!r}; allowed: {', '.join(NAMES)}")
@@ -177,10 +177,10 @@ def sensor(name: str) -> SimulatedSensor:
 
 
 def read_sensor(path: Path) -> SimulatedSensor:
-    """The sensor that a YAML file describes; it is named as the file is.
+    """Read the sensor that a YAML file describes; its name is that of the file.
 
     Raises:
-        SceneError: Names the file and the key of what is wrong.
+        SceneError: The file is invalid; the message names the file and the key.
     """
     content = read_mapping(path)
     if "name" in content:

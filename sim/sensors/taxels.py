@@ -1,4 +1,4 @@
-"""uSkin: magnets in the silicone above Hall elements, 4 x 4 of them, counts along three axes."""
+"""Simulate uSkin: 4 x 4 magnets in silicone above Hall elements, with counts along three axes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.errors import SceneError, check_range
 from sim.scene import Body
 from sim.sensors.field import SurfaceField, cubic_weights
 
-# The field of small magnets.
+# Magnetic field of dipoles.
 
 Array = NDArray[np.float64]
 
@@ -23,15 +23,15 @@ MU_0_OVER_4_PI = 1e-7
 
 
 def flux_density(moments: Array, magnets: Array, places: Array) -> Array:
-    """Flux density (..., h, 3) [T] of m dipoles, summed, at h places.
+    """Return the total flux density (..., h, 3) [T] of m dipoles at h places.
 
     B = mu0 / 4 pi (3 r (m . r) / r^5 - m / r^3), r from magnet to place (Jackson, Classical
     Electrodynamics, section 5.6).
 
     Args:
-        moments: (..., m, 3) [A m^2].
-        magnets: Where they are (..., m, 3) [m].
-        places: (h, 3) [m].
+        moments: Magnetic moments (..., m, 3) [A m^2].
+        magnets: Positions of the magnets (..., m, 3) [m].
+        places: Positions at which to compute the field (h, 3) [m].
     """
     apart = places[:, None, :] - magnets[..., None, :, :]
     distance = np.linalg.norm(apart, axis=-1, keepdims=True)
@@ -42,41 +42,41 @@ def flux_density(moments: Array, magnets: Array, places: Array) -> Array:
 
 
 def rotations(gradient: Array) -> Array:
-    """The rotation R (..., 3, 3) in F = R U, F = 1 + gradient: how a small rigid body turns."""
+    """Return R (..., 3, 3) of F = R U, F = 1 + gradient: the rotation of a small rigid body."""
     left, _, right = np.linalg.svd(np.eye(3) + gradient)
-    # A deformation that turns inside out would make a mirror image of the nearest orthogonal one.
+    # For an inverted deformation the nearest orthogonal matrix would be a reflection.
     left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
     turn: Array = left @ right
     return turn
 
 
-# What happens inside a bonded layer, from what its top does.
+# Displacement inside a bonded layer, from that of its top.
 
 Waves = NDArray[np.complex128]
 
-# Distance of samples of the top [m]. A wave that this cannot hold has died away to a hundredth 0.75
-# mm below the top.
+# Spacing of samples of the top [m]. Waves that it cannot resolve have decayed to a hundredth at
+# 0.75 mm below the top.
 STEP = 0.5e-3
-# Thicknesses beside the body before its waves repeat; in the first of them the displacement of the
-# edge fades to nothing.
+# Padding on each side before the waves repeat, in thicknesses of the body. In the first thickness
+# the displacement of the edge fades to zero.
 MARGIN = 2.0
 
 
 class Interior:
-    """Displacement and its gradient at places inside a layer, linear in that of the top.
+    """Displacement and its gradient at places inside a layer, linear in the top's displacement.
 
-    The layer is linear elastic, bonded to a rigid base and without sides, and its top is displaced
-    as given: each wave of the top's displacement reaches down along the closed form of `_reach`.
-    Small strains are assumed below the top only; the displacement of the top may come from a
-    large-strain solver.
+    The layer is linear elastic, bonded to a rigid base and laterally unbounded. The displacement of
+    its top is given; each of its waves decays downwards by the closed form of `_reach`. Small
+    strains are assumed below the top only; the displacement of the top may come from a large-strain
+    solver.
 
     Args:
         body: A flat layer.
-        depth: Of the places below the untouched top [m], up to the thickness.
-        places: Their (x, y), (n, 2) [m].
+        depth: Depth of the places below the undeformed top [m], up to the thickness.
+        places: x and y of the places (n, 2) [m].
 
     Raises:
-        SceneError: A depth outside of the layer.
+        SceneError: The depth is outside the layer.
     """
 
     def __init__(self, body: Body, depth: float, places: Array) -> None:
@@ -102,7 +102,7 @@ class Interior:
             thickness=body.thickness,
             poisson=body.poisson,
         )
-        # The half of the waves that a real transform leaves out mirrors the half that it has.
+        # A real transform omits half of the waves, which are conjugates of the others.
         weight = np.full(len(self._ky), 2.0)
         weight[0] = 1.0
         if count_y % 2 == 0:
@@ -112,7 +112,7 @@ class Interior:
         self._at_y = np.exp(1j * self._ky * (places[:, 1:] - start_y)) * weight / count_y
 
     def at(self, top: SurfaceField) -> tuple[Array, Array]:
-        """Displacement (F, n, 3) [m] and gradient (F, n, 3, 3), du_i / dx_j, at the places."""
+        """Return displacement (F, n, 3) [m] and gradient du_i / dx_j (F, n, 3, 3) at the places."""
         waves = self._waves(top)
         moved = np.einsum("ijkl,fjkl->fikl", self._reach, waves)
         risen = np.einsum("ijkl,fjkl->fikl", self._slope, waves)
@@ -127,7 +127,7 @@ class Interior:
         return self._summed(moved, self._at_x, self._at_y), gradient
 
     def _waves(self, top: SurfaceField) -> Waves:
-        """Amplitudes (F, 3, kx, ky) of the top's displacement."""
+        """Return amplitudes (F, 3, kx, ky) of the top's displacement."""
         across_x, across_y = (
             cubic_weights(axis, samples) * fade[:, None]
             for axis, samples, fade in zip((top.x, top.y), self._samples, self._fade, strict=True)
@@ -137,14 +137,14 @@ class Interior:
         return waves
 
     def _summed(self, waves: Waves, at_x: Waves, at_y: Waves) -> Array:
-        """Values (F, n, 3) of waves (F, 3, kx, ky) at the places."""
+        """Return values (F, n, 3) of waves (F, 3, kx, ky) at the places."""
         lines = np.einsum("nk,fckl->fncl", at_x, waves, optimize=True)
         values: Array = np.einsum("fncl,nl->fnc", lines, at_y).real
         return values
 
 
 def _fade(samples: Array, half: float, width: float) -> Array:
-    """1 on the body, down to 0 within `width` beside it, smoothly (K,)."""
+    """Return factors (K,): 1 on the body, fading smoothly to 0 within `width` beside it."""
     beside = np.clip((np.abs(samples) - half) / width, 0.0, 1.0)
     fade: Array = 0.5 + 0.5 * np.cos(np.pi * beside)
     return fade
@@ -153,16 +153,17 @@ def _fade(samples: Array, half: float, width: float) -> Array:
 def _reach(
     kx: Array, ky: Array, *, height: float, thickness: float, poisson: float
 ) -> tuple[Waves, Waves]:
-    """What a wave of the top's displacement is at `height` above the base, and its slope along z.
+    """Return the transfer of the top's waves to `height` above the base, and its slope along z.
 
-    Both (3, 3, kx, ky). In a plane-strain wave along x, u_x = i U(s) exp(ikx), u_z = W(s) exp(ikx)
-    with s the height above the base, Navier's equations and u = 0 at s = 0 leave two numbers S, D:
+    Both are (3, 3, kx, ky). In a plane-strain wave along x, u_x = i U(s) exp(ikx),
+    u_z = W(s) exp(ikx) with s the height above the base. Navier's equations and u = 0 at s = 0
+    leave two unknowns S, D, which the displacement of the top determines:
 
         k U = S (kappa sinh q + q cosh q) + D q sinh q
-        k W = S q sinh q + D (q cosh q - kappa sinh q),    q = k s, kappa = 3 - 4 nu,
+        k W = S q sinh q + D (q cosh q - kappa sinh q),    q = k s, kappa = 3 - 4 nu.
 
-    which the displacement of the top fixes. The part across the wave goes as sinh q. Both go
-    linearly where k = 0. The same solution from the top's traction: `sim.layer.spectral`.
+    The component across the wave varies as sinh q. For k = 0 all are linear in s.
+    `sim.layer.spectral` has the same solution in terms of the top's traction.
     """
     length = np.hypot(kx, ky)
     still = length == 0
@@ -172,7 +173,7 @@ def _reach(
     top, _ = _plane_waves(k * thickness, kappa)
     whole = top[0, 0] * top[1, 1] - top[0, 1] * top[1, 0]
     back = np.array([[top[1, 1], -top[0, 1]], [-top[1, 0], top[0, 0]]]) / whole
-    # exp(q) is left out of every entry, so that no wave number overflows; here it comes back.
+    # All entries are divided by exp(q) to avoid overflow; this factor restores it.
     decay = np.exp(k * (height - thickness))
     plane = np.einsum("abkl,bckl->ackl", here, back) * decay
     plane_slope = np.einsum("abkl,bckl->ackl", here_slope, back) * decay * k
@@ -180,7 +181,7 @@ def _reach(
     across = -np.expm1(-2 * k * height) * scale
     across_slope = (1 + np.exp(-2 * k * height)) * scale * k
 
-    # Without a wave the layer is sheared and squeezed evenly: everything goes linearly.
+    # For k = 0 the layer is sheared and compressed uniformly, so everything is linear in height.
     for values, slopes, share in (
         (plane[0, 0], plane_slope[0, 0], 1.0),
         (plane[1, 1], plane_slope[1, 1], 1.0),
@@ -198,7 +199,7 @@ def _reach(
 
 
 def _plane_waves(q: Array, kappa: float) -> tuple[Array, Array]:
-    """Rows k U, k W, columns S, D (2, 2, ...), and their slopes in q; both over exp(q)."""
+    """Return rows k U, k W, columns S, D (2, 2, ...), and slopes in q; both divided by exp(q)."""
     decay = np.exp(-2 * q)
     sinh, cosh = (1 - decay) / 2, (1 + decay) / 2
     values = np.array([[kappa * sinh + q * cosh, q * sinh], [q * sinh, q * cosh - kappa * sinh]])
@@ -212,9 +213,9 @@ def _plane_waves(q: Array, kappa: float) -> tuple[Array, Array]:
 
 
 def _turned(plane: Array, across: Array, cosine: Array, sine: Array) -> Waves:
-    """The matrix (3, 3, ...) in x, y, z of a wave that runs along (cosine, sine).
+    """Return the matrix (3, 3, ...) in x, y, z of a wave along (cosine, sine).
 
-    With u_along = i U the two off-diagonal entries of the plane part become imaginary.
+    Since u_along = i U, the two off-diagonal entries of the plane part become imaginary.
     """
     (along, from_normal), (to_normal, normal) = plane
     mixed = (along - across) * cosine * sine
@@ -235,29 +236,29 @@ Counts = NDArray[np.int32]
 
 # Taxels along each side.
 SIDE = 4
-# Largest raw count: the device reports 16 bits without sign.
+# Largest raw count: the device reports unsigned 16-bit values.
 COUNT_MAX = 65535
 
 
 @dataclass(frozen=True, slots=True)
 class TaxelSignal:
-    """A pad of 4 x 4 magnets, each above its own Hall element.
+    """Pad of 4 x 4 magnets, each above its own Hall element.
 
-    Taxel i stands at column i % 4, row i // 4; columns go along x and rows along y, both upwards
-    from the corner of least x and y. Untouched, a magnet's moment points along z, out of the pad.
+    Taxel i is at column i % 4, row i // 4; columns go along x and rows along y, both ascending from
+    the corner of least x and y. At rest, a magnet's moment points along z, out of the pad.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     KIND: ClassVar[str] = "taxels"
 
     pitch: float = field(metadata={"unit": "mm"})
-    """Distance of neighbouring taxels [m]."""
+    """Distance between neighbouring taxels [m]."""
     magnet_depth: float = field(metadata={"unit": "mm"})
-    """From the untouched top down to the middle of a magnet [m]."""
+    """Depth of a magnet's middle below the untouched top [m]."""
     hall_depth: float = field(metadata={"unit": "mm"})
-    """From the base of the silicone down to the Hall elements [m]."""
+    """Depth of the Hall elements below the base of the silicone [m]."""
     moment: float = field(metadata={"unit": "ma_m2"})
     """Magnetic moment of a magnet [A m^2]."""
     gain_shear: float = field(metadata={"unit": "counts_per_mt"})
@@ -265,9 +266,9 @@ class TaxelSignal:
     gain_normal: float = field(metadata={"unit": "counts_per_mt"})
     """Counts per flux density along z [1/T]."""
     rest: tuple[float, float, float] = (48_000.0, 16_500.0, 40_000.0)
-    """Raw counts of an untouched taxel along x, y, z; they set how far it is to saturation."""
+    """Raw counts of an untouched taxel along x, y, z; they determine the range to saturation."""
     noise: float = 0.0
-    """Standard deviation of a count; 0 is none."""
+    """Standard deviation of a count; 0 is no noise."""
 
     def __post_init__(self) -> None:
         for name, unit, low, high in (
@@ -287,7 +288,7 @@ class TaxelSignal:
 
     @property
     def places(self) -> Array:
-        """Where the taxels are (16, 2) [m]."""
+        """Positions of the taxels (16, 2) [m]."""
         number = np.arange(SIDE * SIDE)
         steps = np.stack([number % SIDE, number // SIDE], axis=1).astype(float)
         places: Array = (steps - (SIDE - 1) / 2) * self.pitch
@@ -295,13 +296,14 @@ class TaxelSignal:
 
 
 class TaxelPad:
-    """What a pad reports while the top of its silicone is displaced.
+    """Counts of a pad for a displacement of the silicone's top.
 
-    A magnet goes where the material at its middle goes and turns as that material turns. Every Hall
-    element feels every magnet.
+    A magnet moves and rotates with the material at its middle. Every Hall element measures the
+    field of all magnets.
 
     Raises:
-        SceneError: A dome, a round pad, magnets that lie below the base, or taxels beside the body.
+        SceneError: The body has a dome or is round, magnets are below the base, or taxels are
+            outside the body.
     """
 
     def __init__(self, body: Body, signal: TaxelSignal) -> None:
@@ -334,27 +336,27 @@ class TaxelPad:
         self._untouched = self.flux(still, np.zeros((*still.shape, 3)))[0]
 
     def flux(self, moved: Array, gradient: Array) -> Array:
-        """Flux density (F, 16, 3) [T] at the Hall elements.
+        """Return the flux density (F, 16, 3) [T] at the Hall elements.
 
         Args:
             moved: Displacement of the magnets (F, 16, 3) [m].
-            gradient: That of the displacement there (F, 16, 3, 3), du_i / dx_j.
+            gradient: Gradient of the displacement there (F, 16, 3, 3), du_i / dx_j.
         """
         moments = self.signal.moment * rotations(gradient)[..., 2]
         return flux_density(moments, self._magnets + moved, self._halls)
 
     def change(self, top: SurfaceField) -> Array:
-        """Change of the flux density (F, 16, 3) [T] from the untouched pad's."""
+        """Return the change of the flux density (F, 16, 3) [T] from that of the untouched pad."""
         moved, gradient = self._interior.at(top)
         change: Array = self.flux(moved, gradient) - self._untouched
         return change
 
     def raw(self, top: SurfaceField, normal: Array | None = None) -> Counts:
-        """Raw counts (F, 16, 3) as the device sends them: 0 to 65535, whole, saturated.
+        """Return raw counts (F, 16, 3) as the device sends them: integers, saturated, 0 to 65535.
 
         Args:
             top: Displacement of the silicone's top.
-            normal: Standard normal numbers (F, 16, 3) to make the noise of; None is without.
+            normal: Standard normal numbers (F, 16, 3) for the noise; None for no noise.
         """
         signal = self.signal
         gain = np.array([signal.gain_shear, signal.gain_shear, signal.gain_normal])
@@ -364,7 +366,7 @@ class TaxelPad:
         return np.clip(np.rint(analog), 0, COUNT_MAX).astype(np.int32)
 
     def counts(self, top: SurfaceField, normal: Array | None = None) -> Counts:
-        """Counts (F, 16, 3) less the untouched pad's, whose own noise is averaged away."""
+        """Return counts (F, 16, 3) minus those of the untouched pad, which are free of noise."""
         return self.raw(top, normal) - np.rint(self.signal.rest).astype(np.int32)
 
 

@@ -1,7 +1,7 @@
-"""What makes two sensors of one design differ in life. Each is off unless asked for.
+"""Variations between sensors of the same design, each off by default.
 
-Every draw depends on the seed and on names alone: the same sensor is mounted in the same way in
-whatever order, process or subset it is simulated.
+Random draws depend on the seed and on names only, so that a sensor has the same variations in any
+order, process or subset of simulations.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from sim.errors import SceneError, check_range
 from sim.scene import Motion
 from sim.sensors.field import SurfaceField
 
-# Random numbers that depend on a seed and on names alone, never on what was drawn before.
+# Random numbers that depend on a seed and on names only, never on earlier draws.
 
 
 def generator(seed: int, *names: str | int) -> np.random.Generator:
-    """The random numbers of whatever `names` name, under this seed.
+    """Return a random generator for a seed and names.
 
-    Equal seeds and names give equal numbers, in any process and any order; others give numbers
-    that have nothing to do with them (NumPy's `SeedSequence` with the names as its spawn key).
+    Equal seeds and names give equal numbers, in any process and any order; different ones give
+    independent numbers (NumPy's `SeedSequence` with the names as its spawn key).
 
     Raises:
-        SceneError: A seed or a number among the names that is below 0.
+        SceneError: The seed or a number among the names is below 0.
     """
     numbers = [name for name in (seed, *names) if not isinstance(name, str)]
     if any(number < 0 for number in numbers):
         raise SceneError(f"seed: {seed!r}, names {names!r}; allowed: numbers from 0")
-    # A name's length keeps ("a", 1) apart from a text whose checksum happens to be 1.
+    # The length of a name distinguishes a number from a name whose checksum equals it.
     key: list[int] = []
     for name in names:
         if isinstance(name, str):
@@ -42,46 +42,46 @@ def generator(seed: int, *names: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
 
-# What segmentation does to markers: edges that waver, markers that it misses.
+# Segmentation errors: jitter of edges, missed markers.
 
 Masks = NDArray[np.bool_]
 Greys = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-# Grey of a pixel that a marker covers wholly.
+# Grey level of a pixel that a marker covers completely.
 WHITE = 255
-# Largest jitter [px]: edges are followed for 2.5 px either way, beyond that they stay.
+# Largest jitter [px]: edges move by at most 2.5 px either way.
 JITTER_MAX = 1.0
-# Grey across a straight edge that is softened by 1 4 6 4 1, linear in between: distance inside the
-# edge [px], and share of white. It rounds a marker of radius r by 1 / (2 r).
+# Grey profile of a straight edge smoothed by 1 4 6 4 1, linear in between: distance inside the
+# edge [px], and fraction of white. It rounds a marker of radius r by 1 / (2 r).
 PROFILE = (
     np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5]),
     np.array([0.0, 1.0, 5.0, 11.0, 15.0, 16.0]) / 16,
 )
-# Size of the field of noise that every frame takes a window of [px]: a new one each frame would
-# cost more than all the rest.
+# Size of the noise field, of which every frame uses a window [px]: computing a new field for each
+# frame would cost more than everything else.
 BANK = (768, 1024)
 
 
 @dataclass(frozen=True, slots=True)
 class Segmentation:
-    """How far segmented markers are from those drawn.
+    """Segmentation errors of markers.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     jitter_px: float = 0.0
-    """Standard deviation of an edge's place along its normal, 0 to 1."""
+    """Standard deviation of an edge's position along its normal, 0 to 1."""
     correlation_px: float = 4.0
-    """How far along an edge the jitter hangs together, as the spread of a Gaussian, 0.5 to 50."""
+    """Correlation length of the jitter, as the standard deviation of a Gaussian, 0.5 to 50."""
     missing: float = 0.0
-    """Share of markers that a frame misses, each frame anew, 0 to 1."""
+    """Fraction of markers missed, independently in each frame, 0 to 1."""
     rim_px: float = 0.0
     """Width of the dark rim of the image, 0 to 200."""
     rim_missing: float = 0.0
-    """Share of markers that are missed of those which reach into the rim, 0 to 1."""
+    """Fraction of markers missed among those that reach into the rim, 0 to 1."""
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (
@@ -95,12 +95,12 @@ class Segmentation:
 
 
 class Segmenter:
-    """Applies a `Segmentation` to images of one sensor; frame k has the same errors every time.
+    """Segmentation errors applied to images of one sensor; those of frame k are reproducible.
 
     Args:
-        segmentation: How large the errors are.
-        seed: Of all draws.
-        names: What tells these images from others, such as sensor and indenter.
+        segmentation: Magnitude of the errors.
+        seed: Seed of all draws.
+        names: Names that identify these images, such as sensor and indenter.
     """
 
     def __init__(self, segmentation: Segmentation, seed: int, *names: str | int) -> None:
@@ -113,15 +113,15 @@ class Segmenter:
             self._bank = (smooth / smooth.std()).astype(np.float32)
 
     def seen(self, coverage: Greys, first: int = 0) -> Masks:
-        """Masks (F, H, W) of what is found in grey images of markers (F, H, W), 255 covered wholly.
+        """Return masks (F, H, W) of the markers found in grey images (F, H, W).
 
         Args:
-            coverage: How much of each pixel markers cover. From a mask (0 or 255) a jitter below
-                half a pixel is lost: where the edge runs within the pixel is not in it.
-            first: Number of the first frame; it picks the errors.
+            coverage: Coverage of each pixel by markers, 255 if complete. With binary images (0 or
+                255), jitter below half a pixel is lost, as they have no subpixel edges.
+            first: Number of the first frame, which selects the errors.
 
         Raises:
-            SceneError: Not grey images.
+            SceneError: The images are not grey images.
         """
         if coverage.dtype != np.uint8 or coverage.ndim != 3:
             raise SceneError(
@@ -135,10 +135,10 @@ class Segmenter:
         return found
 
     def _wavered(self, image: Greys, random: np.random.Generator) -> Masks:
-        """The mask whose edges are moved along their normals.
+        """Return the mask with edges moved along their normals.
 
-        At the distance d inside an edge the softened image has the grey `PROFILE` of d, so the
-        grey of n as the threshold finds the edge n further in.
+        At the distance d inside an edge, the smoothed image has the grey level `PROFILE` of d. A
+        threshold at the level of n therefore moves the edge inwards by n.
         """
         jitter = self._segmentation.jitter_px
         if jitter == 0:
@@ -153,7 +153,7 @@ class Segmenter:
         return found
 
     def _noise(self, pixels: Indices, width: int, random: np.random.Generator) -> Floats:
-        """Noise (n,) at pixels of an image, from a window anywhere in the bank, mirrored or not."""
+        """Return noise (n,) at pixels of an image, from a random, maybe mirrored, bank window."""
         top, left = random.integers(0, BANK)
         flips = 1 - 2 * random.integers(0, 2, 2)
         row = (top + flips[0] * (pixels // width)) % BANK[0]
@@ -162,7 +162,7 @@ class Segmenter:
         return noise
 
     def _kept(self, mask: Masks, random: np.random.Generator) -> Masks:
-        """The mask without the markers that are missed."""
+        """Return the mask without the missed markers."""
         chosen = self._segmentation
         rim = round(chosen.rim_px)
         dim = chosen.rim_missing > 0 and rim > 0
@@ -183,10 +183,10 @@ class Segmenter:
 
 
 def softened(image: Greys) -> NDArray[np.uint16]:
-    """An image (H, W) times 256, softened by 1 4 6 4 1 along rows and columns; borders go on.
+    """Return an image (H, W), smoothed by 1 4 6 4 1 along both axes, times 256; edges are repeated.
 
-    The weights are those of a Gaussian of 1 px as closely as five can be: four times the sum of
-    neighbours, along each axis.
+    The weights come closest to a Gaussian of 1 px with five taps; they are computed as four sums of
+    neighbours along each axis.
     """
     soft = np.pad(image.astype(np.uint16), 2, mode="edge")
     for _ in range(4):
@@ -201,97 +201,97 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where a sensor sits under the robot, against where the robot believes it to be."""
+    """Actual pose of a sensor under the robot, relative to the pose that the robot assumes."""
 
     shift_x: float = 0.0
-    """The middle of its top along the robot's x [m]."""
+    """Position of the middle of its top along the robot's x [m]."""
     shift_y: float = 0.0
     """The same along y [m]."""
     turn: float = 0.0
-    """How far its x lies from the robot's, anticlockwise [rad]."""
+    """Angle from the robot's x axis to the sensor's, anticlockwise [rad]."""
 
     def motion(self, motion: Motion) -> Motion:
-        """The robot's motion, about the middle of the sensor: what a scene is simulated with.
+        """Return the robot's motion relative to the middle of the sensor, for simulating a scene.
 
-        Axes stay the robot's, so that the indenter and the forces need no turn; `field` makes the
-        turn. The sides of the body are taken to lie along the robot's axes, `turn` or not.
+        Axes stay the robot's, so that indenter and forces need no rotation; `field` applies it. The
+        sides of the body are assumed to lie along the robot's axes even with a `turn`.
         """
         tip = tuple((x - self.shift_x, y - self.shift_y, z) for x, y, z in motion.tip)
         return replace(motion, tip=tip)
 
     def field(self, field: SurfaceField) -> SurfaceField:
-        """The deformation of that scene in the sensor's own frame: what its camera sees."""
+        """Return the deformation of that scene in the sensor's frame, as its camera sees it."""
         return field.turned(self.turn)
 
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """A sensor screwed down askew: presses land elsewhere on it. Drawn once for each sensor.
+    """Mounting error of a sensor, which displaces presses on it; drawn once per sensor.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     shift: float = field(metadata={"unit": "mm"})
-    """Most that it is shifted along x, and along y; evenly drawn [m], 0 to 0.01."""
+    """Largest shift along x and along y, drawn uniformly [m], 0 to 0.01."""
     turn: float = field(metadata={"unit": "deg"})
-    """Most that it is turned about its axis either way; evenly drawn [rad], 0 to 0.2."""
+    """Largest rotation about its axis, drawn uniformly in both directions [rad], 0 to 0.2."""
 
     def __post_init__(self) -> None:
         check_range("mount", "shift", self.shift, 0.0, 0.01, unit="m")
         check_range("mount", "turn", self.turn, 0.0, 0.2, unit="rad")
 
     def drawn(self, seed: int, sensor: str) -> Placement:
-        """Where `sensor` sits."""
+        """Return the placement of `sensor`."""
         x, y, turn = generator(seed, "mount", sensor).uniform(-1.0, 1.0, 3).tolist()
         return Placement(self.shift * x, self.shift * y, self.turn * turn)
 
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """A camera that looks a little beside the gel: only the image moves. Drawn for each sensor.
+    """Alignment error of a camera, which moves only the image; drawn once per sensor.
 
     Raises:
-        SceneError: A value outside of what is allowed.
+        SceneError: A value is out of range.
     """
 
     shift_px: float
-    """Most that the image is shifted along columns, and along rows; evenly drawn, 0 to 100."""
+    """Largest shift of the image along columns and along rows, drawn uniformly, 0 to 100."""
     turn: float = field(metadata={"unit": "deg"})
-    """Most that it is turned about its middle either way; evenly drawn [rad], 0 to 0.2."""
+    """Largest rotation about its middle, drawn uniformly in both directions [rad], 0 to 0.2."""
 
     def __post_init__(self) -> None:
         check_range("framing", "shift_px", self.shift_px, 0.0, 100.0, unit="px")
         check_range("framing", "turn", self.turn, 0.0, 0.2, unit="rad")
 
     def drawn(self, seed: int, sensor: str) -> tuple[float, float, float]:
-        """Shift along columns and along rows [px], and turn [rad], of the camera of `sensor`."""
+        """Return shift along columns and rows [px] and turn [rad] of the camera of `sensor`."""
         column, row, turn = generator(seed, "framing", sensor).uniform(-1.0, 1.0, 3).tolist()
         return self.shift_px * column, self.shift_px * row, self.turn * turn
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """A skin that creeps as a session goes on, so that untouched images differ between points.
+    """Creep of the skin during a session, so that untouched images differ between points.
 
     Raises:
-        SceneError: A step outside of what is allowed.
+        SceneError: The step is out of range.
     """
 
     step: float = field(metadata={"unit": "um"})
-    """Standard deviation along x, and along y, of how far the whole skin creeps from one contact
-    point to the next [m], 0 to 1e-3: a random walk that begins at 0."""
+    """Standard deviation along x and along y of the whole skin's creep between contact points [m],
+    0 to 1e-3: a random walk that begins at 0."""
 
     def __post_init__(self) -> None:
         check_range("drift", "step", self.step, 0.0, 1e-3, unit="m")
 
     def drawn(self, points: int, seed: int, *session: str | int) -> Array:
-        """Offset (points, 2) [m] of the skin at each contact point of a session, in their order.
+        """Return the skin's offset (points, 2) [m] at each contact point of a session, in order.
 
         Args:
-            points: How many contact points there are.
-            seed: Of all draws.
-            session: What tells this session from others, such as sensor and indenter.
+            points: Number of contact points.
+            seed: Seed of all draws.
+            session: Names that identify this session, such as sensor and indenter.
         """
         steps = generator(seed, "drift", *session).normal(0.0, self.step, (points, 2))
         steps[:1] = 0.0
@@ -301,35 +301,35 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """A gripper that holds the indenter askew. Drawn for each indenter it takes.
+    """Grasping error of a gripper, which tilts the indenter; drawn for each indenter.
 
     Raises:
-        SceneError: A tilt outside of what is allowed.
+        SceneError: The tilt is out of range.
     """
 
     tilt: float = field(metadata={"unit": "deg"})
-    """Most that the indenter leans about x, and about y; evenly drawn [rad], 0 to 0.25."""
+    """Largest tilt of the indenter about x and about y, drawn uniformly [rad], 0 to 0.25."""
 
     def __post_init__(self) -> None:
         check_range("grip", "tilt", self.tilt, 0.0, 0.25, unit="rad")
 
     def drawn(self, seed: int, sensor: str, indenter: str) -> tuple[float, float]:
-        """Lean about x and about y [rad] of `indenter` while it is pressed into `sensor`."""
+        """Return the tilt about x and about y [rad] of `indenter` while pressed into `sensor`."""
         x, y = generator(seed, "grip", sensor, indenter).uniform(-1.0, 1.0, 2).tolist()
         return self.tilt * x, self.tilt * y
 
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """What tells a sensor in use from its drawing. None is off."""
+    """Deviations of a device in use from its design; None is off."""
 
     mount: Mount | None = None
-    """The sensor sits askew under the robot: other deformations."""
+    """Mounting error of the sensor, which changes deformations."""
     grip: Grip | None = None
-    """The indenter leans: other deformations."""
+    """Tilt of the indenter, which changes deformations."""
     framing: Framing | None = None
-    """The camera looks beside the gel: other images of the same deformation."""
+    """Alignment error of the camera, which changes images of the same deformation."""
     drift: Drift | None = None
-    """The skin creeps: other references."""
+    """Creep of the skin, which changes references."""
     segmentation: Segmentation | None = None
-    """Markers are not found exactly."""
+    """Segmentation errors of markers."""

@@ -1,11 +1,11 @@
-"""A press that is fed one pose at a time, as fast as the poses come: a sensor that is alive.
+"""Live simulation of a sensor: a press that receives one pose at a time.
 
     live = LiveSensor(sensor("gelsight"), named("prism"))
     live.move(tip, duration)  # as often as there is time
-    live.answer.values, live.answer.slope  # wrench and counts; what a tip that goes on changes
+    live.answer.values, live.answer.slope  # wrench and counts; their derivative by the tip
 
-A `simulate` of the same poses knows the whole motion beforehand and keeps every frame; this one
-knows the pose that it is told and the one before.
+`simulate` knows the whole motion beforehand and keeps every frame; a live sensor knows only the
+current pose and the one before.
 """
 
 from sim.stream.outlines import LiveMarkers

@@ -1,7 +1,7 @@
-"""Where a camera sees the rims of markers, quickly: each rim is a ring of material points.
+"""Fast projection of marker rims into the image: each rim is a ring of material points.
 
-An image is then a fill of polygons. `sim.markers` finds for every pixel what it sees, which is
-right for any pattern and for skins that fold over, and takes ten times as long.
+Filling the polygons gives an image. `sim.markers` traces every pixel instead, which is correct for
+any pattern and for skins that fold over, but takes ten times as long.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from sim.stream.stream import LiveTips
 
 Array = NDArray[np.float64]
 
-# Points of a rim: a disc's chords lie 0.5 % of its radius inside of it at most.
+# Points per rim: the chords of a disc lie at most 0.5 % of its radius inside it.
 POINTS = 32
 
 
 class LiveMarkers:
-    """The markers of a sensor's first pattern.
+    """Markers of a sensor's first pattern.
 
     Args:
-        sensor: With a camera.
-        grid: The points whose displacement will be told.
+        sensor: Sensor with a camera.
+        grid: Points at which the displacement will be given.
 
     Raises:
-        SceneError: A sensor without a camera.
+        SceneError: The sensor has no camera.
     """
 
     def __init__(self, sensor: SimulatedSensor, grid: Grid) -> None:
@@ -53,10 +53,10 @@ class LiveMarkers:
         self._index, self._weight = _taps(x, y, flat)
 
     def outlines(self, displacement: NDArray[np.float32]) -> Array:
-        """Column and row of the points of every rim (markers, POINTS, 2) [px].
+        """Return column and row of the points of every rim (markers, POINTS, 2) [px].
 
         Args:
-            displacement: Of the top (X, Y, 3) [m].
+            displacement: Displacement of the top (X, Y, 3) [m].
         """
         if self._tips is not None:
             return self._round(self._tips.displacement(displacement))
@@ -66,9 +66,9 @@ class LiveMarkers:
         return seen.reshape(len(self._centres), POINTS, 2)
 
     def _round(self, moved: Array) -> Array:
-        """Tips displaced by (n, 3) [m] are rigid and stay round; a nearer one looks larger."""
+        """Return rims of tips displaced by (n, 3) [m]: rigid and round, larger when nearer."""
         places = self._places + moved
-        # Upright in the image too: a turn of the camera leaves a disc as it is.
+        # Without the camera's rotation, which leaves a disc unchanged.
         size = self._camera.focal / (self._camera.distance + places[:, 2])
         rims = self._rings * size[:, None, None] * np.array([1.0, -1.0])
         seen: Array = self._camera.project(places)[:, None] + rims
@@ -76,10 +76,10 @@ class LiveMarkers:
 
 
 def _ring(pattern: Pattern) -> Array:
-    """A marker's rim about its centre (POINTS, 2) [m]."""
+    """Return a marker's rim about its centre (POINTS, 2) [m]."""
     turn = np.arange(POINTS) * (math.tau / POINTS)
     if pattern.shape == "disc":
-        # As large as the disc: the polygon's area is POINTS / 2 sin(2 pi / POINTS) r^2.
+        # Same area as the disc: the polygon's area is POINTS / 2 sin(2 pi / POINTS) r^2.
         radius = pattern.size / 2 * math.sqrt(math.tau / POINTS / math.sin(math.tau / POINTS))
         return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     stands = pattern.shape == "diamond"
@@ -101,7 +101,10 @@ def _ring(pattern: Pattern) -> Array:
 
 
 def _taps(x: Array, y: Array, places: Array) -> tuple[NDArray[np.int64], Array]:
-    """Which of the X * Y points each place (n, 2) depends on (n, 16), and how much."""
+    """Return the indices of the X * Y points that each place (n, 2) depends on, and weights.
+
+    Both are (n, 16).
+    """
     along_x = cubic_taps(x, places[:, 0], name="surface_x")
     along_y = cubic_taps(y, places[:, 1], name="surface_y")
     step = np.arange(along_x.weight.shape[1])

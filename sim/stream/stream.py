@@ -1,4 +1,4 @@
-"""A live sensor: a press and what is measured of it, with what it takes to answer in between."""
+"""Live sensor: a press, its readings, and their extrapolation between solutions."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from sim.scene import Motion, Scene
 from sim.sensors import Pins, SimulatedSensor, SurfaceField, TaxelPad, TaxelSignal
 from sim.sensors.field import EVEN_STEP, cubic_weights
 
-# A layer whose indenter keeps to the material that it has dragged along.
+# A layer whose contact follows the material that the indenter drags along.
 
 Array = NDArray[np.floating[Any]]
 
 
 class Carried(Clearance):
-    """The gap to an indenter above material that has moved aside by `drag` (2,) [m]."""
+    """Gap to an indenter above material that has moved sideways by `drag` (2,) [m]."""
 
     def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
         super().__init__(indenter, grid, motion)
         self.drag: Array = np.zeros(2)
 
     def at(self, tip: Array) -> Array:
-        """The gap at every pixel (nx, ny) with the tip at (3,) [m]."""
+        """Return the gap at every pixel (nx, ny) with the tip at (3,) [m]."""
         return super().at(tip - np.array([*self.drag, 0.0]))
 
 
 class CarriedPress(Press):
-    """The `layer` tier's press with the sideways displacement of what is touched in its gaps.
+    """Press of tier `layer` whose gap follows the sideways displacement of the contact.
 
-    Small strains let the gap be taken above untouched material, so an indenter that drags its
-    contact along leaves the pixels it sticks to, one row after the other, and its force jumps with
-    each. Here the gap is taken above material displaced as what was touched last is on average: as
-    long as it sticks, the pixels that it presses stay the same ones.
+    With small strains, the gap is measured above undeformed material. An indenter that drags its
+    contact along then leaves the pixels it sticks to, row by row, and its force jumps at each row.
+    Here the gap is measured above material displaced by the mean of the last contact, so that a
+    sticking indenter keeps pressing the same pixels.
     """
 
     def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
@@ -51,7 +51,7 @@ class CarriedPress(Press):
 
     @property
     def shear(self) -> Array:
-        """Mean sideways displacement of what is touched (2,) [m]; 0 where nothing is."""
+        """Mean sideways displacement of the contact (2,) [m]; 0 without contact."""
         touched = self.traction[2] != 0
         if not touched.any():
             return np.zeros(2)
@@ -59,35 +59,35 @@ class CarriedPress(Press):
         return moved
 
     def move(self, tip: Array, duration: float) -> None:
-        """Bring the tip straight to `tip` (3,) [m] in `duration` [s], as `Press.move`."""
+        """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `Press.move`."""
         super().move(tip, duration)
         limit = self.grid.body.thickness
         self._carried.drag = np.clip(self.shear, -limit, limit)
 
 
-# A layer under an indenter whose tip goes where it is told, from pose to pose.
+# A layer under an indenter whose tip follows commanded poses.
 
-# Pixels along the longer side: fewer than a `simulate` has, for half of its time.
+# Pixels along the longer side: fewer than in `simulate`, for half of its time.
 GRID = 96
-# Residual of the contact: moves forces by some 1e-3, five times what a `simulate` allows.
+# Residual of the contact: changes forces by about 1e-3, five times as much as in `simulate`.
 TOLERANCE = 1e-2
-# How far it goes on pressing, in depths that the sensor is meant for: an arm may overshoot.
+# Limit of the depth, as a multiple of the sensor's `depth_max`: an arm may overshoot.
 DEEPER = 2.0
-# A dent that is left of a press counts as gone when it is shallower than this [m].
+# A dent that remains after a press counts as recovered when it is shallower than this [m].
 RECOVERED = 0.1e-6
 
 
 class LivePress:
-    """The `layer` tier, pose by pose. Poses that it cannot reach are taken to its nearest ones.
+    """Press of tier `layer`, pose by pose; poses out of reach are moved to the nearest valid ones.
 
     Args:
-        sensor: What is pressed.
-        indenter: With what.
+        sensor: Sensor to press.
+        indenter: Indenter to press with.
         grid: Pixels along the body's longer side, 16 to 512.
         tolerance: Residual of the contact (`Contact.residual`), 1e-10 to 0.1.
 
     Raises:
-        SceneError: A sensor or an effect that the tier does not know.
+        SceneError: The tier does not support the sensor or an effect.
     """
 
     def __init__(
@@ -104,30 +104,30 @@ class LivePress:
         self._far = _beyond_reach(indenter, body.size_x, body.size_y)
         still = sensor.scene(indenter, Motion(tip=((0.0, 0.0, 0.0),), time=(0.0,)))
         self.scene = Scene(still.indenter, self._anywhere(), body=body, effects=still.effects)
-        """The sensor and the indenter, in a motion that goes everywhere."""
+        """Sensor and indenter, with a motion that spans all poses."""
         check_known(self.scene, tolerance)
         self._press = CarriedPress(self.scene, Grid(body, grid), tolerance)
         self._rests = True
 
     @property
     def grid(self) -> Grid:
-        """The pixels of the top."""
+        """Pixels of the top."""
         return self._press.grid
 
     @property
     def field(self) -> SurfaceField:
-        """The displaced top, as a sensor reads it."""
+        """Displacement of the top, for the sensor's readout."""
         x, y = (np.asarray(axis, np.float64) for axis in (self.grid.x, self.grid.y))
         return SurfaceField(x, y, self.displacement[None])
 
     @property
     def tip(self) -> Array:
-        """Where the tip is taken to be (3,) [m]."""
+        """Position of the tip (3,) [m], within the reachable poses."""
         return self._press.tip
 
     @property
     def touching(self) -> bool:
-        """Whether anything is pressed."""
+        """True if the indenter is in contact."""
         return bool(self._press.traction[2].any())
 
     @property
@@ -137,19 +137,19 @@ class LivePress:
 
     @property
     def shear(self) -> Array:
-        """Mean sideways displacement of what is touched (2,) [m]; 0 where nothing is."""
+        """Mean sideways displacement of the contact (2,) [m]; 0 without contact."""
         return self._press.shear
 
     @property
     def displacement(self) -> NDArray[np.float32]:
-        """Of the top (X, Y, 3) [m]."""
+        """Displacement of the top (X, Y, 3) [m]."""
         moved: NDArray[np.float32] = np.ascontiguousarray(
             np.moveaxis(self._press.displacement, 0, -1), np.float32
         )
         return moved
 
     def relaxing(self, within: float) -> Array:
-        """Mean rate of the force (3,) [N/s] over the next `within` [s] if the tip stays there."""
+        """Return the force's mean rate (3,) [N/s] over the next `within` [s] at a fixed tip."""
         history = self._press.history
         after = history.after(within)
         traction = after.factor * history.elastic + after.held
@@ -157,11 +157,11 @@ class LivePress:
         return change * (self.grid.area / within)
 
     def move(self, tip: Array, duration: float) -> None:
-        """Bring the tip straight to `tip` (3,) [m] in `duration` [s].
+        """Move the tip straight to `tip` (3,) [m] in `duration` [s].
 
         Raises:
-            SceneError: A pose that is not finite, or a time below 0.
-            SimulationDiverged: No contact was found; the press is as it was some steps before.
+            SceneError: The pose is not finite, or the duration is below 0.
+            SimulationDiverged: No contact was found; the press is in the state of some steps ago.
         """
         tip = np.asarray(tip, float)
         if tip.shape != (3,) or not np.isfinite(tip).all():
@@ -176,7 +176,7 @@ class LivePress:
         self._rests = not self.touching and self._recovered()
 
     def _recovered(self) -> bool:
-        """Whether there is no dent any more; what is less than one is forgotten."""
+        """Return True if the dent has recovered, and reset the remaining displacement."""
         press = self._press
         if np.abs(press.displacement).max() > RECOVERED:
             return False
@@ -188,19 +188,22 @@ class LivePress:
         x, y = self._far
         near = np.clip(tip, [-x, -y, -self._deepest], [x, y, np.inf])
         if abs(tip[0]) >= x or abs(tip[1]) >= y:
-            # Beside the body; as deep as ever there is nothing to touch.
+            # Beside the body there is nothing to touch at any depth.
             near[2] = max(near[2], 0.0)
         return near
 
     def _anywhere(self) -> Motion:
-        # What is dragged along is looked for where it came from: a thickness away at most.
+        # The gap is also evaluated where dragged material came from, at most a thickness away.
         (x, y), low = (far + self._thickness for far in self._far), -self._deepest
         corners = ((0.0, 0.0, 0.0), (x, y, low), (-x, -y, low))
         return Motion(tip=corners, time=(0.0, 1.0, 2.0))
 
 
 def _beyond_reach(indenter: Indenter, size_x: float, size_y: float) -> tuple[float, float]:
-    """How far aside of the body's middle the tip touches nothing, or a body's width [m]."""
+    """Return the distances along x and y [m] from the middle beyond which a tip touches nothing.
+
+    The indenter's width counts up to the width of the body.
+    """
     widths = [max(abs(side[0]), abs(side[1])) for side in indenter.bounds[:2]]
     x, y = (
         size / 2 + min(width, size) for size, width in zip((size_x, size_y), widths, strict=True)
@@ -208,70 +211,70 @@ def _beyond_reach(indenter: Indenter, size_x: float, size_y: float) -> tuple[flo
     return x, y
 
 
-# What a sensor's values do when the tip goes on, learned from the moves that it made.
+# Derivative of a sensor's values by the tip's position, learned from past moves.
 
-# A move this long is believed by half [m]: the shorter it is, the more of what it changed is the
-# tolerance of the solutions and the grain of the grid.
+# Length of a move that gets half the weight [m]: in the changes of shorter moves, the tolerance of
+# the solutions and the grid's resolution weigh more.
 SURE = 20e-6
 
 
 class Slope:
-    """d values / d tip (n, 3), corrected along each move and kept across it.
+    """Jacobian d values / d tip (n, 3), updated along each move and kept across it.
 
-    Broyden's update (Math. Comp. 19 (1965) 577), damped: of all matrices that give what the last
-    move gave, the one nearest to that before; short moves are believed less. A contact that is
-    pressed and then sheared keeps its stiffness to pressing while it learns that to shear, and a
-    move back finds the stiffness of the way there.
+    This is Broyden's update (Math. Comp. 19 (1965) 577), damped: of all matrices that reproduce the
+    last move, the one nearest to the previous matrix, with less weight on short moves. A contact
+    that is pressed and then sheared keeps its normal stiffness while the shear stiffness is
+    learned, and a move back starts from the stiffness of the way there.
 
     Args:
-        count: Of the values.
+        count: Number of values.
     """
 
     def __init__(self, count: int) -> None:
         self.matrix: Array = np.zeros((count, 3))
-        """(n, 3), in units of the values a metre."""
+        """Jacobian (n, 3), in units of the values per metre."""
 
     def learn(self, moved: Array, changed: Array) -> None:
-        """A move of the tip by `moved` (3,) [m] changed the values by `changed` (n,)."""
+        """Update after a move by `moved` (3,) [m] that changed the values by `changed` (n,)."""
         missed = changed - self.matrix @ moved
         share = moved / (float(moved @ moved) + SURE**2)
         self.matrix = self.matrix + np.outer(missed, share)
 
 
-# Time over which relaxation is foretold [s]: about that from one solution to the next.
+# Time over which relaxation is extrapolated [s]: about the interval between solutions.
 WITHIN = 20e-3
-# Tips of a press that tries the sensor out, in depths that it is meant for.
+# Tips of a light press that initialises the slope, in multiples of the sensor's `depth_max`.
 LIGHT = ((0.0, 0.0, -0.05), (0.025, 0.0, -0.05), (0.025, 0.025, -0.05))
-# Counts of a pad: 16 taxels, 3 axes.
+# Number of counts of a pad: 16 taxels with 3 axes.
 COUNTS = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """The last solution, and how to go on from it while the next one is made.
+    """Latest solution, and its extrapolation until the next one is ready.
 
     Values are the wrench about the tip (6,) [N, N m], then the raw counts (48,) of a pad of taxels,
     0 without one. For a tip near `tip`, `seconds` later:
 
-        values + slope (x - tip) + rate seconds    where `touching`
-        values + slope (0, 0, min(z, 0))           where it did not touch yet
+        values + slope (x - tip) + rate seconds    if `touching`
+        values + slope (0, 0, min(z, 0))           if not touching yet
     """
 
     tip: Array
-    """(3,) [m]."""
+    """Position of the tip (3,) [m]."""
     touching: bool
     values: Array
-    """(54,)."""
+    """Wrench and counts (54,)."""
     slope: Array
-    """(54, 3) [1/m]; of the contact before, as long as nothing is touched."""
+    """Derivative by the tip (54, 3) [1/m]; without contact, that of the last contact."""
     rate: Array
-    """(54,) [1/s]: what relaxes while the tip stays."""
+    """Rate of relaxation at a fixed tip (54,) [1/s]."""
 
 
 class LiveSensor:
-    """A sensor that is told where the indenter's tip is.
+    """Simulated sensor that follows the indenter's tip.
 
-    Arguments and errors as `LivePress`.
+    Arguments and errors are those of `LivePress`.
     """
 
     def __init__(
@@ -285,17 +288,17 @@ class LiveSensor:
         signal = sensor.signal
         self._pad = TaxelPad(sensor.body, signal) if isinstance(signal, TaxelSignal) else None
         self._slope = Slope(6 + COUNTS)
-        # The first contact is foretold from a light one that is then forgotten.
+        # A light press gives the slope of the first contact, and is then discarded.
         self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
         self.answer = self._untouched()
-        """The newest."""
+        """Latest solution."""
         for x, y, z in LIGHT:
             self.move(sensor.depth_max * np.array([x, y, z]), 0.0)
         self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
         self.answer = self._untouched()
 
     def move(self, tip: Array, duration: float) -> None:
-        """Bring the tip to `tip` (3,) [m] in `duration` [s]; errors as `LivePress.move`."""
+        """Move the tip to `tip` (3,) [m] in `duration` [s]; errors as `LivePress.move`."""
         before, press = self.answer, self.press
         press.move(tip, duration)
         values, rate = self._values(), np.zeros(6 + COUNTS)
@@ -323,31 +326,31 @@ class LiveSensor:
 
 
 def _touched(before: Array, now: Array) -> Array:
-    """Where on the way the tip went through the untouched surface (3,) [m]."""
+    """Return the point at which the tip crossed the undeformed surface (3,) [m]."""
     if before[2] <= 0 or now[2] >= 0:
         return before
     place: Array = before + (now - before) * (before[2] / (before[2] - now[2]))
     return place
 
 
-# Tips of pins, quickly: what `Pins.tips` finds on a fine grid of the skin, at the pins alone.
+# Fast displacement of pin tips: `Pins.tips` computes it on a fine grid, this only at the pins.
 
 FloatArray = NDArray[np.float64]
 
-# Places along an axis whose weighted mean is a Gaussian's, in its standard deviations: exact for
-# polynomials up to the fifth degree (Gauss and Hermite's rule of three).
+# Nodes and weights of a Gaussian mean along an axis, nodes in standard deviations: three-point
+# Gauss-Hermite quadrature, exact for polynomials up to the fifth degree.
 NODES = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
 SHARES = np.array([1.0, 4.0, 1.0]) / 6.0
 
 
 class LiveTips:
-    """Displacement of the tips of some pins, from that of the skin.
+    """Displacement of pin tips, computed from that of the skin.
 
     Args:
         pins: The pins.
-        x: Of the points of the skin (X,) [m], rising.
-        y: The same (Y,).
-        centres: Where the pins are (n, 2) [m].
+        x: x of the skin's points (X,) [m], ascending.
+        y: y of the skin's points (Y,) [m], ascending.
+        centres: Positions of the pins (n, 2) [m].
     """
 
     def __init__(self, pins: Pins, x: FloatArray, y: FloatArray, centres: FloatArray) -> None:
@@ -356,13 +359,13 @@ class LiveTips:
         self._y, self._slope_y = _weights(y, centres[:, 1], pins.base)
 
     def displacement(self, skin: NDArray[np.float32]) -> FloatArray:
-        """Of the tips (n, 3) [m]; `skin` is the displacement (X, Y, 3) [m]."""
+        """Return the tips' displacement (n, 3) [m] for that of the skin (X, Y, 3) [m]."""
         rows, columns, _ = skin.shape
         flat = skin.reshape(rows, columns * 3).astype(float)
         pins, nodes = len(self._x) // len(NODES), len(NODES)
 
         def at(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-            """Values at each pin's nodes (n, nodes, nodes, 3)."""
+            """Return values at each pin's nodes (n, nodes, nodes, 3)."""
             lines = (along_x @ flat).reshape(pins, nodes, columns, 3)
             crossed = np.matmul(along_y.reshape(pins, 1, nodes, columns), lines)
             return np.asarray(crossed)
@@ -378,17 +381,17 @@ class LiveTips:
 
 
 def _averaged(values: FloatArray) -> FloatArray:
-    """Means (n, 3) over the feet of values at their nodes (n, nodes, nodes, 3)."""
+    """Return means (n, 3) over the pins' bases of values at nodes (n, nodes, nodes, 3)."""
     mean: FloatArray = np.einsum("nabc,a,b->nc", values, SHARES, SHARES)
     return mean
 
 
 def _weights(known: FloatArray, centres: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
-    """Weights (n * nodes, K) of values at `known` (K,) in the value at each node, and its slope."""
+    """Return weights (n * nodes, K) from values at `known` (K,) to values and slopes at nodes."""
     count = max(2, round((known[-1] - known[0]) / EVEN_STEP) + 1)
     even = np.linspace(known[0], known[-1], count)
     fine = cubic_weights(known, even)
-    # The spread of a disc along an axis is a quarter of its width.
+    # The standard deviation of a disc along an axis is a quarter of its width.
     nodes = (centres[:, None] + base / 4 * np.array(NODES)).ravel()
     to_nodes = cubic_weights(even, nodes)
     return to_nodes @ fine, to_nodes @ np.gradient(fine, even[1] - even[0], axis=0)

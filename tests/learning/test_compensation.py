@@ -1,4 +1,4 @@
-"""Labels come to another skin as equations 7 to 9 say, and priors are what was measured."""
+"""Labels are transferred to another skin by equations 7 to 9; priors equal the measurements."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from recorder import PHASES, MarkerArchive
 
 DOWN, SHEARED, BACK, UP = range(len(PHASES))
 DEPTH = np.linspace(0.1e-3, 1.2e-3, 12)
-# Springs: N/m^2 and N/m of depth.
+# Spring constants per depth, quadratic [N/m^2] and linear [N/m].
 HARD, SOFT, EMPTY = (0.8e6, 4.0e3), (0.3e6, 1.5e3), (0.0, 0.0)
 
 
 def spring(name: str, down: tuple[float, float], up: tuple[float, float] | None = None) -> Prior:
-    """The prior of a spring, fitted to what it would have measured."""
+    """Return the prior of a spring, fitted to simulated measurements of it."""
     loading, unloading = (
         np.stack([DEPTH, a * DEPTH**2 + b * DEPTH], axis=1) for a, b in (down, up or down)
     )
@@ -197,7 +197,7 @@ def test_a_recorded_session_has_the_curve_that_was_pressed(tmp_path: Path) -> No
     prior = fit_prior(curve)
     assert prior.depth_max == pytest.approx(1e-3, rel=0.1)
     share = np.array([0.25, 0.5, 0.75])
-    # 3 N at 1 mm, and a line in between.
+    # 3 N at 1 mm, linear below that.
     due = 3e3 * share * prior.depth_range
     for branch in (prior.loading, prior.unloading):
         assert np.allclose(branch.compression(share), due, atol=0.15)
@@ -223,12 +223,12 @@ def test_an_archive_of_skins_that_differ_by_a_factor_is_compensated_exactly(
     stored = read_stored(out)
     (pair,) = (pair for pair in stored.pairs if (pair.source, pair.target) == ("dots", "grid"))
     oracle = pair.choices["oracle"]
-    # Labels are of the two presses of the one indenter that models may see, four phases each.
+    # Labels belong to two presses of the one seen indenter, four phases each.
     assert pair.pairs == 8
     assert (oracle.d0, oracle.weight) == (0.0, 1.0)
     assert oracle.error == pytest.approx(0.0, abs=1e-9)
     assert oracle.r2 == pytest.approx(1.0)
-    # Labels 1.6 times too small are wrong by 0.375 of what they should be.
+    # Labels too small by a factor of 1.6 have a relative error of 0.375.
     both = paired_labels(archive, "dots", "grid")
     assert both is not None
     square = np.square(both.target)

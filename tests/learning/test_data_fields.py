@@ -1,4 +1,4 @@
-"""Displacement fields: read with their gaps filled, inverted, and images moved by them."""
+"""Displacement fields: reading with gaps filled, inversion, and warping of images."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_an_untouched_image_becomes_what_the_press_shows() -> None:
     moved = warp(_image(UNTOUCHED), _lattice_field())
     due = _image(PRESSED) > 0.5
     assert _dice(_image(UNTOUCHED) > 0.5, due) < 0.85
-    # The edges of the binary mask that was shrunk lie up to half a pixel off the pattern's.
+    # The edges of the downscaled binary mask are up to half a pixel off those of the pattern.
     assert _dice(moved > 0.5, due) > 0.975
 
 
@@ -66,7 +66,7 @@ def test_the_inverse_leads_back() -> None:
     rows = ((torch.arange(48) + 0.5) * 10 - 0.5)[:, None].expand(1, 48, 64)
     there = sampled(_lattice_field(), columns + back[:, 0], rows + back[:, 1])
     assert (there + back).abs().max() < 0.01
-    # The field bends less than its lattice is fine: every fourth pixel is enough.
+    # The field varies slowly compared with its lattice: every fourth pixel is enough.
     assert (
         inverse(_lattice_field(), (480, 640))
         - inverse(_lattice_field(), (480, 640), steps=20, coarse=1)
@@ -112,7 +112,7 @@ def test_maps_are_displacement_and_growth() -> None:
     maps = marker_maps(Fields(_lattice_field(), torch.ones(1, 57, 73, dtype=torch.bool), LATTICE))
     assert maps.shape == (1, 3, 32, 32)
     middle = maps[0, :, 16:18, 15:17].mean(dim=(1, 2))
-    # At its place a press moves by its shear, and stretches by 16 px in 90 px either way.
+    # At its centre a press moves by its shear, and stretches by 16 px over 90 px both ways.
     assert middle[0].item() == pytest.approx(10.0, abs=0.5)
     assert middle[2].item() == pytest.approx(2 * np.log(1 + 16 / 90), abs=0.03)
 

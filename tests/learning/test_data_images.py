@@ -1,4 +1,4 @@
-"""Images as networks see them: exact area means, the authors' enlargement, arrays and tensors."""
+"""Images as network inputs: exact area means, the authors' upscaling, arrays and tensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _masks() -> np.ndarray:
 
 
 def _overlaps(pixels: int, images: int) -> np.ndarray:
-    """Share of each pixel (images, pixels) that an image's pixel covers."""
+    """Return the share of each pixel (images, pixels) that an image's pixel covers."""
     ends = np.arange(images + 1) * pixels / images
     low, high = np.arange(pixels), np.arange(pixels) + 1
     return np.clip(np.minimum(ends[1:, None], high) - np.maximum(ends[:-1, None], low), 0, None) / (
@@ -46,7 +46,7 @@ def test_images_are_enlarged_as_pillow_does() -> None:
         [np.asarray(Image.fromarray(each).resize(size, lanczos)) > 128 for each in images]
     )
     other = enlarge_images(torch.from_numpy(images)).numpy()
-    # Pillow calculates in whole numbers: a value at the threshold may round to its other side.
+    # Pillow uses integer arithmetic: a value at the threshold may round to the other side.
     assert (one != other).mean() < 1e-4
 
 

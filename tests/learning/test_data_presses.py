@@ -1,4 +1,4 @@
-"""Presses in memory: right frames in the right order, wherever they come from."""
+"""Presses in memory: the right frames in the right order, from every kind of source."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_marker_fields_follow_the_truth(
     inside = (found - truth)[:, :2, 6:-6, 6:-6]
     assert inside.abs().median() < 0.5
     assert truth[:, :2].abs().max() > 5
-    # Some presses at a time, as large archives need it, are the same.
+    # Reading a few presses at a time, for large archives, gives the same result.
     monkeypatch.setattr(presses_module, "_FIELDS_AT_ONCE", 6)
     said: list[int] = []
     again = load_presses(

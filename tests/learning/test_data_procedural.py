@@ -20,7 +20,7 @@ def _drawn(count: int, chance: np.random.Generator) -> torch.Tensor:
 
 
 def _pixels() -> torch.Tensor:
-    """Places of the pixels of the full image (1, 2, 480, 640)."""
+    """Return the pixel positions of the full image (1, 2, 480, 640)."""
     rows, columns = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
     return torch.stack([columns, rows])[None].float()
 
@@ -60,7 +60,7 @@ def test_some_of_the_patterns_are_drawn_as_they_are_among_all() -> None:
 def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
     patterns = sample_patterns(2, _chance(5), CPU)
     field = torch.tensor([20.0, 15.0]).view(1, 2, 1, 1).expand(2, 2, 24, 32)
-    # 2.5 columns and 1.875 rows are a pixel: 8 pixels each.
+    # One pixel is 2.5 columns by 1.875 rows: 8 pixels each.
     moved = patterns.draw(before(field, None))
     rest = patterns.draw(untouched(256, CPU))
     assert torch.allclose(moved[..., 8:, 8:], rest[..., :-8, :-8], atol=1e-3)

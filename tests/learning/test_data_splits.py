@@ -1,4 +1,4 @@
-"""Splits: every press has one role in all sensors, and a split is a file."""
+"""Splits: every press has the same role in all sensors, and a split is stored in a file."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_the_same_seed_makes_the_same_split_and_another_one_another(
 
 
 def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
-    # As simulated states are: one frame a location, several locations a press.
+    # As for simulated states: one frame per location, several locations per press.
     class Table(dict):  # type: ignore[type-arg]
         pass
 
@@ -218,7 +218,7 @@ def test_the_verb_writes_the_split_and_says_what_is_in_it(
     said = capsys.readouterr().out
     assert "held out" in said
     assert read_split(path) == make_split(archive, held_out_sensors=("grid",))
-    # Frames of presses: 4 of each of 3 indenters with 5 frames, of which one is missing.
+    # Frames of presses: 4 for each of 3 indenters with 5 frames, one of which is missing.
     total = re.findall(r"^dots .*", said, re.MULTILINE)[0]
     assert sum(int(count) for count in re.findall(r"(\d+) of", total)) == 59
 

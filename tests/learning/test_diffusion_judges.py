@@ -1,4 +1,4 @@
-"""What judges translated images: the vision-aided discriminator, its augmentation, and LPIPS."""
+"""Losses on translated images: the vision-aided discriminator, its augmentation, and LPIPS."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_augmentation_cuts_out_a_square_of_up_to_half_the_side() -> None:
     images = torch.full((64, 3, 16, 16), 7.0)
     cut = augment(images, _generator()) == 0
     share = cut.all(dim=1).float().mean(dim=(1, 2))
-    # A square of 8 x 8 at most, and up to 2 rows and columns that were shifted out.
+    # A square of at most 8 x 8, and up to 2 rows and columns that were shifted out.
     assert 0.05 < float(share.mean()) < 0.45
     assert float(share.max()) <= (64 + 2 * 32) / 256
 
@@ -112,7 +112,7 @@ def test_lpips_is_what_its_definition_says() -> None:
         torch.manual_seed(0)
         distance = PerceptualDistance(VGG)
     for layer in distance.features:
-        # Large enough that no feature vanishes, as with VGG16's own weights.
+        # Large enough that no feature vanishes, as with VGG16's real weights.
         if isinstance(layer, nn.Conv2d):
             layer.weight.mul_(4)
     one, other = torch.rand(2, 1, 3, 32, 32, generator=_generator()) * 2 - 1

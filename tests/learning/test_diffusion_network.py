@@ -1,4 +1,4 @@
-"""The diffusion translator's network: its one step, its tokens, and which parameters learn."""
+"""The diffusion translator's network: its single step, its tokens, and its trainable parameters."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LEARNING = Path(__file__).parents[2] / "learning"
 
 @functools.cache
 def _network(preset: str = "ours") -> MarkerToMarker:
-    """Return a network that tests leave as it is."""
+    """Return a network that tests do not modify."""
     made = tiny_pretrained()
     return build(made.unet, made.vae, tiny_settings(preset))
 
@@ -139,8 +139,8 @@ def test_grey_levels_come_back_from_either_range() -> None:
 @pytest.mark.parametrize("preset", ["ours", "authors_code"])
 def test_all_that_is_meant_to_learn_learns_and_nothing_else_moves(preset: str) -> None:
     settings = tiny_settings(preset)
-    # Without decay whatever has no gradient stays where it is. The first halves of adapters get
-    # one when the second are no longer 0, so in the second step.
+    # Without weight decay, parameters without a gradient do not change. The first halves of
+    # adapters have a gradient once the second halves are no longer 0: from the second step on.
     still = replace(settings.optimiser, weight_decay=0.0)
     settings = replace(settings, optimiser=still, steps=2, batch=1)
     made, fresh = tiny_pretrained(), tiny_pretrained()
@@ -156,7 +156,7 @@ def test_all_that_is_meant_to_learn_learns_and_nothing_else_moves(preset: str) -
         for name in before
         if name.startswith(("tokens.", "unet.conv_in."))
         or (is_adapter(name) and name.startswith("unet."))
-        # In the authors' code no optimiser holds the autoencoder's adapter.
+        # In the authors' code no optimiser contains the autoencoder's adapter.
         or (is_adapter(name) and name.startswith("vae.") and preset == "ours")
     }
     assert moved == meant

@@ -121,7 +121,7 @@ def test_both_ways_of_a_step_follow_the_same_losses() -> None:
 
 
 class _Listening:
-    """A run that keeps what it is told and writes nothing."""
+    """A run that stores its log calls and writes nothing."""
 
     def __init__(self, said: list[dict[str, float]]) -> None:
         self.said = said

@@ -1,4 +1,4 @@
-"""The trained diffusion translator, from archive to masks, and how its folder is found again."""
+"""The trained diffusion translator from archive to masks, and loading from its folder."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _network(*, moved: bool) -> MarkerToMarker:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a finished training, and beside it the published weights."""
+    """The folder of a finished training, next to the published weights."""
     folder = tmp_path_factory.mktemp("finished")
     base = write_base(folder / "sd-turbo", DEEP_VAE)
     settings = tiny_settings(base=str(base))
@@ -73,11 +73,11 @@ def test_a_loaded_translator_gives_what_the_trained_network_gives(
     found = loaded.translate(masks, target, source)
     assert found.shape == (2, 480, 640)
     assert found.dtype == torch.bool
-    # Adapters are fused in one of them: grey levels next to the threshold may round otherwise.
+    # One of them has fused adapters: grey levels next to the threshold may round differently.
     assert float((found != trained.translate(masks, target, source)).float().mean()) < 1e-3
     assert 0 < int(found.sum()) < found.numel()
     assert loaded.name.startswith("diffusion ")
-    # In order, the first frame is the untouched source.
+    # In ordered mode the first frame is the source's reference.
     by_order = loaded.translate(masks[:1], target, ordered=True)
     assert torch.equal(masks[0], source)
     assert float((found[:1] != by_order).float().mean()) < 1e-3
@@ -110,7 +110,7 @@ def test_published_weights_are_found_beside_a_model_and_others_are_refused(
 def test_pairs_of_many_sensors_keep_every_image_once(archive: MarkerArchive) -> None:
     split = make_split(archive, validation=0.34, new_press=0)
     pairs = read_image_pairs(archive, split, "train")
-    # Two presses of the sphere, four phases each; two sensors, both ways.
+    # Two presses of the sphere with four phases each; two sensors, in both directions.
     assert (len(pairs), len(pairs.images), len(pairs.references)) == (16, 16, 2)
     rows = split.rows(archive["dots"].table, "train")
     assert len(read_role_images(archive, split, "train", sensors=["dots"])) == len(rows) == 10

@@ -44,7 +44,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @functools.cache
 def _trained() -> MarkerToMarker:
-    """Return a network whose adapters, tokens and first layer are none of the first ones."""
+    """Return a network whose adapters, tokens and first layer differ from the initial ones."""
     made = tiny_pretrained()
     network = build(made.unet, made.vae, tiny_settings("authors_code"))
     chance = torch.Generator().manual_seed(5)
@@ -54,7 +54,7 @@ def _trained() -> MarkerToMarker:
 
 
 def _theirs(network: MarkerToMarker, vae_adapter: str = "ref_encoder_lora") -> dict[str, Any]:
-    """Return what the authors' code saves of their network, as the facts describe it."""
+    """Return a state dict as the authors' code saves it, by the description of its format."""
 
     def renamed(state: Mapping[str, torch.Tensor], adapter: str) -> dict[str, torch.Tensor]:
         return {name.replace("ref_encoder_lora", adapter): each for name, each in state.items()}
@@ -68,7 +68,7 @@ def _theirs(network: MarkerToMarker, vae_adapter: str = "ref_encoder_lora") -> d
         }
         for part in ("unet", "vae", "reference")
     }
-    # Theirs is a whole autoencoder: it has the decoder's adapter as well.
+    # Their autoencoder is complete: it also has the decoder's adapter.
     decoder = {name: each for name, each in of["vae"].items() if name.startswith("decoder.")}
     return {
         "unet_lora_target_modules": list(UNET_TARGETS),

@@ -1,4 +1,4 @@
-"""Distances of features against closed forms, and what the features are."""
+"""Distances of features against closed forms, and properties of the features."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from learning.evaluation.distribution import (
 
 
 def exactly(mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Samples with exactly this mean and covariance."""
+    """Return samples with exactly this mean and covariance."""
     drawn = np.random.default_rng(3).normal(size=(40, len(mean)))
     drawn -= drawn.mean(axis=0)
     white = drawn @ np.linalg.inv(np.linalg.cholesky(np.atleast_2d(np.cov(drawn.T)))).T
@@ -43,7 +43,7 @@ def test_frechet_of_gaussians_in_a_plane_is_the_closed_form() -> None:
     first = np.array([[2.0, 0.7], [0.7, 1.0]])
     second = np.array([[1.0, -0.4], [-0.4, 3.0]])
     product = first @ second
-    # The trace of the root of a 2 x 2 matrix, from its own trace and determinant.
+    # Trace of the square root of a 2 x 2 matrix, from its trace and determinant.
     root = np.sqrt(np.trace(product) + 2 * np.sqrt(np.linalg.det(product)))
     expected = 5 + np.trace(first) + np.trace(second) - 2 * root
     mean = np.array([1.0, 2.0])
@@ -95,7 +95,7 @@ def test_a_classifier_tells_other_sets_apart_and_guesses_on_equal_ones() -> None
 def test_a_classifier_does_not_know_samples_by_their_likes() -> None:
     chance = np.random.default_rng(3)
     groups = np.repeat(np.arange(20), 10)
-    # Ten samples of a kind lie together, and are all in one set.
+    # The ten samples of a group are close together and in the same set.
     drawn = chance.normal(size=(20, 40))[groups] + 0.01 * chance.normal(size=(200, 40))
     known = classifier_accuracy(drawn[:100], drawn[100:], np.arange(200), seed=0)
     assert known > 0.9
@@ -115,7 +115,7 @@ def test_sets_far_apart_do_not_mix_and_equal_ones_mix_fully() -> None:
 
 def test_the_mixing_score_is_the_share_of_foreign_neighbours_over_chance() -> None:
     one, other = np.array([[0.0], [1.0]]), np.array([[1.1], [5.0]])
-    # Nearest of each: 1.0, 1.1 (foreign), 1.0 (foreign), 1.1; by chance 2 of 3 are foreign.
+    # Nearest neighbours: 1.0, 1.1 (other), 1.0 (other), 1.1; by chance 2 of 3 are of the other set.
     assert mixing_score(one, other, neighbours=1) == pytest.approx(0.5 / (2 / 3))
 
 
@@ -135,7 +135,7 @@ def test_the_marker_grid_tells_what_is_set_where_and_how_much_is_edge() -> None:
     across = np.linspace(-1, 1, 32)[:16].mean() / 2
     assert column[1, 3] == pytest.approx(across)
     assert row[1, 3] == pytest.approx(0)
-    # The right end of the half, and its lower end; its left end belongs to the cell before.
+    # The right half-end and the lower end; the left end belongs to the previous cell.
     assert edge[1, 3] == pytest.approx((32 + 16) / 1024)
     assert edge[1, 2] == pytest.approx(32 / 1024)
 

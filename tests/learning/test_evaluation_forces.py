@@ -1,4 +1,4 @@
-"""Errors of forces against hand values, and predictions on disk."""
+"""Force errors against hand-computed values, and predictions on disk."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from learning.metrics import (
 
 def test_the_mean_absolute_error_is_that_of_each_axis_and_of_the_magnitude() -> None:
     predicted = TRUE + np.array([0.1, -0.2, 0.0])
-    predicted[1] = [0.0, 0.0, -4.0]  # of magnitude 5, said to be 4
+    predicted[1] = [0.0, 0.0, -4.0]  # of magnitude 5, predicted as 4
     errors = force_errors(TRUE[:2], predicted[:2], np.array([1.0, 2.0, 4.0, 0.5]))
     magnitude = np.sqrt(0.01 + 0.04 + 1) - 1
     expected = np.array([1.55, 0.1, 0.0, (magnitude + 1) / 2])
@@ -46,7 +46,7 @@ def test_r2_is_one_for_the_truth_zero_for_the_mean_and_below_for_worse() -> None
     true = np.array([[1.0], [2.0], [6.0]])
     assert r_squared(true, true) == pytest.approx([1])
     assert r_squared(true, np.full((3, 1), 3.0)) == pytest.approx([0])
-    # Labels are -2, -1 and 3 off their mean, 14 of squares; what is said is 5, 4 and 0 off, 41.
+    # Labels are -2, -1 and 3 off their mean (squares: 14), predictions 5, 4 and 0 off (41).
     assert r_squared(true, np.full((3, 1), 6.0)) == pytest.approx([1 - 41 / 14])
 
 

@@ -1,4 +1,4 @@
-"""Overlap and markers of masks against what is known by hand, and the nearest frame."""
+"""Overlap and marker metrics of masks against hand-computed values, and the nearest frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from recorder.markers import HEIGHT, WIDTH, Lattice
 
 
 def squares(*corners: tuple[int, int], side: int = 20) -> NDArray[np.bool_]:
-    """One mask with squares, their upper left corners given as column and row."""
+    """Return one mask with squares; upper left corners given as column and row."""
     mask = np.zeros((1, HEIGHT, WIDTH), np.bool_)
     for column, row in corners:
         mask[0, row : row + side, column : column + side] = True

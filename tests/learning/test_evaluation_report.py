@@ -1,4 +1,4 @@
-"""The report of made-up predictions, and scores of translations whose quality is known."""
+"""The report of synthetic predictions, and scores of translations of known quality."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from recorder import MarkerArchive
 
 
 class Still:
-    """A translator that always shows the untouched target."""
+    """A translator that always returns the target's reference."""
 
     name = "still"
 
@@ -95,7 +95,7 @@ def test_real_frames_beside_themselves_are_perfect(scores: TranslationScores) ->
     (floor,) = [row for row in scores.paired if row.method == FLOOR]
     assert (floor.dice, floor.iou, floor.count_mismatch) == (1, 1, 0)
     assert floor.centroid_px == 0
-    # Markers that are bent have their centres elsewhere than their middles go, by little.
+    # For bent markers the moved centre differs slightly from the centre of the moved marker.
     others = [row.epe_px for row in scores.paired if row.method in (REFERENCE, NEAREST)]
     assert floor.epe_px < 0.5 < min(others)
 
@@ -161,7 +161,7 @@ def test_a_report_tells_before_and_after_in_one_page_and_in_tables(
     assert "frechet, kernel [marker-grid-8x8]" in page
     assert "FID, KID [" not in page
     assert page.count("data:image/png;base64,") >= 6
-    assert "http" not in page  # nothing is fetched from elsewhere
+    assert "http" not in page  # no external resources
     with (tmp_path / "report/force.csv").open() as file:
         lines = list(csv.DictReader(file))
     (line,) = [

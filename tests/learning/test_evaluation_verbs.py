@@ -1,4 +1,4 @@
-"""`predict` with a model of a few weights, and what it refuses."""
+"""`predict` with a model of a few weights, and its errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from recorder import MarkerArchive
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with an archive, a split, and models that nobody trained."""
+    """A folder with an archive, a split, and untrained models."""
     folder = tmp_path_factory.mktemp("lab")
     archive = made_up_archive(
         folder / "x.markers.zarr", targets=3, frames_per_phase=1, unlabelled=("grid",)

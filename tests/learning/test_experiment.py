@@ -1,4 +1,4 @@
-"""An experiment makes everything once, goes on where it was, and refuses to become another."""
+"""An experiment makes every result once, resumes where it stopped, and rejects other settings."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def run(archive: MarkerArchive, out: Path, *changed: str) -> list[str]:
 def done(
     archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, list[str]]:
-    """A whole experiment: its folder, and what it said."""
+    """A complete experiment: its folder and its output."""
     out = tmp_path_factory.mktemp("done") / "out"
     return out, run(archive, out)
 
@@ -144,7 +144,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     said: list[str] = []
     with ThreadPoolExecutor(2) as pool:
         assert len(worker._done(pool, pieces, said.append)) == 4
-    # The slow one ends only when what waits for the quick one has begun.
+    # The slow job ends only when the one that depends on the quick job has begun.
     assert begun[2:] == [after_quick, after_slow]
     assert set(begun) == set(pieces)
     for name in ("slow", "quick"):
@@ -202,7 +202,7 @@ def test_presses_translated_together_are_those_translated_one_by_one(
             ordered=True,
         )
         together = warped.images[packed.starts[press] : packed.starts[press + 1]]
-        # Fields are kept in 16 bits: an edge may fall on the pixel beside.
+        # Fields are stored in 16 bits: an edge may move by one pixel.
         assert (together.int() - shrink_masks(alone).int()).abs().float().mean() < 0.5
     assert (warped.wrench == packed.wrench).all()
     assert warped.sensor == "dots-to-grid"
@@ -245,7 +245,7 @@ def test_a_blind_translator_is_told_nothing_of_the_source() -> None:
 
 
 class Same:
-    """A translator that shows the source as it is."""
+    """A translator that returns the source unchanged."""
 
     name = "same"
 

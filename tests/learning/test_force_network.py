@@ -36,7 +36,7 @@ def _model(**changes: Any) -> ForceModel:
 
 
 def test_the_papers_network_has_as_many_weights_as_its_description_gives() -> None:
-    # RAFT's encoder, three 3 x 3 gates of 256 to 128, ResNet-18's blocks to 256 and 512.
+    # RAFT's encoder, three 3 x 3 gates from 256 to 128, ResNet-18's blocks up to 256 and 512.
     model = _preset("paper")
     assert _count(model.encoder) == 1_050_336
     assert _count(model.memory) == 3 * (256 * 128 * 9 + 128)
@@ -79,7 +79,7 @@ def test_streaming_frame_by_frame_is_the_whole_sequence(norm: str) -> None:
     model = _model(network=network)
     frames = torch.randn(2, 6, 2, 32, 32)
     model.train()
-    model(frames)  # so that the statistics of batch norm are those of something
+    model(frames)  # so that batch norm has real statistics
     model.eval()
     with torch.no_grad():
         whole, last = model(frames)

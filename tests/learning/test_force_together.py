@@ -1,4 +1,4 @@
-"""Models trained side by side are those that would have been trained alone."""
+"""Models trained side by side equal those trained alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SETTINGS = toy(
 
 
 def _shown() -> list[Presses]:
-    """The same presses, as three sensors show them."""
+    """Return the same presses as seen by three sensors."""
     return [replace(noise_presses(3, 4, seed=seed), sensor=name) for seed, name in enumerate("abc")]
 
 
@@ -39,7 +39,7 @@ def _softer(
 
 @pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, False), (True, True)])
 def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
-    """Predictions, since a bias before a norm does nothing: Adam moves it by round-off alone."""
+    """Compare predictions: a bias before a norm has no effect, and Adam moves it by round-off."""
     presses = _shown()
     settings = replace(SETTINGS, sequences=replace(SETTINGS.sequences, flips=flips))
     start = train_force(noise_presses(4, 3, seed=7), settings) if begun else None
@@ -88,7 +88,7 @@ def test_it_stops_when_it_is_asked_to() -> None:
     ],
 )
 def test_what_models_cannot_share_is_refused(settings: ForceSettings, key: str) -> None:
-    with pytest.raises(LearningError, match=f"{key}: found what models have to be trained for"):
+    with pytest.raises(LearningError, match=f"{key}: found a setting that needs one model"):
         train_together(_shown(), settings)
 
 

@@ -19,7 +19,7 @@ from learning.force.predict import KIND, ForcePredictor
 from learning.force.train import train_force
 from learning.training.run import RunFolder
 
-# All that a run has to remember.
+# All state that a run has to restore.
 EVERYTHING = toy(
     stages=(
         StageSettings(epochs=3, learning_rate=3e-3, schedule="authors", one_sensor=True),
@@ -46,7 +46,7 @@ def _weights(predictor: ForcePredictor) -> dict[str, torch.Tensor]:
 
 
 def _left(predictor: ForcePredictor, presses: Presses) -> float:
-    """Return the error as a share of what saying the mean would leave."""
+    """Return the error as a share of that of predicting the mean."""
     wanted = presses.wrench.numpy()
     off = np.abs(predictor.predict(presses) - wanted).mean()
     return float(off / np.abs(wanted - wanted.mean(axis=0)).mean())

@@ -1,4 +1,4 @@
-"""Published GenForce folders, built here to their description: read, written, and refused."""
+"""GenForce folders, built here as published: reading, writing and rejection."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def force_of(number: int) -> Any:
 
 
 def training_folder(root: Path, *, depths: bool = True, suffix: str = ".npy") -> Path:
-    """Write a training folder as the published ones are."""
+    """Write a training folder in the published layout."""
     images = root / "img" / suffix[1:]
     for s, sensor in enumerate(SENSORS):
         for i, indenter in enumerate(INDENTERS):
@@ -251,7 +251,7 @@ MALFORMED: dict[str, tuple[Change, str]] = {
     ),
     "no reference": (
         lambda root: (root / "img/npy/Array1_ref.npy").unlink(),
-        r"Array1_ref\.npy: no such file, nor \.jpg; expected the untouched",
+        r"Array1_ref\.npy: no such file, nor \.jpg; expected the reference",
     ),
     "a frame that is missing": (
         lambda root: (root / IMAGES / "0005.npy").unlink(),
@@ -322,7 +322,7 @@ def test_a_malformed_folder_is_refused_by_the_name_of_its_file(
     out = tmp_path / "a.markers.zarr"
     with pytest.raises(LearningError, match=message):
         import_folder(root, out)
-    # Labels are read before anything is written; a mask only when its turn has come.
+    # Labels are read before anything is written; a mask only when its turn comes.
     assert not out.exists() or MarkerArchive(out).status == "writing"
 
 
@@ -391,7 +391,7 @@ def test_runs_as_they_were_collected_give_the_archive_of_their_session(
     if kind == "camera":
         np.testing.assert_array_equal(sensor.packed(rows), own[name].packed(rows))
     else:
-        # Their files hold whole counts: a rim moves by less than a pixel.
+        # Their files have integer counts: a rim moves by less than a pixel.
         assert np.mean(sensor.masks(rows) == own[name].masks(rows)) > 0.9999
     for column in ("indenter", "seen", "location", "target", "phase", "frame", "reference"):
         np.testing.assert_array_equal(sensor.table[column], own[name].table[column])
@@ -430,7 +430,7 @@ def test_raw_runs_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(LearningError, match=r"2/normal_inc/0001\.jpg: jpeg:"):
         import_folder(tmp_path / "data", tmp_path / "c.markers.zarr")
     (run / "ref.jpg").unlink()
-    with pytest.raises(LearningError, match=r"ref\.jpg: no such file; expected the untouched"):
+    with pytest.raises(LearningError, match=r"ref\.jpg: no such file; expected the reference"):
         import_folder(tmp_path / "data", tmp_path / "d.markers.zarr")
     shutil.rmtree(tmp_path / "data")
     export(record(tmp_path / "s.zarr", "taxels"), tmp_path / "data", "genforce")

@@ -1,4 +1,4 @@
-"""Frames become forces one by one, from the untouched sensor on, and memory ends with contact."""
+"""Frames become forces one by one, starting without contact; memory ends with contact."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHAPE = (1, 256, 256)
 
 
 class Stub:
-    """A network that counts its steps in its state and says what it was shown."""
+    """A network that counts its steps in its state and returns the image it was given."""
 
     def __init__(self) -> None:
         self.frames: list[np.ndarray[Any, Any]] = []
@@ -74,7 +74,7 @@ def test_memory_is_carried_while_touched_and_cleared_when_contact_has_ended() ->
     frames = [REST, REST, touched(), touched(), REST, touched(), *[REST] * (rule.frames + 2)]
     found = [predictor.step(frame) for frame in frames]
     steps = [one.force[0] for one in found if one is not None]
-    # Untouched frames each begin anew; a moment without contact does not clear the memory.
+    # Each frame without contact starts again; a short loss of contact does not clear the memory.
     assert steps[:6] == [1, 1, 2, 3, 4, 5]
     assert steps[6:] == [6, 7, 8, 9, 1, 1, 1]
     contact = [one.contact for one in found if one is not None]

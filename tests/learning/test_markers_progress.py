@@ -1,4 +1,4 @@
-"""Progress says how far it is and how long it takes, and nothing of what is quick."""
+"""Progress shows the share done and the time left, and is silent for fast work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""EfficientSAM through ONNX Runtime: boxes go out, the best masks come back, files are checked."""
+"""EfficientSAM through ONNX Runtime: box prompts, best masks, and checks of model files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEIGHT, WIDTH = 480, 640
 
 
 def save(path: Path, nodes: Any, inputs: Any, outputs: Any, constants: Any = ()) -> Path:
-    """Write an ONNX model; shapes hold numbers, or names where an axis is free."""
+    """Write an ONNX model; shapes contain numbers, or names for free axes."""
     onnx = pytest.importorskip("onnx", reason="onnx makes the small models of these tests")
     pytest.importorskip("onnxruntime", reason="onnxruntime is what is tested")
     kinds = {"f": onnx.TensorProto.FLOAT, "i": onnx.TensorProto.INT64}
@@ -36,7 +36,7 @@ def save(path: Path, nodes: Any, inputs: Any, outputs: Any, constants: Any = ())
 
 
 def small_encoder(path: Path, name: str = "batched_images") -> Path:
-    """Its embedding is the mean of red, green and blue (1, 1, H, W)."""
+    """Write an encoder: its embedding is the mean of red, green and blue (1, 1, H, W)."""
     return save(
         path,
         [("ReduceMean", [name], ["image_embeddings"], {"axes": [1], "keepdims": 1})],
@@ -46,7 +46,7 @@ def small_encoder(path: Path, name: str = "batched_images") -> Path:
 
 
 def small_decoder(path: Path, prompts: int | str = "prompts", points: int | str = "points") -> Path:
-    """Three masks a box: nothing, what is dark in the box (the best by IoU), and everything."""
+    """Write a decoder with three masks per box: empty, the dark part (best IoU), and everything."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
     constants = [
         ("x", x[None, None]),
@@ -81,7 +81,7 @@ def small_decoder(path: Path, prompts: int | str = "prompts", points: int | str 
         ("And", ["c", "d"], ["cd"], {}),
         ("And", ["ab", "cd"], ["inside"], {}),
         ("Sub", ["half", "image_embeddings"], ["dark"], {}),
-        # Labels other than 2 and 3 darken nothing: a box without its corners finds nothing.
+        # Labels other than 2 and 3 have no effect: a box without its corners finds nothing.
         ("Sub", ["batched_point_labels", "second"], ["off"], {}),
         ("Abs", ["off"], ["wrong"], {}),
         ("ReduceMax", ["wrong"], ["fault"], {"keepdims": 0}),
@@ -139,7 +139,7 @@ def test_boxes_around_rough_centres_come_back_as_whole_markers(
     sam = EfficientSam(small_encoder(encoder), small_decoder(decoder, prompts))
     picture, whole, rough = scene()
     np.testing.assert_array_equal(sam.refined(picture, rough, 15), whole)
-    # A box that is smaller than a marker cuts it.
+    # A box smaller than a marker cuts it.
     assert 0 < sam.refined(picture, rough, 5).sum() < whole.sum()
     assert not sam.refined(picture, np.zeros_like(rough), 15).any()
     assert len(set(sam.identity.values())) == 2
@@ -149,13 +149,13 @@ def test_an_archive_is_refined_and_keeps_to_its_weights(tmp_path: Path) -> None:
     encoder, decoder = tmp_path / "encoder.onnx", tmp_path / "decoder.onnx"
     sam = EfficientSam(small_encoder(encoder), small_decoder(decoder))
     whole = record(tmp_path / "whole.zarr")
-    # Every frame shows one picture: it is looked at once.
+    # Every frame shows the same picture, which is processed once.
     session = altered(whole, tmp_path / "s.zarr", {"frames/image": np.full(32, 20)})
     out = tmp_path / "a.markers.zarr"
     archive_sessions([session], out, sam=sam)
     sensor = MarkerArchive(out)["gelsight"]
     (picture,) = Session(session).streams["camera"].images([20])
-    # What the small model calls dark, in boxes of 31 px: markers of 21 px lie in them.
+    # Dark areas by the small model, in boxes of 31 px: they contain markers of 21 px.
     dark = picture.astype(np.float32).mean(axis=2) / 255 <= 0.5
     rough = Segmenter(preset("bench-gelsight")).mask(picture)  # type: ignore[arg-type]
     (mask,) = sensor.masks([7])

@@ -1,4 +1,4 @@
-"""Presets, masks and centres: measured against pictures whose markers are known."""
+"""Presets, masks and centres: measured on pictures with known markers."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def test_a_region_is_cut_and_resized_and_a_picture_that_lacks_it_refused() -> No
     cv2.circle(picture, (160, 120), 10, (0, 0, 0), -1)
     own = CameraPreset("", (Dark(100),), region=Region(rows=(60, 180), columns=(80, 240)))
     (place,) = find_centres(Segmenter(own).mask(picture)).place
-    # Column 160 of the picture is 80.5 from the left of the region, 160 wide.
+    # Column 160 of the picture is 80.5 from the left of the region, which is 160 wide.
     np.testing.assert_allclose(place, [80.5 * 4 - 0.5, 60.5 * 4 - 0.5], atol=0.3)
     with pytest.raises(LearningError, match=r"region\.rows: found 60 to 180; the picture has 100"):
         Segmenter(own).mask(picture[:100])
@@ -246,7 +246,7 @@ def test_taxels_are_drawn_less_the_untouched_ones() -> None:
     plain, turned = TaxelPreset(""), TaxelPreset("", rows_from_top=True)
     masks = taxel_masks(counts + untouched, untouched, plain)
     np.testing.assert_array_equal(masks, draw_discs(counts))
-    # Taxel 5 is in the second row from the top: where taxel 9 is, with y turned over.
+    # Taxel 5 is in the second row from the top, where taxel 9 is if y is flipped.
     mirrored = np.zeros((16, 3))
     mirrored[9] = (1500, 1000, 4000)
     np.testing.assert_array_equal(

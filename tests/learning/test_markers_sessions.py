@@ -1,4 +1,4 @@
-"""Sessions become archives: labels, references, locations, flags; again after a kill; refusals."""
+"""Sessions converted to archives: labels, references, locations, flags, resuming, and errors."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def digests(path: Path) -> dict[str, str]:
 
 
 def hidden(session: Path) -> Any:
-    """Return which frames show pictures with hidden markers."""
+    """Return the frames with pictures of hidden markers."""
     return np.isin(Session(session).frames["image"], list(HIDDEN))
 
 
@@ -262,7 +262,7 @@ def test_two_kinds_of_device_are_not_one_sensor(camera: Path, taxels: Path, tmp_
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sensor": "mine"}, "mine: no preset is meant for it; say one of bench-gelsight"),
+        ({"sensor": "mine"}, "mine: no preset is assigned to it; allowed: bench-gelsight"),
         ({"preset_name": "uskin"}, "preset uskin: is for taxels; gelsight has camera"),
         ({"preset_name": OWN}, r"gelsight\.mm_per_px: not in preset dark-markers"),
         ({"preset_name": "nothing.yaml", "mm_per_px": 0.1}, r"sphere\.zarr: preset nothing\.yaml"),
@@ -298,7 +298,7 @@ def test_the_command_makes_an_archive_and_a_sheet(
         pixels = np.asarray(page.convert("RGB")).astype(int).reshape(-1, 3)
     red, green, blue = pixels.T
     assert np.sum((red > 200) & (green > 100) & (green < 190) & (blue < 110)) > 500  # outlines
-    assert np.sum((red > 190) & (green < 90) & (blue < 80)) > 500  # frames of flagged ones
+    assert np.sum((red > 190) & (green < 90) & (blue < 80)) > 500  # borders of flagged frames
     assert main(["markers", str(camera), "--rate"]) == 0
     assert "frames/s of one core (reading" in capsys.readouterr().out
 

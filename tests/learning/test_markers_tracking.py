@@ -1,4 +1,4 @@
-"""Markers keep their names through a sequence, whatever is missed or seen in between."""
+"""Markers keep their identity through a sequence, despite missed and false detections."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def grid(columns: int = 9, rows: int = 7, pitch: float = 60.0) -> np.ndarray[Any
 
 
 def bulge(places: np.ndarray[Any, Any], share: float) -> np.ndarray[Any, Any]:
-    """Return how far markers move: outwards and to the right, most around the middle."""
+    """Return the marker displacement: outwards and to the right, largest around the middle."""
     away = places - [300.0, 240.0]
     bell = np.exp(-np.sum(away**2, axis=1) / 2 / 120.0**2)[:, None]
     return share * (bell * [55.0, 20.0] + 0.25 * bell * away)
 
 
 def shuffled(places: np.ndarray[Any, Any], random: np.random.Generator) -> Any:
-    """Return places in another order, and where each of them went."""
+    """Return positions in a different order, and the new index of each."""
     order = random.permutation(len(places))
     return places[order], np.argsort(order)
 
@@ -68,7 +68,7 @@ def test_markers_that_are_lost_are_found_again_under_their_names() -> None:
         expected[names] = np.arange(len(names))
         np.testing.assert_array_equal(track.found, expected)
         assert np.isnan(track.place[track.lost]).all()
-        # A marker that is lost is still expected near where it is.
+        # The expected position of a lost marker stays near the true one.
         assert np.linalg.norm(track.expected - truth, axis=1).max() < 25
 
 

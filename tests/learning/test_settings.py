@@ -1,4 +1,4 @@
-"""Settings: strict YAML into frozen values, and every error says where and what is allowed."""
+"""Settings: strict YAML to frozen values; every error states the place and the allowed values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trainings of several processes: two that see half of each batch are one that sees all of it."""
+"""Distributed training: two processes with half a batch each equal one with the full batch."""
 
 from __future__ import annotations
 

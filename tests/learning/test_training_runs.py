@@ -1,4 +1,4 @@
-"""Run folders: a training that is stopped anywhere goes on as if it had not been."""
+"""Run folders: a training that is stopped at any point resumes with identical results."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Net(nn.Module):
 
 
 def _train(folder: Path, until: int, *, resume: bool = False) -> Net:
-    """Train with momentum, dropout and an average, saving every 10 steps, up to some step."""
+    """Train with momentum, dropout and an average up to some step, saving every 10 steps."""
     toy = Toy()
     seed_torch(toy.seed, "weights")
     net = Net(toy.width)
@@ -130,7 +130,7 @@ def test_the_last_ones_and_the_best_are_kept(tmp_path: Path) -> None:
     _train(tmp_path / "run", 40)
     run = RunFolder.open(tmp_path / "run", "force", Toy(), "data", resume=True)
     kept = sorted(path.name for path in (tmp_path / "run/checkpoints").iterdir())
-    # Scores are |step - 15|: 10 and 20 are as good, and the older one counts.
+    # Scores are |step - 15|: 10 and 20 are equal, and the older one is kept.
     assert kept == ["00000010", "00000030", "00000040"]
     assert run.best() == tmp_path / "run/checkpoints/00000010"
     assert run.latest() == tmp_path / "run/checkpoints/00000040"
@@ -174,7 +174,7 @@ def test_a_finished_run_is_a_model(tmp_path: Path) -> None:
     found.load(again)
     assert torch.equal(again.layers[0].weight, net.layers[0].weight)
     assert set(found.weights()) == set(net.state_dict())
-    # A checkpoint is one as well.
+    # A checkpoint is a model folder as well.
     assert read_model_folder(tmp_path / "run/checkpoints/00000030").config.step == 30
 
 

@@ -1,4 +1,4 @@
-"""Steps of a training: chance without state, learning rates, averages, devices, Ctrl-C."""
+"""Steps of a training: stateless randomness, learning rates, averages, devices, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_an_average_follows_and_can_be_put_on() -> None:
             net[0].weight.fill_(value)
         net[1].num_batches_tracked.add_(1)
         ema.update(net)
-    # Early on 2/11 and 3/12 of the average are left.
+    # Early on, weights of 2/11 and 3/12 of the average remain.
     left = (2 / 11) * (3 / 12)
     assert ema.weights["0.weight"].item() == pytest.approx(1 - left)
     assert ema.weights["1.num_batches_tracked"].item() == 2
@@ -146,7 +146,7 @@ def test_ctrl_c_asks_once_and_ends_at_once_the_second_time() -> None:
         assert not stop.asked
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop.asked
-        # torchrun passes on what the terminal has sent already.
+        # torchrun passes on a signal that the terminal has already sent.
         os.kill(os.getpid(), signal.SIGINT)
         now[0] = 5.0
         with pytest.raises(KeyboardInterrupt):

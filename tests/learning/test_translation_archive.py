@@ -41,7 +41,7 @@ def translated(archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory)
 
 @dataclass(frozen=True, slots=True)
 class Same:
-    """Gives the frames as they are, and notes how it was asked."""
+    """Translator that returns the frames unchanged and records its calls."""
 
     asked: list[tuple[int, bool]]
     name: str = "same"
@@ -259,5 +259,5 @@ def test_a_damaged_archive_is_an_error_and_the_rest_can_be_made_later(tmp_path):
 def test_a_sensor_without_a_reference_is_refused(tmp_path):
     archive = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
     archive["grid"].references[:] = 0
-    with pytest.raises(LearningError, match="reference 0 of grid is without a marker"):
+    with pytest.raises(LearningError, match="reference 0 of grid has no marker"):
         translate_archive(archive, tmp_path / "x.markers.zarr", [Pair("dots", "grid")], FLOW)

@@ -50,7 +50,7 @@ NOTHING = torch.empty(0, 32, 32, dtype=torch.uint8)
 
 @pytest.fixture(scope="module")
 def images() -> torch.Tensor:
-    """Parts of random patterns, uint8 (8, 32, 32)."""
+    """Return parts of random patterns, uint8 (8, 32, 32)."""
     drawn = deformed_patterns(8, np.random.default_rng(0), torch.device("cpu"))
     return (255 * drawn[:, 0, 112:144, 112:144]).round().to(torch.uint8)
 
@@ -98,7 +98,7 @@ def test_stopped_and_resumed_it_ends_in_the_same_weights(
 
 
 class _StopAfter:
-    """Asks to stop after some steps, as Ctrl-C does."""
+    """Request a stop after some steps, as Ctrl-C does."""
 
     def __init__(self, steps: int) -> None:
         self._left = steps

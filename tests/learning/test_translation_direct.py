@@ -157,7 +157,7 @@ def test_random_patterns_take_the_place_of_what_they_are_asked_to(
 
 
 def test_a_random_target_moves_as_the_source_does(aligned: AlignedImages) -> None:
-    # On an even field the pattern of the reference is that of the target, shifted.
+    # With a uniform field the reference's pattern is the target's, shifted.
     assert aligned.fields is not None
     even = torch.zeros_like(aligned.fields)
     even[:, :, 0] = 20.0
@@ -222,7 +222,7 @@ def test_without_its_reference_a_source_is_translated_as_if_it_were_any(
     aligned: AlignedImages,
 ) -> None:
     network = tiny_network()
-    with torch.no_grad():  # At first it does not look at the source's reference.
+    with torch.no_grad():  # initially it ignores the source's reference
         first = network.source_encoder.halvings[0].weight
         first[:, 1] = torch.randn_like(first[:, 1])
     batch = examples_at(coarse(aligned), np.array([0, 1]), np.array([[0, 1], [0, 1]]))
@@ -250,7 +250,7 @@ def test_a_finished_run_is_a_translator(archive: MarkerArchive, tmp_path: Path) 
     assert made.shape == frames.shape
     alone = translator.translate(frames[1:2], target, rest)
     assert float((alone[0] != made[1]).float().mean()) < 1e-3
-    # The first frame of a press is its reference where there is none.
+    # Without a reference, the first frame of a press is used.
     assert torch.equal(translator.translate(frames, target, ordered=True), made)
     assert translator.translate(frames[:0], target).shape == (0, 480, 640)
 

@@ -132,7 +132,7 @@ def test_stopped_and_resumed_it_ends_in_the_same_weights(
 
 
 class _StopAfter:
-    """Asks to stop after some steps, as Ctrl-C does."""
+    """Request a stop after some steps, as Ctrl-C does."""
 
     def __init__(self, steps: int) -> None:
         self._left = steps
@@ -171,7 +171,7 @@ def test_fine_tuning_begins_with_the_weights_it_is_given_and_leaves_the_encoder(
     out = tmp_path / "tuned"
     assert main([*command, f"--out={out}", f"--set=learning_rate={rate}"]) == 0
     before, after = (load_network(path)[0].state_dict() for path in (tmp_path / "pretrained", out))
-    # The first step of AdamW is as long as its rate, and decays weights by a hundredth of it.
+    # The first step of AdamW has the length of the rate, and decays weights by a hundredth of it.
     for name, value in before.items():
         assert float((after[name] - value).abs().max()) <= 1.1 * rate, name
         if name.startswith("reference_encoder."):

@@ -101,7 +101,7 @@ def test_the_inverse_of_a_displacement_field_makes_the_frame_of_the_reference() 
     field = torch.from_numpy(lattice_field(PRESSED).astype(np.float32)).permute(2, 0, 1)[None]
     deformation = torch.zeros(1, CHANNELS, SIDE, SIDE)
     deformation[:, :2] = from_displacement(field, LATTICE)
-    # Markers of 30 and of 18 px across.
+    # Markers 30 and 18 px across.
     for name, least in (("dots", 0.985), ("dense", 0.975)):
         made = render(signed_distance(mask(name)[None]), deformation)[0, 0] > 0
         pressed = mask(name, PRESSED)
@@ -114,7 +114,7 @@ def test_growth_makes_discs_of_a_uskin_as_large_as_pressed_ones() -> None:
     counts[5], counts[6], counts[9] = (800, -400, 9000), (0, 900, 4000), (-500, 0, 1500)
     centre, radius = place_discs(counts)
     rest_centre, rest_radius = place_discs(np.zeros((16, 3)))
-    # Every cell does what the taxel does whose disc is nearest.
+    # Every cell follows the taxel whose disc is nearest.
     columns = (np.arange(SIDE) + 0.5) * WIDTH / SIDE - 0.5
     rows = (np.arange(SIDE) + 0.5) * HEIGHT / SIDE - 0.5
     across, down = np.meshgrid(columns, rows)
@@ -137,7 +137,7 @@ def test_millimetres_stay_what_they_are_in_the_image_of_another_sensor() -> None
     deformation = torch.stack([8 + 4 * columns, torch.full((SIDE, SIDE), -6.0), columns * 0 + 3])
     assert torch.allclose(carried(deformation[None], torch.ones(1, 2))[0], deformation, atol=1e-5)
     halved = carried(deformation[None], torch.tensor([[0.5, 0.5]]))[0]
-    # A target pixel is half a source's: numbers double, and half of the view is seen.
+    # A target pixel is half a source pixel: values double, and half of the view is visible.
     assert torch.allclose(halved[1], torch.full((SIDE, SIDE), -12.0))
     assert torch.allclose(halved[2], torch.full((SIDE, SIDE), 6.0))
     assert torch.allclose(halved[0, :, 1:-1], (16 + 4 * columns)[:, 1:-1], atol=0.1)

@@ -53,13 +53,13 @@ def frames(archive: MarkerArchive) -> Frames:
 
 @pytest.fixture(scope="module")
 def trained(frames: Frames) -> dict[str, Tensor]:
-    """Weights after all of `SETTINGS`, without a stop."""
+    """Return the weights after an uninterrupted training with `SETTINGS`."""
     return train_field(frames, SETTINGS).state_dict()
 
 
 def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
     before = FieldModel(SETTINGS).state_dict()
-    # Weight decay moves what is not zero: what learns moves by more than that.
+    # Weight decay moves nonzero weights: trained weights move by more than that.
     decay = 5 * SETTINGS.field_stage.learning_rate * SETTINGS.weight_decay
     lazy = [
         name

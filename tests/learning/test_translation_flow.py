@@ -23,7 +23,7 @@ STATES = [
 ]
 UNTOUCHED = State(CENTRE, WIDTH_PX, 0.0)
 DEEP = STATES[-1]
-# The part of the lattice that lies in the image.
+# Part of the lattice inside the image.
 INSIDE = (slice(4, 53), slice(4, 69))
 
 
@@ -63,7 +63,7 @@ def test_an_untouched_frame_has_no_displacement_and_no_growth(untouched):
 
 
 def slid(mask: np.ndarray, step_px: int, steps: int) -> np.ndarray:
-    """Frames of a mask that moves to the right, out of the image; nothing comes in."""
+    """Return frames of a mask that moves to the right, out of the image; nothing comes in."""
     frames = np.zeros((steps, HEIGHT, WIDTH), np.bool_)
     for step in range(steps):
         frames[step, :, step_px * step :] = mask[:, : WIDTH - step_px * step]

@@ -19,7 +19,7 @@ RUNNING = 0x8000
 
 
 class Client:
-    """What ur_rtde does with the registers, one controller cycle at a time."""
+    """Emulates ur_rtde's use of the registers, one controller cycle at a time."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
@@ -36,7 +36,7 @@ class Client:
         self.controller.write_inputs(names, [command, flag, *map(float, doubles)])
 
     def command(self, command: int, doubles=(), flag: int = 0, *, cycles: int = 5000) -> int:
-        """Run a command to its end, and return how many cycles it took."""
+        """Run a command to its end, and return the number of cycles."""
         self.write(command, doubles, flag)
         for took in range(cycles):
             self.controller.cycle()
@@ -62,7 +62,7 @@ class Client:
 
 
 class Network:
-    """No connections: the faults of the network have nothing to do."""
+    """A network without connections: network faults have no effect."""
 
     def drop(self) -> None:
         pass
@@ -100,7 +100,7 @@ def test_the_program_runs_only_after_the_upload(controller):
 def test_a_synchronous_move_is_done_when_the_arm_is_there(client):
     goal = above(0.01, (0.02, 0.0, 0.05))
     took = client.command(MOVE_L, [*goal, 0.05, 0.5])
-    # 10 mm at 50 mm/s with 0.1 s ramps.
+    # 10 mm at 50 mm/s, with ramps of 0.1 s.
     assert 0.28 <= took * CYCLE <= 0.32
     assert_allclose(client.controller.robot.pose, goal)
 

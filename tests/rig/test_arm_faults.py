@@ -1,4 +1,4 @@
-"""Arms that crash, hang, fall silent, stop or stay alone: each with an emulator of its own."""
+"""Arms that crash, hang, fall silent, stop or lose their parent, each with its own emulator."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def gone(pid: int) -> bool:
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_dead_parent_leaves_an_arm_that_halts_retracts_and_lets_go(emulator, tmp_path, how):
-    # The host is derived from the process id: the script must use ours.
+    # The host is derived from the process id: the script must use this process's.
     script = PARENT.replace("CONFIG", repr(CONFIG))
     (tmp_path / "parent.py").write_text(script)
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
@@ -213,6 +213,6 @@ def test_a_dead_parent_leaves_an_arm_that_halts_retracts_and_lets_go(emulator, t
     wait_until(lambda: gone(pid))
     state = inject()
     assert state["reason"] == "end of program"
-    # It came down for a while, and went up by the retract.
+    # It moved down for a while, and up by the retract distance.
     assert 0.011 < height() < 0.03 + CONFIG.retract
     assert stands_still()

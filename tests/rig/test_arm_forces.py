@@ -1,4 +1,4 @@
-"""What an arm does with the force that its guard sees: one arm for all tests here."""
+"""Reactions of an arm to the force that its guard sees; all tests here share one arm."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def force(path: Path) -> Iterator[LatestRecord]:
 
 @pytest.fixture(scope="module")
 def shared(force: LatestRecord, path: Path) -> Iterator[Arm]:
-    """An arm with an F/T sensor whose force the tests write."""
+    """An arm with an F/T sensor whose force the tests set."""
     with emulated(), started(force_path=path) as arm:
         yield arm
 
@@ -57,7 +57,7 @@ def shared(force: LatestRecord, path: Path) -> Iterator[Arm]:
 def feeling(shared: Arm, force: LatestRecord) -> Arm:
     push(force, 0.0)
     back_at_start(shared)
-    # The test before may have left a word of its guard's.
+    # The previous test may have left a message of its guard.
     with contextlib.suppress(DeviceLost, SafetyStop):
         shared.check()
     return shared

@@ -1,4 +1,4 @@
-"""The real ur_rtde in its supervised child, moving the emulator: one arm for all tests here."""
+"""The real ur_rtde in its supervised child, moving the emulator; all tests share one arm."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from rig.devices.arm.emulator import ArmEmulator, RtdeClient
 from rig.devices.arm.reader import COLUMNS, RtdeLink, RtdePoseDriver
 
 HOST = f"127.{10 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
-# Loopback addresses by process: parallel runs do not meet.
+# Loopback addresses by process, so that parallel runs do not collide.
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_silence_is_device_lost(emulator, driver):
 
 @pytest.fixture
 def imposter() -> Iterator[Callable[[bytes], None]]:
-    """A server on the RTDE port that answers whatever comes with the same bytes."""
+    """A server on the RTDE port that answers every request with the same bytes."""
     server = socket.create_server((HOST, rtde.PORT))
     stopping = threading.Event()
     threads = []

@@ -26,7 +26,7 @@ axes = (
 )
 angles = st.one_of(
     st.floats(0.0, math.pi),
-    # Where formulas break: nothing, nearly nothing, nearly half a turn, half a turn.
+    # Numerically critical angles: zero, nearly zero, nearly half a turn, half a turn.
     st.sampled_from([0.0, 1e-15, 1e-9, 1e-5, math.pi - 1e-5, math.pi - 1e-9, math.pi]),
 )
 vectors = st.builds(lambda axis, angle: axis * angle, axes, angles)

@@ -1,4 +1,4 @@
-"""JPEG segments: size, missing Huffman tables, torn files, the emulator's stamp."""
+"""JPEG segments: size, missing Huffman tables, truncated files, the emulator's time stamp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera driver against the emulated network camera, and where its pictures come from."""
+"""The camera driver against the emulated network camera, and the emulator's image sources."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def encoded(value: int, width: int = 640, height: int = 480) -> bytes:
 
 
 class OneImage:
-    """The same file for ever."""
+    """An endless source of the same file."""
 
     def __init__(self, jpeg: bytes) -> None:
         self._jpeg = jpeg
@@ -58,7 +58,7 @@ class OneImage:
 
 
 class CountingWorld:
-    """Each state is 1 ms after the one before."""
+    """A world in which each state is 1 ms after the previous one."""
 
     def __init__(self) -> None:
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
@@ -69,7 +69,7 @@ class CountingWorld:
 
 
 class FaultyMjpeg(MjpegEmulator):
-    """Hands each frame and its number to `fault`, which gives the frames to send."""
+    """Emulator that sends the frames that `fault` returns for each frame and its number."""
 
     fault: Fault | None = None
 
@@ -137,7 +137,7 @@ def test_frames_come_in_order_and_are_not_held_back(host: str) -> None:
             stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 1)]
             numbers = [stamp[0] for stamp in stamps if stamp is not None]
             assert numbers == sorted(set(numbers))
-            # A queue of frames anywhere on the way would show as numbers far behind.
+            # Frames queued anywhere on the way would show as numbers far behind.
             assert numbers[-1] >= newest - 5
 
 
@@ -207,7 +207,7 @@ def test_a_client_that_does_not_read_gets_few_old_frames(host: str) -> None:
             slow.sendall(b"GET / HTTP/1.0\r\n\r\n")
             while emulator.number < 100:
                 emulator.next_parts(emulator.number)
-            # What fits into the sockets' buffers, then the newest: not a hundred frames.
+            # The contents of the sockets' buffers, then the newest: not a hundred frames.
             received = b""
             while received.count(b"seq=") < 60 and max(_stamps(received), default=0) < 100:
                 received += slow.recv(1 << 20)

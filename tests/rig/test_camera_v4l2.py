@@ -1,4 +1,4 @@
-"""The camera driver on a V4L2 node that exists for one process only, by a preloaded library."""
+"""The camera driver on a V4L2 node that a preloaded library provides for one process only."""
 
 from __future__ import annotations
 
@@ -276,7 +276,7 @@ def compiled_shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seen(shim: Path, options: dict[str, Any], *, mjpg: bool = True, **faults: int) -> Any:
-    """What the driver makes of a camera with `faults`, in a process of its own."""
+    """Return the driver's results for a camera with `faults`, from a separate process."""
     environment = os.environ | {
         "LD_PRELOAD": str(shim / "shim.so"),
         "PYTHONPATH": str(REPOSITORY),

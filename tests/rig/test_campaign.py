@@ -1,4 +1,4 @@
-"""A day of sessions: what is done stays done, what broke off goes on, whatever ended it."""
+"""A day of sessions: complete sessions are kept, interrupted ones resume, however they ended."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _campaign(folder: Path, text: str = DAY) -> Campaign:
 
 
 def _session(path: Path, item: Item, done: int, status: str) -> None:
-    """A session with `done` pressed targets, as a collection leaves it."""
+    """Write a session with `done` pressed targets, as a collection leaves it."""
     attrs = {
         "sensor": item.entry.sensor,
         "indenter": item.entry.indenter,
@@ -79,7 +79,7 @@ def _session(path: Path, item: Item, done: int, status: str) -> None:
 
 
 class _Bench:
-    """Stands where sessions would be recorded: makes them, as far as it is told to."""
+    """Mock of the recording command: writes sessions, as far as the test specifies."""
 
     def __init__(self, campaign: Campaign, codes: list[int]) -> None:
         self.items = {f"{item.entry.name}.zarr": item for item in campaign.items}
@@ -338,7 +338,7 @@ sessions:
     from recorder.session.press_curve import press_curves
 
     curves = press_curves(session)
-    # Hysteresis: what is given going down is not all returned coming up.
+    # Hysteresis: unloading returns only part of the work done by loading.
     assert (curves.work(curves.loading) > curves.work(curves.unloading)).all()
 
 

@@ -1,4 +1,4 @@
-"""Pacing is exact in whole nanoseconds, never bursts, and counts what it missed."""
+"""Pacing is exact in whole nanoseconds, never bursts, and counts missed ticks."""
 
 from __future__ import annotations
 

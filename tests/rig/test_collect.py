@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
 @pytest.fixture(scope="module")
 def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Collection, Path]:
-    """Two targets of the TacPalm, with the World's truth."""
+    """Two targets of the TacPalm, with ground truth."""
     folder = tmp_path_factory.mktemp("collected")
     truth = folder / "truth"
     bench = quick_bench(folder, "tacpalm")
@@ -75,7 +75,7 @@ def test_what_was_recorded_is_what_the_world_felt(
     inside = force.t_ns < truth.records["t_ns"][-1]
     raw = np.asarray(force.column("value"))[inside] + np.asarray(force.attrs["bias"])
     error = raw - truth.wrench(force.t_ns[inside])
-    # 0.01 N of noise and some milliseconds at some newtons a second; robust to a stalled machine.
+    # 0.01 N of noise, and a few milliseconds at a few N/s; robust to a stalled machine.
     assert np.median(np.abs(error[:, :3])) < 0.02
     inside = pose.t_ns < truth.records["t_ns"][-1]
     place = np.asarray(pose.column("value"))[inside][:, :3]
@@ -128,7 +128,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
     run.until(run.recording)
     run.until(lambda: run.segments() > 0)
-    # As a terminal does: to every process of the group.
+    # Like a terminal: to every process of the group.
     os.killpg(run.process.pid, signal.SIGINT)
     assert run.wait() == 130, run.text
     session = Session(run.session)

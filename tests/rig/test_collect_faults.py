@@ -1,5 +1,5 @@
-"""A device that dies in the middle: a clear message, the right exit code, the data kept, the arm
-stopped or retracted."""
+"""A device that fails during recording: clear message, correct exit code, data kept, arm stopped
+or retracted."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EMULATORS = {
 
 
 def pressing(folder: Path, sensor: str) -> Collection:
-    """A collection that has pressed at least one phase."""
+    """Start a collection and wait until it has recorded at least one phase."""
     bench = quick_bench(folder, sensor)
     run = Collection.start(folder / "s.zarr", "--targets", "4", "--bench", str(bench))
     run.until(run.recording)
@@ -37,7 +37,7 @@ def pressing(folder: Path, sensor: str) -> Collection:
 
 
 def stopped_in_order(run: Collection) -> Session:
-    """The session that is left: closed, whole, saying why."""
+    """Return the resulting session after checking that it is closed, complete and has a reason."""
     session = Session(run.session)
     assert session.status == "stopped"
     assert len(session.streams["force"]) > 500
@@ -49,7 +49,7 @@ def stopped_in_order(run: Collection) -> Session:
 
 @pytest.mark.parametrize(
     "device",
-    # The others take the same way through the collector; `make faults` breaks every one of them.
+    # The other devices take the same path through the collector; `make faults` tests all of them.
     [
         pytest.param(device, marks=() if device == "force" else pytest.mark.slow)
         for device in sorted(EMULATORS)
@@ -93,7 +93,7 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
     assert run.wait() == 4, run.text
     session = stopped_in_order(run)
     assert "protective" in session.attrs["reason"].lower()
-    # Only a person may unlock it, so there is no retract either, and it says so.
+    # Only a person may unlock it, so there is no retract either, and the reason states this.
     assert "NOT RETRACTED" in session.attrs["reason"]
     heights = np.asarray(session.streams["pose"].column("value"))[-20:, 2]
     assert np.ptp(heights) < 1e-6
@@ -101,7 +101,7 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
-    # With both limits at one place, and no look ahead by which the soft one comes first.
+    # Both limits are equal, and without look-ahead the soft one does not come first.
     bench = limited_bench(tmp_path, hard=0.8, soft=0.8, rating=0.3, horizon_ms=0.001)
     run = Collection.start(tmp_path / "s.zarr", "--targets", "4", "--bench", str(bench))
     assert run.wait() == 4, run.text
@@ -128,7 +128,7 @@ def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> Non
 def limited_bench(
     folder: Path, *, hard: float, soft: float, rating: float, horizon_ms: float = 20.0
 ) -> Path:
-    """The TacPalm's mock bench with other limits."""
+    """Write the TacPalm's mock bench with different limits."""
     limits = {
         "force_rating_n": [12.0, 12.0, rating],
         "soft_fraction": soft,

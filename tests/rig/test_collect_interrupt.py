@@ -1,4 +1,4 @@
-"""Ctrl-C is a wish at first, an order the second time, and nothing while the session is closed."""
+"""Ctrl-C: the first requests a stop, the second forces it; ignored while the session closes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""SIGKILL of every process at a random moment: nothing phantom, nothing half, nothing lost but what
-was in flight, and the session goes on from there."""
+"""SIGKILL of every process at a random moment: no invented or partial rows, no loss except data in
+flight, and the session can be resumed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.core.packaged import BENCHES
 pytestmark = pytest.mark.serial
 
 
-# The first draw of this seed kills everything.
+# The first draw of this seed kills all processes.
 SEED_OF_ALL = 25
 
 

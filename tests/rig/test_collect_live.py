@@ -1,4 +1,4 @@
-"""The live line says where it is and how long it takes, and keeps off a file."""
+"""The live line shows progress and remaining time, and is not written to a file."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_line_says_all_a_technician_asks() -> None:
     words = ("target 37/240", "shear_inc", "1.20 mm", "Fz  -2.41 N", "camera 60 Hz", "dropped 2")
     for word in words:
         assert word in text
-    # 36 targets in 36 s: 204 to go, this one included.
+    # 36 targets in 36 s; 204 remain, including the current one.
     assert "3:24 left" in text
     assert "\n" not in text
     line.end()

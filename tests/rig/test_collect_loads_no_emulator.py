@@ -1,4 +1,4 @@
-"""A collection at a lab's devices loads nothing that stands in for a device, in no process."""
+"""A collection with real devices imports no emulator, in any process."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ leave, os._exit = os._exit, tell_and_exit
 
 
 def lab_content(content: dict[str, Any]) -> dict[str, Any]:
-    """A mock bench's file with its addresses as a lab's: nothing in it says what is behind them."""
+    """Return a mock bench's content with lab addresses, so that it does not mention emulators."""
     mock_only = ("world", "simulated", "world_frame")
     kept = {name: value for name, value in content.items() if name not in mock_only}
     return {**kept, "mock": False}
@@ -72,7 +72,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
     assert "LAB BENCH" in done.stdout
     processes = {file.stem: file.read_text().splitlines() for file in told.iterdir()}
     loaded = {name for _, *names in processes.values() for name in names}
-    # All have told: the collecting process and one for each of its three streams, then the arm's.
+    # All have reported: the collecting process, one for each of its three streams, and the arm's.
     streams = [names for names in processes.values() if "rig.acquire.stream_process" in names]
     movers = [names for names in processes.values() if "rig.devices.arm.mover" in names]
     assert len(streams) == 4
@@ -95,7 +95,7 @@ def test_the_collector_and_the_drivers_import_neither_mock_nor_page() -> None:
                 for name in names
                 if re.match(r"rig\.(mock|monitor|replay|cli)\b", name)
             ]
-    # The emulated camera draws the World, and the type of a picture's surface is the World's.
+    # Exceptions: the emulated camera draws the World, and the type of a picture's surface is there.
     assert wrong == [
         "rig/devices/camera/mjpeg_emulator.py: rig.mock.world",
         "rig/bench/worlds.py: rig.mock.world.picture",

@@ -1,4 +1,4 @@
-"""Pausing, the dead-man pedal and the watched grip, from the rules to whole collections."""
+"""Pausing, the dead-man pedal and the monitored grip, from the rules to whole collections."""
 
 from __future__ import annotations
 
@@ -61,13 +61,13 @@ def test_an_abort_names_who_asked_first_and_cannot_be_withdrawn() -> None:
         control.check()
 
 
-# What is done of a target that was pressed twice in one run.
+# Progress of a target that was pressed twice in one run.
 
 PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3, points=(1,))
 
 
 def open_target(*rows: tuple[int, int, int]) -> int:
-    """First open target after rows of target, phase and outcome, all of one run."""
+    """Return the first open target after rows of target, phase and outcome, all of one run."""
     columns = np.array([(*row, 0) for row in rows], dtype=int).T
     table = dict(zip(("target", "phase", "outcome", "run"), columns, strict=True))
     return first_open_target(PLAN, table, 48)
@@ -177,7 +177,7 @@ def test_a_gripper_that_holds_nothing_does_not_pass_the_preflight(
         watch.open(2.0)
 
 
-# The sentinels, with a real hidapi on an emulated pedal.
+# The interlocks, with the real hidapi on an emulated pedal.
 
 SENTINELS = """
 import json, select, sys
@@ -248,7 +248,7 @@ def sentinels_saw(folder: Path, mode: str) -> dict[str, list[object]]:
 def test_a_dead_man_pedal_arms_by_a_press_and_says_what_it_waits_for(tmp_path: Path) -> None:
     seen = sentinels_saw(tmp_path, "dead_man")
     assert seen["begin"] == [RELEASED, False, HOLD, []]
-    # The look right after a press still finds it unarmed; asking whether it is armed arms it.
+    # The check right after a press still finds it unarmed; the query arms it.
     assert seen["first press"] == [RELEASED, True, LET_GO, []]
     assert seen["release"] == [RELEASED, False, HOLD, []]
     assert seen["unplug"][:2] == [UNPLUGGED, False]
@@ -294,7 +294,7 @@ Collect = Callable[..., Collection]
 
 @pytest.fixture(name="collect")
 def collecting_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Collect]:
-    """Starts a collection on a bench with a gripper, and a pedal in `mode`; ends what is left."""
+    """Start collections on a bench with a gripper and a pedal in `mode`; end them afterwards."""
     runs: list[Collection] = []
 
     def collect(targets: int, mode: str = "", unplugged_limit: float = 60.0) -> Collection:
@@ -319,7 +319,7 @@ def collecting_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 
 
 def inject(run: Collection, device: str, fault: str, **values: float) -> int:
-    """Put a fault in; the time just before [ns of the monotonic clock]."""
+    """Inject a fault and return the time just before [ns of the monotonic clock]."""
     command = run.processes()[run.emulator("rig.devices.arm.emulator")]
     host = command.split("--host ")[1].split()[0]
     now_ns = SystemClock().now_ns()
@@ -333,7 +333,7 @@ def wait_for_log(run: Collection, words: str) -> None:
 
 
 def rows(session: Path) -> list[tuple[int, int, int]]:
-    """Target, phase and outcome of the phases so far."""
+    """Return target, phase and outcome of the phases so far."""
     segments = Session(session).segments
     columns = (segments[name] for name in ("target", "phase", "outcome"))
     return [(int(a), int(b), int(c)) for a, b, c in zip(*columns, strict=True)]
@@ -384,7 +384,7 @@ def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: 
     assert faults_of(run.session) == []
     segments = session.segments
     pose = session.streams["pose"]
-    # Not before the next target: the one under way was finished.
+    # Only before the next target: the current one was finished.
     gaps = (segments["start_ns"][1:] - segments["end_ns"][:-1]) / 1e9
     assert gaps[3] > 2.0
     assert gaps.argmax() == 3
@@ -392,7 +392,7 @@ def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: 
     heights = np.asarray(pose.column("value"))[paused, 2] - session.attrs["contact_frame"][2]
     assert paused.sum() > 500
     assert heights.min() > 0.0
-    assert "going on after a pause" in run.text
+    assert "continuing after a pause" in run.text
 
 
 @pytest.mark.serial
@@ -433,7 +433,7 @@ def test_a_pedal_released_in_mid_shear_halts_and_the_target_is_pressed_again(
     assert first == [(0, 0, COMPLETE), (0, 1, INTERRUPTED)]
     assert again == [(target, *row) for target in (0, 1) for row in WHOLE]
     assert faults_of(run.session) == []
-    # The same contact point has a second reference, taken before it was pressed again.
+    # The contact point has a second reference, taken before it was pressed again.
     assert list(session.reference["point"]) == [1, 1]
     pose, segments = session.streams["pose"], session.segments
     place = np.asarray(pose.column("value"))[:, :3]
@@ -450,7 +450,7 @@ def test_a_pedal_released_in_mid_shear_halts_and_the_target_is_pressed_again(
 
 
 def last_part(run: Collection, word: str) -> str:
-    """What the log holds from the last `word` on."""
+    """Return the log from the last `word` on."""
     return run.session.with_suffix(".log").read_text().rpartition(word)[2]
 
 

@@ -1,4 +1,4 @@
-"""What the preflight refuses: slow device, tip in the sensor, restless gauge, made contact."""
+"""Preflight rejections: slow device, tip in the sensor, noisy gauge, existing contact."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FakeHandle:
 
 
 class FakeStreams:
-    """Streams that measured what a test says."""
+    """Streams with measurements specified by the test."""
 
     def __init__(self, place: Any = (0.0, 0.0, 0.03), **measured: Any) -> None:
         self._measured = measured

@@ -1,4 +1,4 @@
-"""Resuming starts at the first target that is not done, whatever happened before."""
+"""Resuming starts at the first target that is not done, regardless of earlier events."""
 
 from __future__ import annotations
 

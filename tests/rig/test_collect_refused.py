@@ -1,4 +1,4 @@
-"""Collections that are refused: nothing answers, or what was asked for cannot be."""
+"""Rejected collections: no device answers, or the request is impossible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every error of a bench file names the file, the key, what was found and what is allowed."""
+"""Every error of a bench file states the file, the key, the value found and those allowed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One suite over every streaming device: its driver against its emulator."""
+"""One test suite for every streaming device: its driver against its emulator."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def folder_of_images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Valve:
-    """Stands between an emulator and its client: open, or shut."""
+    """A valve between an emulator and its client: open or shut."""
 
     def __init__(self) -> None:
         self.shut = threading.Event()
@@ -122,7 +122,7 @@ def nidaq_emulator(host: str, valve: Valve, images: Path) -> Emulator:
 
 
 def link_of(host: str) -> Path:
-    """Where the link to a pty lies: a serial port has no address of its own."""
+    """Return the path of the link to a pty, since a serial port has no address."""
     return Path(tempfile.gettempdir()) / f"tactile-rig-test-{os.getpid()}-{host}"
 
 
@@ -147,14 +147,14 @@ def mjpeg_emulator(host: str, valve: Valve, images: Path) -> Emulator:
 
 @contextmanager
 def mute_port(host: str, port: int) -> Iterator[None]:
-    """Something that takes connections and says nothing."""
+    """A server that accepts connections and sends nothing."""
     with socket.create_server((host, port)):
         yield
 
 
 @contextmanager
 def mute_pty(host: str, port: int) -> Iterator[None]:
-    """A serial port with nothing at its other end."""
+    """A serial port with nothing connected to its other end."""
     ours, theirs = os.openpty()
     link = link_of(host)
     try:
@@ -180,7 +180,7 @@ class Kind:
     options: tuple[str, ...] = ()
     mute: Callable[[str, int], AbstractContextManager[None]] = mute_port
     counted: bool = True
-    """Whether what the device did not send can be told from what it did."""
+    """True if samples that the device did not send can be detected."""
 
 
 KINDS = [
@@ -246,7 +246,7 @@ def each_kind(request: pytest.FixtureRequest) -> Kind:
 
 @contextmanager
 def running(kind: Kind, host: str, images: Path, silence: float = 20.0) -> Iterator[Any]:
-    """A driver, open, against an emulator in this process, and the valve between them."""
+    """Yield an open driver against an emulator in this process, and the valve between them."""
     valve = Valve()
     emulator = kind.emulator(host, valve, images)
     emulator.start()
@@ -261,7 +261,7 @@ def running(kind: Kind, host: str, images: Path, silence: float = 20.0) -> Itera
 
 @contextmanager
 def process_of(kind: Kind, host: str, images: Path) -> Iterator[subprocess.Popen[str]]:
-    """The emulator as users run it."""
+    """Yield the emulator, started as by a user."""
     places = {"IMAGES": str(images), "LINK": str(link_of(host))}
     options = [places.get(option, option) for option in kind.options]
     process = subprocess.Popen(
@@ -462,6 +462,6 @@ def test_a_host_that_says_nothing_is_device_lost(kind: Kind, host: str) -> None:
         start_ns = CLOCK.now_ns()
         with pytest.raises(DeviceLost, match=host):
             driver.open(0.5)
-        # Generous: what counts is that it does not hang.
+        # Generous limit: it only must not hang.
         assert CLOCK.now_ns() - start_ns < 10_000_000_000
         driver.close()

@@ -1,5 +1,5 @@
-"""Faults of a line: what leaves in place of each message, on a clock of its own, and what the real
-drivers make of it."""
+"""Line faults: messages sent in place of each original, on a fake clock, and the reactions of the
+real drivers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def text_line(clock: FakeClock, **options: Any) -> Disturbance[str]:
 
 
 def sent(line: Disturbance[str], clock: FakeClock, count: int) -> list[str]:
-    """What leaves of `count` messages, 0.1 s apart."""
+    """Return the output for `count` messages, 0.1 s apart."""
     out: list[str] = []
     for number in range(1, count + 1):
         out += line.passed(f"m{number}")
@@ -94,7 +94,7 @@ def test_a_slow_line_delays_and_keeps_the_order(clock: FakeClock) -> None:
     out = sent(line, clock, 12)
     assert out[:9] == names(1, 2, 3, 4, 5, 6, 7, 8, 9)
     assert not line.on
-    # The first three went by before the first of them was due.
+    # The first three are sent before the first of them is due.
     line.inject("slow", fraction=1.0, delay=0.25)
     assert sent(line, clock, 4) == names(1)
 
@@ -208,7 +208,7 @@ def _three_lines(connection: socket.socket) -> list[bytes]:
 
 
 class FixedWorld:
-    """Always the same state, with taxels where a pad's lie."""
+    """A constant state, with taxels arranged as on a pad."""
 
     def __init__(self) -> None:
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
@@ -299,8 +299,8 @@ def test_a_line_that_cannot_be_trusted_is_device_lost_and_nothing_of_it_is_kept(
         if device == "camera":
             assert {len(sample["value"]) > 10_000 for sample in kept} <= {True}
         elif (device, fault) == ("force", "wrong_units"):
-            # Records do not say their units: the page does, once a second, and the reason says
-            # from when on values are in doubt.
+            # Records have no units: the page states them once per second, and the reason states
+            # the time from which values are in doubt.
             assert "force_unit from N to lbf" in end["lost"]
             since_ns = int(end["lost"].split("t_ns = ")[1].split()[0])
             wrong = [sample for sample in kept if abs(sample["value"][0] - 1.0) > 0.01]

@@ -1,4 +1,4 @@
-"""What all emulators share: the World in shared memory, and a process that can be told to end."""
+"""Common parts of all emulators: the World in shared memory, and a process that can be stopped."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
                 if samples[-1]["value"][2] == -2.5:
                     break
             assert samples[-1]["value"].tolist() == [0.0, 0.0, -2.5, 0.0, 0.0, 0.0]
-            # A second emulator at the same address says so and ends.
+            # A second emulator at the same address reports this and ends.
             second = subprocess.run(NETFT, capture_output=True, text=True, check=False, timeout=30)
             assert second.returncode == 2
             assert "cannot listen" in second.stderr

@@ -1,4 +1,4 @@
-"""The kernel's time of arrival, carried over to the monotonic clock."""
+"""The kernel's arrival time, converted to the monotonic clock."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_packets_that_waited_keep_the_time_they_came(
     receiver, sender = pair
     clock = SystemClock()
     stamped = StampedSocket(receiver, clock)
-    # The kernel begins to stamp a moment after it is asked to.
+    # The kernel starts to stamp packets shortly after the request.
     threading.Event().wait(0.2)
     bounds = [clock.now_ns()]
     for k in range(3):
@@ -41,7 +41,7 @@ def test_packets_that_waited_keep_the_time_they_came(
     for k, (before_ns, after_ns) in enumerate(itertools.pairwise(bounds)):
         packet, t_ns = stamped.receive(64)
         assert packet == bytes([k])
-        # 5 ms for the step between two readings of two clocks.
+        # 5 ms tolerance for the step between readings of two clocks.
         assert before_ns - 5_000_000 <= t_ns <= after_ns + 5_000_000
 
 

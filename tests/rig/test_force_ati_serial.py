@@ -1,4 +1,4 @@
-"""The RS-232 controller's driver against its emulator on a pty: framing, lost bytes, refusals."""
+"""The RS-232 controller's driver against its emulator on a pty: framing, lost bytes, errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Fault = Callable[[int, bytes], Iterable[bytes]]
 
 
 class FixedWorld:
-    """Always the same wrench, until somebody changes it."""
+    """A constant wrench, until a test changes it."""
 
     def __init__(self) -> None:
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
@@ -50,7 +50,7 @@ class FixedWorld:
 
 
 class FaultyAtiSerial(AtiSerialEmulator):
-    """Hands each record of the stream and its number to `fault`."""
+    """Emulator that passes each record of the stream and its number to `fault`."""
 
     fault: Fault | None = None
     refused: str | None = None
@@ -197,7 +197,7 @@ def test_lost_bytes_cost_records_and_never_make_false_ones(link: Path, form: str
         with opened(link, records=form) as driver:
             samples = collect(driver, 150)
             values = np.array([sample["value"] for sample in samples])
-            # Noise is 0.01 N; a record put together of two would be off by newtons.
+            # Noise is 0.01 N; a record combined from two would be off by newtons.
             assert np.abs(values[:, :3] - WRENCH[:3]).max() < 0.25
             assert driver.dropped >= 4
             assert driver.refused == {"spoilt": driver.corrupt}
@@ -227,7 +227,7 @@ def test_garbage_without_end_is_device_lost(link: Path) -> None:
                 collect(driver, 3)
                 rng = np.random.default_rng(1)
                 emulator.fault = lambda number, content, rng=rng: (rng.bytes(len(content)),)
-                with pytest.raises(DeviceLost, match=r"whole record|new starts"):
+                with pytest.raises(DeviceLost, match=r"complete record|restarts"):
                     collect(driver, 100_000)
 
 
@@ -321,7 +321,7 @@ def test_what_nobody_reads_is_lost_and_the_stream_recovers(link: Path) -> None:
 
 @contextmanager
 def port_held(port: Any) -> Iterator[None]:
-    """The reader finds nothing meanwhile, as on a machine that stands still."""
+    """Keep the reader from reading, as on a stalled machine."""
     held, read = threading.Event(), port.read
 
     def nothing(size: int) -> bytes:

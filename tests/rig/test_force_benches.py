@@ -1,4 +1,4 @@
-"""One word in the bench file picks the F/T sensor: configuration, guard, and whole collections."""
+"""One word in the bench file selects the F/T sensor: configuration, guard, whole collections."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
     guard = Guard(limits, bench.contact_frame, watch_pose=False)
     soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
     record = np.zeros(1, FORCE_LATEST)[0]
-    # 100 N/s: 20 ms ahead of the soft limit are 2 N below it; a sample is up to 1.2 N apart.
+    # 100 N/s: 20 ms before the soft limit is 2 N below it; samples are up to 1.2 N apart.
     for k in range(1000):
         t = k / rate_hz
         record["t_ns"], record["value"][2] = round(1e9 * t), -speed * t
@@ -155,13 +155,13 @@ def collected(folder: Path, kind: str) -> tuple[Session, Truth]:
 
 
 def check_against_truth(session: Session, truth: Truth) -> None:
-    """What was stored is the World's wrench, at the times that the samples carry."""
+    """Check that the stored wrench is the ground truth at the times of the samples."""
     force = session.streams["force"]
     inside = force.t_ns < truth.records["t_ns"][-1]
     raw = np.asarray(force.column("value"))[inside] + np.asarray(force.attrs["bias"])
     error = raw - truth.wrench(force.t_ns[inside])
     assert raw[:, 2].min() < -0.3
-    # 0.01 N of noise and some milliseconds at some newtons a second; robust to a stalled machine.
+    # 0.01 N of noise, and a few milliseconds at a few N/s; robust to a stalled machine.
     assert np.median(np.abs(error[:, :3])) < 0.02
 
 

@@ -1,4 +1,4 @@
-"""ATI calibration files: what is read, what is refused, and ATI's own library as the oracle."""
+"""ATI calibration files: parsing, rejection, and comparison with ATI's own library."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Edit = Callable[[ET.Element], None]
 
 
 def synthetic(seed: int = 1) -> Calibration:
-    """A transducer that never was: random, scaled as a Nano17 is."""
+    """Return a fictitious transducer: random, scaled like a Nano17."""
     matrix = np.diag(RATED) @ np.random.default_rng(seed).normal(size=(6, 6)) / 5
     return Calibration("FT00000", "SI-12-0.12", matrix, RATED)
 
@@ -148,7 +148,7 @@ def test_what_is_no_whole_calibration_is_refused_by_name(name: str) -> None:
 
 @given(cut=st.integers(0, len(emit_calibration(synthetic())) - len("</FTSensor>\n")))
 def test_a_truncated_file_is_refused_wherever_it_ends(cut: int) -> None:
-    with pytest.raises(ConfigError, match="no XML"):
+    with pytest.raises(ConfigError, match="not XML"):
         parse_calibration(emit_calibration(synthetic())[:cut], "x.cal")
 
 
@@ -185,7 +185,7 @@ def test_the_benches_own_calibration_is_whole_and_says_that_it_is_made_up() -> N
     path = BENCHES / "mock-nano17.cal"
     found = read_calibration(path)
     assert found.rated == pytest.approx(RATED)
-    # A gauge must not saturate before the rated load is reached, on any one axis.
+    # A gauge must not saturate below the rated load on any single axis.
     assert np.abs(found.volts(np.diag(RATED))).max() < 10
     assert "Synthetic" in path.read_text()
 
@@ -220,7 +220,7 @@ def test_a_tool_away_from_the_transducer_feels_the_lever() -> None:
     calibration = synthetic()
     moved = calibration.moved(ToolTransform(displacement=(0.0, 0.0, 0.02)))
     volts = calibration.volts([1.0, 0.0, 0.0, 0.0, 0.02, 0.0])
-    # 1 N along x at 20 mm height makes 20 N mm about y: at that height there is none.
+    # 1 N along x at a height of 20 mm gives 20 N mm about y: about that point there is none.
     np.testing.assert_allclose(moved.wrench(volts), [1, 0, 0, 0, 0, 0], atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""The Net F/T driver against its emulator: units, lost and late packets, refusals, oracle."""
+"""The Net F/T driver against its emulator: units, lost and late packets, errors, oracle."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def own_loopback_address() -> str:
 
 
 class FixedWorld:
-    """Always the same wrench."""
+    """A constant wrench."""
 
     def __init__(self, wrench: tuple[float, ...] = WRENCH) -> None:
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
@@ -45,7 +45,7 @@ class FixedWorld:
 
 
 class FaultyNetFt(NetFtEmulator):
-    """Hands each packet and its sequence number to `fault`."""
+    """Emulator that passes each packet and its sequence number to `fault`."""
 
     fault: Fault | None = None
     rates_are_fixed = False
@@ -234,7 +234,7 @@ def test_closing_stops_the_stream(host: str) -> None:
         emulator.fault = noted
         with opened(host) as driver:
             collect(driver, 5)
-        # The next stream counts from one again: the one before had ended.
+        # The next stream counts from one again, since the previous one had ended.
         with opened(host) as driver:
             collect(driver, 5)
         assert sent.count(1) == 2

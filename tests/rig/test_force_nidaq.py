@@ -1,4 +1,4 @@
-"""The NI-DAQ driver, by the real client library, against the emulated card."""
+"""The NI-DAQ driver, using the real client library, against the emulated card."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def own_loopback_address() -> str:
 
 
 class FixedWorld:
-    """Always the same wrench."""
+    """A constant wrench."""
 
     def __init__(self, wrench: tuple[float, ...] = WRENCH) -> None:
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
@@ -52,7 +52,7 @@ class FixedWorld:
 
 
 class FaultyNidaq(NidaqEmulator):
-    """Hands what was converted to `fault`."""
+    """Emulator that passes the converted samples to `fault`."""
 
     fault: Fault | None = None
 
@@ -118,7 +118,7 @@ def test_samples_are_numbered_without_a_gap_and_spaced_by_the_sample_clock(host:
         numbers = [sample["seq"] for sample in samples]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
         steps = np.diff([sample["t_ns"] for sample in samples])
-        # Not in blocks: all but the few where a quicker answer set the envelope right.
+        # No blocks: all except the few where a quicker answer corrected the envelope.
         assert np.mean(np.abs(steps - 1_000_000) <= 1) > 0.9
         assert driver.dropped == 0
 
@@ -169,7 +169,7 @@ def test_a_stopped_sample_clock_leaves_a_gap_as_long_as_it_stood(host: str) -> N
             after = collect(driver, 20)
             first = next(sample for sample in after if sample["status"] & LOST_BEFORE)
             assert first is after[0]
-            # Stood for 0.3 s at the least.
+            # Stopped for at least 0.3 s.
             assert driver.dropped >= 250
             assert [sample["seq"] for sample in after] == list(
                 range(first["seq"], first["seq"] + len(after))
@@ -256,7 +256,7 @@ def test_a_rate_the_card_does_not_have_is_refused(host: str) -> None:
 
 
 class CoercingNidaq(NidaqEmulator):
-    """A card that takes any rate and range, and uses its own."""
+    """A card that accepts any rate and range, and uses its own."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -334,7 +334,7 @@ def test_a_calibration_of_another_range_sets_the_card_to_it(host: str, tmp_path:
 
 
 def test_software_timed_reading_works_against_the_emulator_as_in_public_code(host: str) -> None:
-    """What many scripts do: the emulator answers others than our driver, too."""
+    """As many scripts do: the emulator also serves clients other than our driver."""
     import grpc
     import nidaqmx
     from nidaqmx.constants import TerminalConfiguration

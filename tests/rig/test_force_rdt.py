@@ -67,7 +67,7 @@ def test_any_other_packet_is_no_request(packet: bytes) -> None:
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (b"<html", "no XML"),
+        (b"<html", "not XML"),
         (b"<netFTApi><cfgcpf>1</cfgcpf></netFTApi>", "missing"),
         (emit_page(Page()).replace(b">1000<", b">fast<"), "fast"),
     ],

@@ -1,4 +1,4 @@
-"""When samples were taken: the lower envelope of when the host learnt of them."""
+"""Sample times, from the lower envelope of the times at which the host received them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PERIOD = SECOND_NS // 1000
 def polled(
     delays_ns: list[int], every: int = 10, start_ns: int = 5 * SECOND_NS, drift: float = 0.0
 ) -> np.ndarray:
-    """Times of all samples; of each block's end the host learns `delays_ns` late."""
+    """Return the times of all samples; the host receives the end of each block `delays_ns` late."""
     timeline = SampleTimeline(RATE)
     times = []
     for k, delay_ns in enumerate(delays_ns, start=1):
@@ -53,7 +53,7 @@ def test_times_strictly_increase_and_never_lie_ahead_of_the_answer(delays: list[
     times = polled(delays)
     assert all(a < b for a, b in itertools.pairwise(times.tolist()))
     newest = 5 * SECOND_NS + (np.arange(1, len(delays) + 1) * 10 - 1) * PERIOD + np.array(delays)
-    # Moved ahead only where a quicker answer came later, by a nanosecond each.
+    # Ahead only where a quicker answer came later, by a nanosecond each.
     assert np.all(times[9::10] <= np.maximum.accumulate(newest) + 600)
 
 
@@ -61,5 +61,5 @@ def test_times_strictly_increase_and_never_lie_ahead_of_the_answer(delays: list[
 def test_a_card_whose_clock_drifts_is_followed(drift: float) -> None:
     times = polled([100_000] * 3000, drift=drift)
     taken = 5 * SECOND_NS + np.round(np.arange(30_000) * PERIOD * (1 + drift))
-    # 100 ppm over the seconds of which the smallest delay counts.
+    # 100 ppm over the seconds for which the smallest delay is valid.
     assert np.abs(times - taken - 100_000).max() < 500_000

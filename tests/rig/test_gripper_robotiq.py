@@ -1,4 +1,4 @@
-"""The gripper's driver and emulator over a pty, and the emulator seen by somebody else's client."""
+"""The gripper's driver and emulator over a pty, and the emulator with a third-party client."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def public_client(emulator: RobotiqEmulator) -> Iterator[minimalmodbus.Instrumen
     client.serial.close()
 
 
-# The fingers, in their own time.
+# The fingers, with simulated time.
 
 
 def test_activation_takes_its_time_and_opens_the_fingers() -> None:
@@ -123,7 +123,7 @@ def test_a_silence_of_more_than_a_second_is_told_once() -> None:
     assert fingers.status().fault == 0
 
 
-# Somebody else's client: the emulator must not only agree with our own driver.
+# A third-party client: the emulator must not agree only with our own driver.
 
 
 def test_minimalmodbus_reads_the_grip_by_both_functions(
@@ -246,7 +246,7 @@ def test_a_broken_line_is_a_lost_device_and_a_mended_one_is_not(
 
 
 def ask_often(driver: RobotiqDriver) -> None:
-    """Until it is lost: the pty goes a moment after the fault was asked for."""
+    """Poll until the device is lost: the pty closes shortly after the fault was requested."""
     for _ in range(200):
         driver.status()
 
@@ -294,7 +294,7 @@ def test_a_bench_file_that_makes_no_sense_is_refused() -> None:
             build(RobotiqConfig, {"kind": "robotiq_2f", "port": "x", key: value}, "bench.gripper")
 
 
-# Swapping what it holds.
+# Exchanging the gripped indenter.
 
 
 def test_a_swap_waits_until_something_is_between_the_fingers(

@@ -22,7 +22,7 @@ def force(t_ns: int, value=(0.0,) * 6, status: int = 0):
 
 
 def pose(t_ns: int, place=(0.0, 0.0, 0.01), safety: int = 1):
-    """A pose record with the TCP at `place` in the contact frame."""
+    """Return a pose record with the TCP at `place` in the contact frame."""
     record = np.zeros((), POSE_LATEST)
     record["t_ns"], record["safety_status"] = t_ns, safety
     record["value"][:3] = transform(FRAME, place)
@@ -35,7 +35,7 @@ def check(guard: Guard, clock: FakeClock, value=(0.0,) * 6, mode="guarded", **pl
 
 
 def ramp(rate: float, *, axis: int = 2, mode="guarded", steps: int = 400):
-    """Samples at 4 ms of a force that grows at `rate` [N/s]: the load at the verdict, and it."""
+    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load share and verdict."""
     guard, clock = Guard(LIMITS, FRAME), FakeClock()
     for _ in range(steps):
         clock.advance(0.004)

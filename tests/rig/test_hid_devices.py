@@ -1,4 +1,4 @@
-"""Drivers of pedal and SpaceMouse through the real hidapi, on nodes by a preloaded shim."""
+"""Drivers of pedal and SpaceMouse with the real hidapi, on nodes of a preloaded shim."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_a_pedal_is_pressed_released_spoilt_unplugged_and_back(
     text = hidraw_nodes.run(shim, PEDAL, str(node), device, nodes=tmp_path)
     found = json.loads(text)
     assert found["path"] == str(node)
-    # Garbage counts as a release; after it comes back, the first press is seen.
+    # Garbage counts as a release; after reconnection, the first press is seen.
     assert found["seen"] == [True, False, True, None, False, True]
     assert found["garbage"] == 1
     assert "is it plugged in?" in found["lost"][0]
@@ -134,10 +134,10 @@ def test_a_cap_is_followed_and_counts_as_let_go_of_once_it_is_silent(
     node = tmp_path / "cap.hidraw"
     found = json.loads(hidraw_nodes.run(shim, SPACEMOUSE, str(node), nodes=tmp_path))
     shifts = [shift for _, shift, _ in found["pushed"]]
-    # -0.54 with a dead zone of 0.08 taken out is half of full; 0.05 about x is inside it.
+    # -0.54 minus a dead zone of 0.08 is half of full deflection; 0.05 about x is inside it.
     assert [1.0, 0.0, -0.5] in shifts
     assert all(turn == [0.0, 0.0, 0.0] for _, _, turn in found["pushed"])
-    # The emulator sends no zeros at the end, as some models do not.
+    # The emulator sends no final zeros, like some models.
     assert shifts[-1] == [0.0, 0.0, 0.0]
     assert found["pressed"] == [[1], []]
 
@@ -172,7 +172,7 @@ def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
     node = tmp_path / "hidraw0"
     node.touch()
     pedal = HidDevice(str(node), "foot pedal", (1, 6))
-    with pytest.raises(DeviceLost, match="no HID device"):
+    with pytest.raises(DeviceLost, match="not a HID device"):
         pedal.open()
     with pytest.raises(DeviceLost, match="not open"):
         pedal.read(0.1)

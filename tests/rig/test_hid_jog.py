@@ -1,4 +1,4 @@
-"""Jogging: what the cap asks for, and the arm of a mock bench under a hand."""
+"""Jogging: the motion requested by the cap, and the arm of a mock bench moved by hand."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_a_bench_without_a_spacemouse_is_wrong_input(capfd: pytest.CaptureFixtur
 
 
 class Hand:
-    """A running `rig jog` and a hand on its emulated SpaceMouse."""
+    """A running `rig jog` and a simulated hand on its emulated SpaceMouse."""
 
     def __init__(self, folder: Path) -> None:
         bench = folder / "bench.yaml"
@@ -145,7 +145,7 @@ def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(han
     hand.wait(hand.moving)
     hand.wait(lambda: not hand.moving())
     moved = hand.place() - hand.start
-    # 5 mm/s for a second, and what it takes to notice that the cap fell silent.
+    # 5 mm/s for a second, plus the time to notice that the cap fell silent.
     assert 0.002 < moved[0] < 0.0085
     assert np.abs(moved[1:]).max() < 1e-4
     hand.move("push", z=-1.0, seconds=1.0)

@@ -1,4 +1,4 @@
-"""What the reports of pedals and SpaceMice mean."""
+"""Meaning of the reports of pedals and SpaceMice."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_cap_is_read_back_as_it_was_pushed(shift, turn) -> None:
 
 
 def test_the_cap_pushed_right_away_and_up_is_positive_in_all_axes() -> None:
-    # On the wire y points towards the user and z down.
+    # In the raw report, y points towards the user and z down.
     report = bytes([1]) + (175).to_bytes(2, "little") + b"\x51\xff" + b"\xa2\xfe"
     assert parse_cap(report).shift == (0.5, 0.5, 1.0)
 

@@ -1,4 +1,4 @@
-"""The surface is found by the onset of force, whatever presses, and sessions are shifted to it."""
+"""The surface is found by the onset of force, for any indenter, and sessions are shifted to it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _bench(sensor: str) -> Bench:
 def _approach(
     spec: AnalyticSpec, seed: int, *, surface: float = 0.0, noise: float = 0.01
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Heights [m] and compression [N] of an approach at 1 mm/s to 0.3 N, a sample a millisecond."""
+    """Return heights [m] and compression [N] of an approach at 1 mm/s to 0.3 N, one per ms."""
     heights, forces = _still_approach(spec)
     rng = np.random.default_rng(seed)
     return heights + surface, forces + rng.normal(0, noise, len(forces))
@@ -40,7 +40,7 @@ def _approach(
 
 @functools.cache
 def _still_approach(spec: AnalyticSpec) -> tuple[np.ndarray, np.ndarray]:
-    """The approach without noise, which no seed changes."""
+    """Return the noise-free approach, which no seed changes."""
     world = AnalyticWorld(spec, (0.0,) * 6)
     heights, forces = [], []
     for number in range(4000):
@@ -66,7 +66,7 @@ def test_the_onset_is_found_whatever_presses_on_whatever_relaxes(
         onset = find_onset(*_approach(spec, seed, surface=0.2e-3, noise=0.003))
         assert onset is not None
         errors.append(onset.z - 0.2e-3)
-        # The interval is the statistics' alone; 3 um is what timing adds to it in `combine`.
+        # The interval is statistical only; `combine` adds 3 um for timing.
         inside += onset.interval[0] - 3e-6 <= 0.2e-3 <= onset.interval[1] + 3e-6
     assert np.abs(errors).max() < 15e-6
     assert inside >= 3
@@ -160,7 +160,7 @@ def test_what_is_stored_is_read_again_and_shifts_the_frame(tmp_path: Path) -> No
     moved = found.applied(bench).contact_frame
     assert np.subtract(moved, bench.contact_frame) == pytest.approx([0, 0, -0.3e-3, 0, 0, 0])
     assert Calibration.from_facts(found.facts()) == found
-    # A second indenter is kept beside the first.
+    # A second indenter is stored next to the first.
     store.store(tmp_path, "gelsight", home={"sphere": _home(bench, shift=1e-4)})
     assert store.load(tmp_path, bench, "prism")[0].home == found.home
 
@@ -319,7 +319,7 @@ def test_too_wide_an_interval_is_refused_with_its_width(tmp_path: Path) -> None:
 
 
 def _touched(folder: Path, *, noise: float) -> Session:
-    """A session of one approach to the TacPalm's World, without a bench."""
+    """Return a session of one approach to the TacPalm's World, without a bench."""
     from recorder import SessionWriter, StreamWriter, force_spec, pose_spec
 
     spec = _bench("tacpalm").world

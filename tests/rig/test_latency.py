@@ -1,4 +1,4 @@
-"""How late images are, found from taps: within a millisecond, or refused."""
+"""Image latency measured from taps: accurate to a millisecond, or rejected."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ TRUE = 0.055
 def _tapped(
     seed: int, rate_hz: float, *, noise: float = 0.02, regular: bool = False, relax: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Force times and values, image arrivals and motions, indentation: 10 s of light taps.
+    """Return force times and values, image arrivals and motions, indentation: 10 s of light taps.
 
-    Images: 2 % noise, late by 55 ms with 2 ms of jitter, not proportional to the indentation.
+    Images have 2 % noise and a latency of 55 ms with 2 ms of jitter; motion is nonlinear in depth.
     """
     rng = np.random.default_rng(seed)
     step, span = 1e-3, 10.0
@@ -77,7 +77,7 @@ def test_a_gel_that_relaxes_makes_the_force_early_and_the_indentation_takes_it_o
     for seed in range(8):
         t_ns, force, arrived, motion, depth = _tapped(seed, 60.0, relax=0.2)
         image = find_lag(t_ns, force, arrived, motion)
-        # Poses come every 2 ms.
+        # Poses arrive every 2 ms.
         gel = find_lag(t_ns, force, t_ns[::2], depth[::2])
         raw.append(image.value - TRUE)
         shown = find_lag(t_ns, depth, arrived, motion)
@@ -191,7 +191,7 @@ world: {{markers: {{delay_ms: {delay_ms}}}}}
     assert frame_stamp(camera.jpeg(0) or b"") is not None
     truth = latency.true_lag(session)
     assert truth is not None
-    # Drawing and sending take some milliseconds more than what was asked for.
+    # Drawing and sending take a few milliseconds more than the requested delay.
     assert 0 <= truth - 1e-3 * delay_ms < 0.05
     found = latency.evaluate(session, "camera", latency.exposure_of(load_bench(bench)[0], "camera"))
     assert found.lag == pytest.approx(truth, abs=1e-3)

@@ -1,4 +1,4 @@
-"""Forces live: the newest frame counts, nothing is lost unsaid, and a mock bench has its finger."""
+"""Live forces: the newest frame is used, losses are reported, and a mock bench has a presser."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rig.core.packaged import BENCHES
 from rig.monitor.forces import ForceLine, Seen, watch
 from rig.monitor.watched import Watched, mock_bench, replayed
 
-# What the stub takes for a frame.
+# Time that the stub needs for a frame.
 WORK_NS = 5_000_000
 
 
@@ -39,7 +39,7 @@ class Said:
 
 @dataclass
 class Stub:
-    """A predictor that takes its time, and some frames before it begins."""
+    """A slow predictor that needs some frames before it begins."""
 
     clock: FakeClock | None = None
     first: int = 2
@@ -60,7 +60,7 @@ class Stub:
 
 @dataclass
 class Drops:
-    """A driver whose frames come in portions, as a slow reader finds them."""
+    """A driver whose frames come in batches, as seen by a slow reader."""
 
     clock: FakeClock
     portions: list[list[Any]]
@@ -131,7 +131,7 @@ def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(
     watch(over, Stub(clock), clock, Never(requested=True), seen=(seen := Seen()), out=out)
     assert seen.frames == 0
     assert not out.exists()
-    assert list(seen.lines()) == ["no force: no frame came after the untouched ones"]
+    assert list(seen.lines()) == ["no force: no frame arrived after the untouched ones"]
 
 
 def test_a_damaged_picture_is_counted_and_left_out() -> None:
@@ -213,7 +213,7 @@ def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
         wrench = watched.wrench(np.array(seen.shown_ns))
     rows = len(recorded.streams["taxels"])
     assert np.array_equal(predictor.untouched, recorded.streams["taxels"].array("value")[:5])
-    # One more: the driver hands on what it needed to open.
+    # One more: the driver also returns the sample that it needed to open.
     assert seen.frames + seen.skipped == rows + 1
     values = np.asarray(recorded.streams["taxels"].array("value"))
     assert np.array_equal(predictor.seen[-1], values[-1])
@@ -272,7 +272,7 @@ def test_a_model_says_forces_of_a_mock_bench_until_ctrl_c(tmp_path: Path) -> Non
     printed, _ = process.communicate(timeout=20)
     assert process.returncode == 0, printed
     assert "latency, frame in to force out: p50" in printed
-    assert "mean absolute error against the force that was there" in printed
+    assert "mean absolute error compared with the true force" in printed
     with out.open() as file:
         rows = list(csv.DictReader(file))
     assert {row["contact"] for row in rows} == {"0", "1"}

@@ -1,4 +1,4 @@
-"""The mock bench starts what its sensor needs, finds an address, and says who died."""
+"""The mock bench starts the emulators its sensor needs, finds an address, and reports failures."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_sources_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
         Sources(camera=tmp_path / "none")
     with pytest.raises(ConfigError, match="TAXELS"):
         Sources(taxels=tmp_path / "none.npy")
-    # The session names what was served, not where it lay.
+    # The session names the content served, not its path.
     facts = Sources(camera=tmp_path, camera_motion="still").facts()
     assert facts == {"camera": {"name": tmp_path.name, "motion": "still"}}
 

@@ -1,4 +1,4 @@
-"""The preview draws every bench's plan, says its numbers, and refuses one that breaks a limit."""
+"""The preview draws every bench's plan, prints its numbers, and rejects plans beyond a limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Garbage in cycles is collected when it suits, and only then."""
+"""Cyclic garbage is collected only at suitable moments."""
 
 from __future__ import annotations
 

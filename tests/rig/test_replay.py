@@ -1,4 +1,4 @@
-"""Replay gives back the same bytes, through the real drivers, and says so when it cannot."""
+"""A replay returns the same bytes through the real drivers, and reports when it cannot."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TIMES = {"t_ns"}
 
 
 def as_devices_send(name: str, columns: Columns) -> Columns:
-    """Forces in whole counts of a Net F/T box; what else devices send is so already."""
+    """Convert forces to whole counts of a Net F/T box; other streams need no conversion."""
     if name == "force":
         counts = np.rint(columns["value"] / SCALE)
         return {**columns, "value": counts * SCALE - np.zeros(6)}
@@ -46,7 +46,7 @@ def as_devices_send(name: str, columns: Columns) -> Columns:
 
 
 def small_session(path: Path, **options: Any) -> Path:
-    """A session of 2 s with all four streams."""
+    """Return a session of 2 s with all four streams."""
     chosen = {"seconds": 2.0, "names": ALL, "change": as_devices_send, **options}
     return make_session(path, **chosen)
 
@@ -57,7 +57,7 @@ def replayed(source: Path, out: Path, speed: float = 0.0, **options: Any) -> Ses
 
 
 class Replays(NamedTuple):
-    """A session of all four streams, and what came of replaying it."""
+    """A session of all four streams, and the results of replaying it."""
 
     source: Path
     fast: Path
@@ -67,7 +67,7 @@ class Replays(NamedTuple):
 
 @pytest.fixture(scope="module")
 def replays(tmp_path_factory: pytest.TempPathFactory) -> Replays:
-    """Replayed at maximum speed and at eight times its own."""
+    """Replays at maximum speed and at eight times the recorded speed."""
     folder = tmp_path_factory.mktemp("replays")
     source = small_session(folder / "s.zarr", seconds=1.0)
     with contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -119,7 +119,7 @@ def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
 
 
 def two_runs(path: Path) -> Path:
-    """A session of poses and forces whose controller and box started anew with its second run."""
+    """Return a session of poses and forces; controller and box restarted for its second run."""
 
     def change(name: str, columns: Columns) -> Columns:
         columns = as_devices_send(name, columns)
@@ -183,7 +183,7 @@ def test_every_count_of_a_box_comes_back_to_the_last_bit() -> None:
 def test_a_force_that_no_box_sent_is_refused_with_its_row() -> None:
     value = np.zeros((4, 6))
     value[2, 1] = 1.25e-7
-    with pytest.raises(SessionError, match=r"row 2: .* is no whole number of counts"):
+    with pytest.raises(SessionError, match=r"row 2: .* is not a whole number of counts"):
         force_counts(value, np.zeros(6), Page())
 
 
@@ -191,9 +191,9 @@ def test_a_force_that_no_box_sent_is_refused_with_its_row() -> None:
     ("name", "column", "bad", "message"),
     [
         ("force", "seq", 100, "streams/force: row 7: seq does not rise"),
-        ("force", "status", -1, "streams/force: row 7: status is no uint32"),
+        ("force", "status", -1, "streams/force: row 7: status is not a uint32"),
         ("pose", "device_t", 0.0, "streams/pose: row 7: the controller's clock does not advance"),
-        ("taxels", "value", 70_000, "streams/taxels: row 7: a count is no uint16"),
+        ("taxels", "value", 70_000, "streams/taxels: row 7: a count is not a uint16"),
     ],
 )
 def test_a_row_that_its_device_cannot_send_is_named(

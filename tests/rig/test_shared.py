@@ -1,4 +1,4 @@
-"""Readers of a shared record see whole records, in order, and survive a dead writer."""
+"""Readers of a shared record see complete records in order, and survive a dead writer."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> N
     finally:
         process.kill()
         process.wait()
-    # Killed anywhere in a write, the record before it stays readable.
+    # If killed anywhere in a write, the previous record stays readable.
     found = writer.read()
     assert found is not None
     assert (found["value"] == found["a"]).all()

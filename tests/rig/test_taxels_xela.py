@@ -39,7 +39,7 @@ def own_loopback_address() -> str:
 
 
 class FixedWorld:
-    """Always the same taxels."""
+    """Constant taxels."""
 
     def __init__(self) -> None:
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
@@ -50,7 +50,7 @@ class FixedWorld:
 
 
 class FaultyXela(XelaEmulator):
-    """Hands each message and its count to `fault`."""
+    """Emulator that passes each message and its count to `fault`."""
 
     fault: Fault | None = None
 
@@ -139,7 +139,7 @@ def test_a_message_without_any_time_has_device_time_nan() -> None:
     ("text", "complaint"),
     [
         ("garbage", "Expecting value"),
-        ("[1, 2]", "no JSON object"),
+        ("[1, 2]", "not a JSON object"),
         ('{"message": null}', "expected a count"),
         ('{"message": 1, "2": {"data": "0,0,0"}}', r"the server has \['2'\]"),
         ('{"message": 1, "1": {"data": "0,0"}}', "2 values; expected 3 x 1"),

@@ -1,4 +1,4 @@
-"""The page in a real browser, over a real mock collection."""
+"""The page in a real browser, with a real mock collection."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium"),
 ]
 
+# Output path for a new picture of docs/bench-guide.md.
 PICTURE = os.environ.get("WATCH_PICTURE")
-# Where to put the picture of docs/bench-guide.md, when a new one is wanted.
 STATUS = "document.body.dataset.status"
 SHOWN = "Number(document.getElementById('image').dataset.shown || 0)"
 INK = """(() => {
@@ -40,7 +40,7 @@ SUM = """(() => {
 
 
 def bench(folder: Path) -> Path:
-    """Quick, and with a soft force limit that the deeper presses reach."""
+    """Write a fast bench with a soft force limit that the deeper presses reach."""
     path = folder / "bench.yaml"
     path.write_text(
         f"""
@@ -56,7 +56,7 @@ limits: {{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.2}}
 
 @contextmanager
 def watched(folder: Path, *arguments: str) -> Iterator[tuple[Collection, Chromium]]:
-    """A collection with a page, and a browser that shows it."""
+    """Yield a collection with a page, and a browser that shows it."""
     with Chromium() as browser:
         collection = Collection.start(
             folder / "s.zarr", "--bench", str(bench(folder)), "--watch", "0", *arguments

@@ -1,4 +1,4 @@
-"""Who is let in to the page, judged from headers alone."""
+"""Access to the page, decided from headers alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ REMOTE = Gate("0.0.0.0", 8765, "remote-token")
 
 
 def ask(gate: Gate, path: str, *, full: bool = False, **headers: str) -> int:
-    """Status of the answer; 101 when the WebSocket would be opened."""
+    """Return the status of the answer; 101 if the WebSocket would be opened."""
     named = {name.replace("_", "-"): value for name, value in headers.items()}
     response = Site(gate).answer(Request(path, Headers(named)), full=full)
     return 101 if response is None else response.status_code
@@ -75,7 +75,7 @@ def test_live_data_ask_for_our_origin_and_the_cookie(gate: Gate) -> None:
     for missing in ("Host", "Origin", "Cookie"):
         assert ask(gate, "/live", **{k: v for k, v in good.items() if k != missing}) == 403
     assert ask(gate, "/live", **{**good, "Cookie": f"{gate.cookie}={gate.token}x"}) == 403
-    # The token in the address opens the page, not the data.
+    # The token in the address gives access to the page, not to the data.
     assert ask(gate, f"/live?token={gate.token}", Host=host, Origin=f"http://{host}") == 403
 
 

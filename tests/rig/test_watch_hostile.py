@@ -1,4 +1,4 @@
-"""A collection whose page is under attack records as if there were none."""
+"""A collection whose page is attacked records as if there were no attack."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def attack(port: int, cookie: str, kind: str, ending: threading.Event, tries: li
                     elif kind == "big":
                         client.send("x" * 1_000_000)
                     else:
-                        # Reads nothing: what is sent piles up until the page lets go.
+                        # Reads nothing: sent data accumulates until the page disconnects.
                         ending.wait(3.0)
         tries.append(kind)
         time.sleep(_PAUSE)

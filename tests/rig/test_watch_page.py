@@ -1,4 +1,4 @@
-"""The collecting process's end of the page: nothing that happens to the page disturbs it."""
+"""The collecting process's side of the page: no event of the page disturbs it."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_killed_page_is_mentioned_once_and_nothing_else(
     with Page(stage.job()) as page:
         page.begin(Control(), dict, stage.session, 0)
         os.kill(child(), signal.SIGKILL)
-        until(lambda: "the page to watch on is gone" in caplog.text)
+        until(lambda: "the monitoring page is gone" in caplog.text)
         page.say("ending")
         page.say("complete")
     assert caplog.text.count("is gone") == 1
@@ -95,7 +95,7 @@ def test_a_pause_outlives_the_page_that_asked_for_it(
             client.send('{"command": "pause"}')
             until(lambda: control.paused_by == ("page",))
         os.kill(child(), signal.SIGKILL)
-        until(lambda: "the pause it asked for stays" in caplog.text)
+        until(lambda: "the pause it requested stays" in caplog.text)
     assert control.paused_by == ("page",)
 
 
@@ -108,7 +108,7 @@ def test_a_frozen_page_holds_nobody_up(stage: Stage) -> None:
         time.sleep(0.6)
         before = time.monotonic()
         page.say("ending")
-        # A hand-over, not a delivery.
+        # Handed over, not delivered.
         assert time.monotonic() - before < 5.0
     assert not Path(f"/proc/{pid}").exists()
 
@@ -171,7 +171,7 @@ def test_an_ipv6_address_is_printed_as_one(stage: Stage) -> None:
 
 
 def last_words(client: ClientConnection) -> tuple[str, int | None]:
-    """Status and reason of the last state, and the code with which the server closed."""
+    """Return status and reason of the last state, and the code with which the server closed."""
     last = ""
     try:
         while True:
@@ -182,7 +182,7 @@ def last_words(client: ClientConnection) -> tuple[str, int | None]:
 
 
 def child() -> int:
-    """The page's process: the only child that is no resource tracker."""
+    """Return the page's process: the only child except the resource tracker."""
     found = [p.pid for p in multiprocessing.active_children() if p.name == "page"]
     assert len(found) == 1
     assert found[0] is not None

@@ -1,4 +1,4 @@
-"""The page's process, as its clients meet it: friendly, slow, rude, too many."""
+"""The page's process and its clients: friendly, slow, rude, too many."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 
 
 class Running:
-    """One page with its stage, and what it was asked for."""
+    """One page with its mock collection, and the requests it received."""
 
     def __init__(self, stage: Stage, page: Page, gate: Gate) -> None:
         self.stage, self.page, self.gate = stage, page, gate
@@ -50,7 +50,7 @@ def running(shared: Running) -> Running:
     shared.control = Control()
     shared.progress = {}
     shared.page.begin(shared.control, lambda: dict(shared.progress), shared.stage.session, 0)
-    # Whoever was there before is gone: nobody's place is taken.
+    # Earlier clients are gone: no slot is occupied.
     with shared.watch() as client:
         until(lambda: next_state(client)["watchers"] == 1)
     return shared
@@ -231,7 +231,7 @@ def test_a_watcher_goes_on_while_idle_connections_take_every_place(running: Runn
     with running.watch() as client:
         idle = [socket.create_connection(where) for _ in range(MAX_CONNECTIONS + 10)]
         try:
-            # Those beyond the limit are hung up at once, without a word.
+            # Connections beyond the limit are closed at once, without a message.
             idle[-1].settimeout(10)
             assert hung_up(idle[-1])
             assert next_state(client)["status"] == "collecting"
@@ -265,7 +265,7 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
             return bool(state["watchers"] == 1)
 
         until(only_one_left)
-    # Meanwhile the quick one saw new images all along.
+    # Meanwhile the fast client saw new images all the time.
     assert len(set(rows)) > 3
 
 
@@ -312,7 +312,7 @@ def lets_in(running: Running) -> bool:
 
 
 def hung_up(connection: socket.socket) -> bool:
-    """Whether the other side ends, perhaps after an answer."""
+    """Return True if the other side closes, possibly after an answer."""
     try:
         while connection.recv(65536):
             pass
@@ -322,7 +322,7 @@ def hung_up(connection: socket.socket) -> bool:
 
 
 def closed_with(client: Any) -> int | None:
-    """The code with which the server closes, after whatever else it sends."""
+    """Return the code with which the server closes, after any other messages."""
     try:
         while True:
             client.recv(timeout=10)

@@ -1,4 +1,4 @@
-"""The options of the page, and what they refuse before anything is started."""
+"""Options of the page, and values that are rejected before anything is started."""
 
 from __future__ import annotations
 

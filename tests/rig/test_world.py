@@ -26,7 +26,7 @@ MS = 1_000_000
 
 
 def walk(spec: AnalyticSpec, places: np.ndarray, step_ns: int = 2 * MS) -> np.ndarray:
-    """WORLD_STATE (n,) along tip places (n, 3) in the contact frame [m]."""
+    """Return WORLD_STATE (n,) along tip positions (n, 3) in the contact frame [m]."""
     world = AnalyticWorld(spec, FRAME)
     origin = np.array(FRAME[:3])
     return np.array(
@@ -38,7 +38,7 @@ def walk(spec: AnalyticSpec, places: np.ndarray, step_ns: int = 2 * MS) -> np.nd
 
 
 def press(depth: float, n: int = 100) -> np.ndarray:
-    """Straight down to `depth` and back up, places (2 n, 3)."""
+    """Return positions (2 n, 3) straight down to `depth` and back up."""
     z = -depth * np.concatenate([np.linspace(0, 1, n), np.linspace(1, 0, n)])
     return np.stack([0 * z, 0 * z, z], axis=1)
 
@@ -149,12 +149,12 @@ def test_hysteresis_does_not_depend_on_the_step() -> None:
     spec = dataclasses.replace(BARE, hysteresis=Hysteresis(fraction=0.2, relaxation=0.1))
     coarse = walk(spec, press(1e-3, 51)[:51], step_ns=8 * MS)
     fine = walk(spec, press(1e-3, 401)[:401], step_ns=1 * MS)
-    # Exact for a force linear in time, as a punch's is.
+    # Exact for a force that is linear in time, as for a punch.
     np.testing.assert_allclose(fine["wrench"][::8], coarse["wrench"], atol=1e-9)
 
 
 def surface(depth: float = 1e-3, shear: tuple[float, float] = (0.0, 0.0)) -> Surface:
-    # The tip has gone where it dragged the surface.
+    # The tip has moved to where it dragged the surface.
     return Surface(centre=shear, depth=depth, radius=3e-3, thickness=4e-3, shear=shear)
 
 

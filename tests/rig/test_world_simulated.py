@@ -1,4 +1,4 @@
-"""The mock bench on physics: what its World answers, what its camera draws, how it fails."""
+"""The mock bench with physics: its World's wrench, its camera's images, its failures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def press_state(**values: Any) -> np.void:
 
 
 def pose(tip: tuple[float, float, float]) -> np.ndarray:
-    """The TCP's pose in the base frame for a tip in the contact frame."""
+    """Return the TCP's pose in the base frame for a tip in the contact frame."""
     return np.array([*(np.array(FRAME[:3]) + tip), 0.0, 0.0, 0.0])
 
 
@@ -135,7 +135,7 @@ def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows() -> None:
     last = press_state(t_ns=1, tip=(0, 0, -2e-4), touching=1, values=values, slope=slope)
     between.take(last, 1, last["tip"])
     assert between.at(1, np.array([0.0, 0.0, -2e-4]))[2] == -0.5
-    # Half a millimetre up is more than the contact is deep.
+    # Half a millimetre up is more than the depth of the contact.
     assert not between.at(1, np.array([0.0, 0.0, 3e-4]))[:6].any()
     assert not between.at(1, np.array([0.0, 0.0, 1e-4]))[:6].any()
     dragged = between.at(1, np.array([1e-3, 0.0, -2e-4]))
@@ -203,7 +203,7 @@ def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> N
 
 
 class Bench:
-    """A solver that is told where the arm is, turn by turn."""
+    """A solver that is given the arm's position turn by turn."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(exist_ok=True)
@@ -263,7 +263,7 @@ def test_its_world_feels_what_the_solver_found_and_more_as_the_arm_goes_on(tmp_p
         bench.at(16 * turn, (0.0, 0.0, -1e-4 * turn))
         bench.solver.turn()
         world.step((16 * turn + 5) * MS, pose((0.0, 0.0, -1e-4 * turn)))
-    # What is left of the last correction has faded; what relaxes meanwhile is little.
+    # The rest of the last correction has decayed; the relaxation in the meantime is small.
     at, beyond = (
         world.step(ms * MS, pose((0.0, 0.0, z)))["wrench"][2]
         for ms, z in ((150, -0.80e-3), (152, -0.85e-3))
@@ -289,7 +289,7 @@ def test_a_picture_goes_on_between_deformations_as_the_tip_does(tmp_path: Path) 
     np.testing.assert_allclose(view.surface(tip), now + (now - before) / 2, atol=1e-9)
     tip[2] = -0.8e-3
     np.testing.assert_allclose(view.surface(tip), now, atol=1e-9)
-    # Far ahead it waits for the next solution.
+    # Far ahead, it waits for the next solution.
     tip[2] = -2e-3
     np.testing.assert_allclose(view.surface(tip), now + 1.5 * (now - before), atol=1e-9)
 
@@ -379,7 +379,7 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
         [np.interp(found.force_time[inside], found.time, axis) for axis in offline.T], axis=1
     )
     error = np.abs(found.wrench[inside] - at)[:, :3]
-    # Noise of 0.01 N, and what a busy machine does; robust to single pauses.
+    # Noise of 0.01 N, and delays of a busy machine; robust to single pauses.
     assert (np.median(error, axis=0) < 0.02).all()
     assert np.percentile(error, 95) < 0.15 * np.abs(offline[:, 2]).max() + 0.03
     assert np.abs(offline[:, 2]).max() > 0.05

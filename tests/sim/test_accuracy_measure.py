@@ -27,7 +27,7 @@ BODY = Body()
 
 
 def dent(x, y, frames=2):
-    """A smooth field: deeper frame by frame, outwards beside the dent."""
+    """Return a smooth field: deeper frame by frame, moving outwards around the dent."""
     near = np.exp(-(x[:, None] ** 2 + y[None, :] ** 2) / (4e-3) ** 2)
     field = np.stack([0.2 * x[:, None] * near, 0.2 * y[None, :] * near, -1e-3 * near], axis=-1)
     return np.stack([field * (frame + 1) / frames for frame in range(frames)])
@@ -49,7 +49,7 @@ def even(points):
 
 
 def graded(points):
-    """Dense in the middle."""
+    """Return points that are denser in the middle."""
     share = np.linspace(-1, 1, points)
     return 10e-3 * (0.3 * share + 0.7 * share**3)
 

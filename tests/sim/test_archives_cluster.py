@@ -1,4 +1,4 @@
-"""Archives made on a Dask cluster: killed workers lose nothing, and nobody there is told."""
+"""Archives made on a Dask cluster: killed workers lose no results, and workers print nothing."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ distributed = pytest.importorskip(
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(300),
-    # Dask leaves sockets to the collector when its workers are killed.
+    # Dask leaves sockets to the garbage collector when its workers are killed.
     pytest.mark.filterwarnings("ignore"),
 ]
 
 
 @pytest.fixture(autouse=True)
 def nothing_left_behind() -> None:
-    """In place of the rule for all tests: Dask keeps threads of its own, and ends its processes."""
+    """Override the general check: Dask keeps its own threads, and ends its processes."""
 
 
 @pytest.fixture
 def local() -> Iterator[Any]:
-    """Two worker processes of one thread, and a nanny for each that starts it again."""
+    """Two single-threaded worker processes, each with a nanny that restarts it."""
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as made:

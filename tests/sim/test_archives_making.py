@@ -1,4 +1,4 @@
-"""What archives hold: references, rows of a part, forces, presses without a solution."""
+"""Content of archives: references, rows of a unit, forces, presses without a solution."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def skins(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flush nothing: most of the time of a small archive is that."""
+    """Disable flushing, which takes most of the time of a small archive."""
     monkeypatch.setattr(os, "fsync", lambda fd: None)
 
 
@@ -115,7 +115,7 @@ def test_force_and_depth_come_three_times_down_and_up_under_the_prism(skins: Pat
         assert (np.diff(depth[loading]) >= 0).all()
         assert (np.diff(depth[~loading]) <= 0).all()
         half = np.abs(depth - 0.55e-3) < 1e-9
-        # Relaxation has lost some on the way.
+        # Relaxation has reduced the force on the way.
         assert force[half & loading].item() > force[half & ~loading].item() > 0
 
 
@@ -159,7 +159,7 @@ def test_a_sensor_in_use_has_a_reference_for_every_contact_point(tmp_path: Path)
     assert np.count_nonzero(each.masks([0])[0] ^ each.reference(0)) < 2500
     rows = press_rows(each, "cone", int(each.table["target"].min()))
     assert set(each.table["reference"][rows]) == {3}
-    # Life leans and moves them: no two sensors would share this deformation.
+    # Device variation tilts and shifts them: no two sensors would share this deformation.
     assert np.abs(each.table["wrench"][rows][:, 3:5]).max() > 0
 
 
@@ -178,7 +178,7 @@ def test_a_skin_that_crept_lies_elsewhere_under_an_indenter_that_stays() -> None
 
 
 def diverging(times: int) -> Any:
-    """`simulate_many`, but the first press of every call finds no solution `times` times."""
+    """Return `simulate_many` in which each call's first press finds no solution `times` times."""
     real = solving.simulate_many
     left = [times]
 

@@ -1,4 +1,4 @@
-"""Plans of simulated archives: the paper's counts, what shares a deformation, how work is cut."""
+"""Plans of simulated archives: the paper's counts, shared deformations, division into units."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def group(rows: tuple[str, ...], **options: object) -> Plan:
 
 
 def locations(plan: Plan) -> list[list[tuple[int, int]]]:
-    """Location and phase of every row, of each family."""
+    """Return location and phase of every row, by family."""
     return [
         [
             pair

@@ -1,4 +1,4 @@
-"""Archives that are stopped, killed, resumed, made by several and out of order are the same."""
+"""Archives that are stopped, killed, resumed, or made in parallel and out of order are equal."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
         assert main(["archive", "resume", str(path)]) == 2
     said = capsys.readouterr().err
     assert "No space left on device" in said
-    assert f"to go on: python -m sim archive resume {path}" in said
+    assert f"to continue: python -m sim archive resume {path}" in said
     assert MarkerArchive(path).status == "writing"
     make(path, SKINS)
     assert digests(path) == undisturbed
@@ -134,7 +134,7 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     assert main(["archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
     said = capsys.readouterr()
     assert "7 presses" not in said.out
-    assert "units are missing; to go on: python -m sim archive resume" in said.err
+    assert "units are missing; to continue: python -m sim archive resume" in said.err
 
 
 @pytest.mark.usefixtures("unflushed")
@@ -290,7 +290,7 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert process.returncode == 130, said
     assert "Traceback" not in said[1]
     assert "stopping: the units in flight are finished first" in said[1]
-    assert "to go on: python -m sim archive resume" in said[1]
+    assert "to continue: python -m sim archive resume" in said[1]
     assert found(path).plan == SKINS_OF_THE_VERB
     resumed = subprocess.run(
         [sys.executable, "-m", "sim", "archive", "resume", str(path)],
@@ -338,5 +338,5 @@ def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
 
 
 def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop, device: str) -> Any:
-    """Makes units in this process, in place of others."""
+    """Make units in this process instead of worker processes."""
     return make_here(begun, missing, inside, device="cpu", stop=stop)

@@ -13,7 +13,7 @@ from recorder.archive import ArchivedSensor
 from recorder.markers import HEIGHT, WIDTH
 from sim.dataset import Plan, gel
 
-# Indenters, and how far the surface moves outwards 6 to 9 mm from a press 1.5 mm deep [mm]; the
+# Indenters, and the outward motion of the surface 6 to 9 mm from a press 1.5 mm deep [mm]; the
 # small one displaces less.
 SPHERES = {"sphere": (0.09, 0.18), "sphere_s": (0.05, 0.18)}
 SYMMETRIC = ("sphere", "sphere_s", "cylinder_sh")
@@ -35,7 +35,7 @@ def deepest_in_the_middle(archive: MarkerArchive, indenter: str) -> int:
 
 
 def outwards(sensor: ArchivedSensor, row: int) -> NDArray[np.float64]:
-    """How far the surface moves away from the middle, 6 to 9 mm from it [mm]."""
+    """Return the motion of the surface away from the centre, 6 to 9 mm from it [mm]."""
     columns, rows = np.meshgrid(sensor.lattice.columns, sensor.lattice.rows)
     x, y = columns - (WIDTH - 1) / 2, rows - (HEIGHT - 1) / 2
     radius = np.hypot(x, y)

@@ -1,4 +1,4 @@
-"""The soft body: what it refuses, its moduli, its shape."""
+"""The soft body: invalid values, moduli, shape."""
 
 from __future__ import annotations
 

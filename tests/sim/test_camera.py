@@ -1,4 +1,4 @@
-"""The camera: a pinhole whose formula, mount and inverse are what they say."""
+"""The camera: a pinhole with correct projection, mount and inverse."""
 
 from __future__ import annotations
 

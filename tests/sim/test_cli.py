@@ -1,4 +1,4 @@
-"""`python -m sim`: what it prints, writes and refuses, and that its documentation runs."""
+"""`python -m sim`: output, files, errors, and the examples of its documentation."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixtu
     assert float(table[1][1]) > float(table[0][1]) > 0
     with Image.open("press-dots.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
-    # Five dots under pressure: dark red places on the right, not one.
+    # Five dots under pressure: several dark red areas on the right, not one.
     right = pixels[110:560, 600:1050]
     under = (right[..., 0] - right[..., 2] > 60) & (right[..., 0] > 80)
     assert 5 <= _patches(under) <= 6
@@ -166,7 +166,7 @@ def test_a_shape_has_the_measures_it_was_given(
     result = load_result(Path("x.zarr"))
     side = result.surface_x[1] - result.surface_x[0]
     touched = (result.traction[-1, :, :, 2] < 0).sum() * side**2 * 1e6
-    # Contact is found on pixels 0.16 mm wide: half of one around the rim.
+    # Contact is resolved on pixels 0.16 mm wide: half a pixel around the rim.
     assert touched == pytest.approx(area, rel=0.15)
 
 
@@ -203,7 +203,7 @@ def test_a_shape_has_the_measures_it_was_given(
 def test_wrong_input_is_named_and_nothing_is_written(
     words: str, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    # The last --tier counts: those of the rows are for `fem`.
+    # The last --tier counts: those in the rows are for `fem`.
     verb, *rest = words.split()
     assert main([verb, *QUICK, *rest]) == 2
     captured = capsys.readouterr()
@@ -257,7 +257,7 @@ def test_no_solution_is_told_with_what_was_tried(
 
 
 def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
-    # Long enough to be stopped: 200 depths on a mesh of 5,400 elements.
+    # Slow enough to be stopped: 200 depths on a mesh of 5,400 elements.
     depths = ",".join(f"{0.005 * step:g}" for step in range(1, 201))
     process = subprocess.Popen(
         [sys.executable, "-m", "sim", "press", "--depths", depths, "--save", "x.zarr"],
@@ -266,7 +266,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
         env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
     )
     assert process.stderr is not None
-    # The first line of progress: it is at work.
+    # The first progress line: the command is running.
     assert "press: " in process.stderr.readline()
     process.send_signal(signal.SIGINT)
     _, rest = process.communicate(timeout=30)

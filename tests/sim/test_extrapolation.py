@@ -1,4 +1,4 @@
-"""Forces of elements of no size: the law, what it gains on a press, and what it refuses."""
+"""Forces extrapolated to zero element size: the law, its gain for a press, and its errors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def coarse() -> Result:
 
 
 def on(result: Result, cells: int, wrench: Any) -> Result:
-    """A result as if it had been made with so many elements over the depth."""
+    """Return a result as if computed with this number of elements over the depth."""
     mesh = {**result.record["mesh"], "cells": [1, 1, cells]}
     return replace(result, wrench=np.array(wrench), record={**result.record, "mesh": mesh})
 
@@ -70,7 +70,7 @@ def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) 
 
 @pytest.mark.slow
 def test_two_coarse_meshes_meet_the_converged_force_of_a_sphere() -> None:
-    # Figures on which two element families agree to 0.1 % (docs/results/refinement.md).
+    # Forces on which two element families agree to 0.1 % (docs/results/refinement.md).
     exact = np.array([0.2652, 0.9197, 1.9560])
     scene = Scene(indenters.sphere(4e-3), press([0.5e-3, 1e-3, 1.5e-3]), Body())
     numerics = Numerics(spacing=0.8e-3, grading=FOR_EDGES)
@@ -95,7 +95,7 @@ def test_two_coarse_meshes_come_closer_than_the_better_of_them(name: str) -> Non
     both = simulate(
         scene, extrapolate=True, numerics=Numerics(spacing=0.8e-3, grading=FOR_EDGES)
     ).force[-1, 2]
-    # By the same law a quarter of the error of 0.8 mm is still in that of 0.4 mm.
+    # By the same law, a quarter of the error at 0.8 mm remains at 0.4 mm.
     exact = fine - (single - fine) / 3
     assert abs(both - exact) < 0.35 * abs(single - exact)
     assert abs(both - exact) < 0.01 * abs(exact)

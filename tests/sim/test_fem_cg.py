@@ -20,7 +20,7 @@ def _symmetric(eigenvalues: Array, seed: int) -> Array:
 
 
 class Dense:
-    """Dense matrices, one an environment, in place of a `Stencil`."""
+    """Dense matrices, one per environment, in place of the block matrix."""
 
     parts = 3
 
@@ -36,7 +36,7 @@ class Dense:
 
 
 class Blocks:
-    """The diagonal blocks of dense matrices, inverted, in place of `Columns`."""
+    """The inverted diagonal blocks of dense matrices, in place of the column preconditioner."""
 
     parts = 4
 
@@ -58,12 +58,12 @@ class Blocks:
 
 
 def _share(sums: Array, terms: Array) -> None:
-    """Write the sum of the terms in as many shares as there is room for."""
+    """Write the sum of the terms as partial sums that fill the array."""
     sums[:] = [part.sum() for part in np.array_split(terms, len(sums))]
 
 
 class Solved:
-    """What the solver makes of dense systems, one an environment."""
+    """Result of the solver for dense systems, one per environment."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Solved:
         gather: bool = False,
     ) -> None:
         count = len(matrices)
-        # Oracles that reckon in NumPy, which no graph records.
+        # NumPy oracles, which no CUDA graph can record.
         both = Dense(matrices), Blocks(matrices)
         solver = ConjugateGradient(real, count, NODES, "cpu", *both, gather=gather, record=False)
         self.count = solver.solve(
@@ -112,7 +112,7 @@ def test_the_solution_is_that_of_a_dense_solve(real: Any, accuracy: float, error
 def test_the_slope_is_that_of_the_right_hand_side_along_the_solution(
     real: Any, error: float, most: int
 ) -> None:
-    """Whether the solve was cut short, ended where it is not convex, or reached its accuracy."""
+    """For solves that were truncated, ended by negative curvature, or reached their accuracy."""
     concave = np.linspace(1, 9, SIZE)
     concave[0] = -5.0
     spread = (np.linspace(1, 5, SIZE), np.geomspace(1, 1e3, SIZE), concave, np.full(SIZE, -1.0))
@@ -121,7 +121,7 @@ def test_the_slope_is_that_of_the_right_hand_side_along_the_solution(
     solved = Solved(matrices, right, np.ones(len(spread)), 1e-5, real, most)
     expected = -(right.reshape(len(spread), SIZE) * solved.solution).sum(1)
     assert solved.slope == pytest.approx(expected, rel=error)
-    # The last one leads along the preconditioned right-hand side; its inverse blocks are -1.
+    # The last one follows the preconditioned right-hand side; its inverse blocks are -1.
     assert (solved.slope[:3] < 0).all()
     assert solved.concave[3]
     assert solved.concave[2] or most < 400
@@ -138,7 +138,7 @@ def test_the_slope_of_a_zero_right_hand_side_is_zero() -> None:
 
 
 def test_as_many_iterations_as_different_eigenvalues_suffice() -> None:
-    """A property of conjugate gradients; the preconditioner of a multiple of 1 changes nothing."""
+    """A property of conjugate gradients; preconditioning by a multiple of 1 changes nothing."""
     single = 3.0 * np.eye(SIZE)
     solved = Solved(single[None], _right(1), np.ones(1), 1e-12, wp.float64, 10)
     assert solved.count[0] == 1
@@ -188,7 +188,7 @@ def test_the_most_iterations_are_kept() -> None:
 
 
 def test_rows_that_are_gathered_change_nothing() -> None:
-    """Seven systems that end at seven times, one that is off: 8 rows, then 4, 2 and 1."""
+    """Seven systems that end at seven times, one inactive: 8 rows, then 4, 2 and 1."""
     matrices = np.stack([_symmetric(np.geomspace(1, 4**k, SIZE), k) for k in range(1, 9)])
     right, active = _right(8), np.array([1, 1, 1, 0, 1, 1, 1, 1])
     apart, together = (

@@ -25,7 +25,7 @@ REALS = [
 
 
 def _apply(columns: Columns | Lines, active: Any, r: Array, real: Any) -> Array:
-    """The preconditioner times r (B, N, 3), from a step of no length along nothing."""
+    """Return the preconditioner times r (B, N, 3), from a step of zero length."""
     count = len(r)
     nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
     scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
@@ -38,7 +38,7 @@ def _apply(columns: Columns | Lines, active: Any, r: Array, real: Any) -> Array:
 
 
 def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
-    """The preconditioner as a dense matrix, from what it makes of unit vectors."""
+    """Return the preconditioner as a dense matrix, by applying it to unit vectors."""
     columns = Columns(GRID, real, 3, "cpu")
     active = oracle.integers(tangents.active)
     columns.factor(active, tangents.stencil(real).matrix)
@@ -72,7 +72,7 @@ def test_columns_are_solved_as_a_dense_matrix_would_be(
 
 @pytest.mark.parametrize("real", [wp.float64, wp.float32])
 def test_the_preconditioner_is_positive_where_the_tangent_is_not(real: Any) -> None:
-    """Contact of either sign, stronger than the body, on the top and on the sides."""
+    """Contact of either sign, stiffer than the body, on the top and on the sides."""
     tangents = Tangents(contact=30.0)
     kept = columns_of(tangents.dense(0))
     assert np.linalg.eigvalsh(kept).min() < -1, "these columns are far from positive definite"
@@ -83,7 +83,7 @@ def test_the_preconditioner_is_positive_where_the_tangent_is_not(real: Any) -> N
 
 
 def test_lifting_a_pivot_keeps_its_size() -> None:
-    """One node of the top whose pivot is -P in place of P: it is taken for P."""
+    """One top node has the pivot -P instead of P: it is replaced by P."""
     tangents = Tangents(strain=0.005, contact=0.0)
     stencil = tangents.stencil(wp.float64)
     matrix = stencil.matrix.numpy()
@@ -192,7 +192,7 @@ def test_a_blade_takes_half_the_iterations_along_all_axes(monkeypatch: pytest.Mo
 
 
 def _iterations(dense: Array, precondition: Callable[[Array], Array]) -> int:
-    """Conjugate gradients to 1e-6, written out."""
+    """Return the iterations of a plain conjugate gradient solve to 1e-6."""
     r = np.random.default_rng(1).normal(0, 1, (COUNT, 3)) * GRID.free[:, None]
     target = 1e-6 * np.linalg.norm(r)
     z = precondition(r)

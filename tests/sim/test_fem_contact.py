@@ -21,13 +21,13 @@ VARIANT = [1, 0, 1, 0]
 PLACED = [MESHES[variant] for variant in VARIANT]
 UNIT = 3e-3
 PENALTY, STICK = 1000.0, 0.1
-# One an environment.
+# One per environment.
 INDENTERS = [sphere(2e-3), flat_punch(1.5e-3, 0.3e-3), named("triangle"), plane()]
 TIPS = np.array([[0.02, 0.05, -0.12], [0.05, -0.03, -0.1], [0.0, 0.0, -0.15], [0.1, 0.0, -0.2]])
 
 
 def _rubbing(points: int) -> list[Rubbing]:
-    """What each environment brings from the step before: some of its points stick, some slip."""
+    """Return the previous step's friction state per environment: some points stick, some slip."""
     random = np.random.default_rng(21)
     shape = len(MESH.faces), points
     return [
@@ -44,7 +44,7 @@ def _rubbing(points: int) -> list[Rubbing]:
 
 
 def _carried(points: int) -> Array:
-    """Pressure (B, S, P) that bridges gaps of up to 0.03 thicknesses; none at half the points."""
+    """Return multipliers (B, S, P) that close gaps of up to 0.03 thicknesses; half are zero."""
     shape = len(INDENTERS), len(MESH.faces), points
     return np.maximum(np.random.default_rng(17).uniform(-30, 30, shape), 0.0)
 
@@ -54,7 +54,7 @@ def _displacements() -> Array:
 
 
 class Contact:
-    """The contact kernels on every indenter of `INDENTERS`, one an environment."""
+    """The contact kernels on the indenters of `INDENTERS`, one per environment."""
 
     def __init__(
         self,
@@ -122,7 +122,7 @@ class Contact:
         return {name: array.numpy().astype(float) for name, array in self.out.items()}
 
     def tangent(self, v: Array) -> Array:
-        """Derivative of -force along `v`, state last evaluated."""
+        """Return the derivative of -force along `v` at the state evaluated last."""
         shape = len(v), len(MESH.faces)
         product = oracle.zeros((*shape, 4), vector_of(self.real))
         inputs = [
@@ -197,7 +197,7 @@ def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
 
 @CARRIES
 def test_frictionless_contact_tangent_is_the_derivative_of_the_force(carries: bool) -> None:
-    """Where every point stays in or out: on a sphere the normal turns, on a plane it does not."""
+    """For points that stay in or out: the normal turns on a sphere, but not on a plane."""
     u = _displacements()
     contact = Contact(wp.float64, None, carried=_carried(4) * carries)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
@@ -227,7 +227,7 @@ def test_a_convex_contact_tangent_has_no_negative_stiffness() -> None:
 def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
     carries: bool,
 ) -> None:
-    """On a plane, whose normal stands still; the limit is given, as the Newton loop gives it."""
+    """On a plane, whose normal is constant; the limit is given, as by the Newton loop."""
     friction = _rubbing(4)
     u = _displacements()
     contact = Contact(wp.float64, friction, carried=_carried(4) * carries)
@@ -245,7 +245,7 @@ def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
 @CARRIES
 @RUBS
 def test_contact_force_is_the_slope_of_the_energy(rubs: bool, carries: bool) -> None:
-    """Normal springs and the Huber potential of friction: on a plane, whose normal stands still."""
+    """Normal springs and the Huber potential of friction, on a plane, whose normal is constant."""
     u = _displacements()
     contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4) * carries)
     v = np.random.default_rng(6).normal(0, 1, u.shape)
@@ -261,7 +261,7 @@ def test_contact_force_is_the_slope_of_the_energy(rubs: bool, carries: bool) -> 
 
 
 def test_a_gap_is_bridged_up_to_the_pressure_carried_over_the_penalty_and_then_let_go() -> None:
-    """Under a plane over the undeformed body: pressure = carried - penalty * gap, or none."""
+    """Under a plane over the undeformed body: pressure = multiplier - penalty * gap, or none."""
     most = 25.0
     shape = len(INDENTERS), len(MESH.faces), 4
     contact = Contact(wp.float64, None, carried=np.full(shape, most))
@@ -277,7 +277,7 @@ def test_a_gap_is_bridged_up_to_the_pressure_carried_over_the_penalty_and_then_l
 
 @RUBS
 def test_contact_that_is_lifted_off_leaves_nothing_behind(rubs: bool) -> None:
-    """Further than the pressure carried can bridge, in the same arrays as the contact before."""
+    """Lifted further than the multiplier can close, in the same arrays as the previous contact."""
     contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4))
     assert contact.evaluate(_displacements())["touched"].any(axis=1).all()
     state = contact.evaluate(_displacements(), TIPS + np.array([0, 0, 1.0]))
@@ -287,7 +287,7 @@ def test_contact_that_is_lifted_off_leaves_nothing_behind(rubs: bool) -> None:
 
 @RUBS
 def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(rubs: bool) -> None:
-    """Bit for bit; on the other mesh it gets something else."""
+    """Bitwise; on the other mesh the result differs."""
     friction = _rubbing(4) if rubs else None
     u = _displacements()
     together = Contact(wp.float64, friction, carried=_carried(4)).evaluate(u)
@@ -305,5 +305,5 @@ def test_a_face_rule_integrates() -> None:
         assert weight.sum() == pytest.approx(4.0)
         np.testing.assert_allclose(shape.sum(1), 1.0)
         np.testing.assert_allclose(weight @ shape, 1.0)
-        # The integral of (N_0)^2 over -1 to 1 squared is (2/3)^2.
+        # The integral of (N_0)^2 over the square from -1 to 1 is (2/3)^2.
         assert weight @ shape[:, 0] ** 2 == pytest.approx(4 / 9)

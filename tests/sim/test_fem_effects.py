@@ -1,4 +1,4 @@
-"""Effects that are off leave no trace, and effects that are weak leave little."""
+"""Effects that are off change nothing, and weak effects change little."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from sim.indenters import sphere
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
 COARSE = Numerics(spacing=SPACING, precision="float64")
-# So stiff that what is left of the penetration, which depends on the steps taken, is far below
-# what the weakest effect does.
+# So stiff that the residual penetration, which depends on the steps taken, is far smaller than
+# the change by the weakest effect.
 TIGHT = Numerics(
     spacing=SPACING, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10
 )
-# Down, and a little aside, in 1 ms.
+# Down, and slightly sideways, in 1 ms.
 MOTION = Motion(((0.0, 0.0, 0.0), (0.0, 0.0, -0.4e-3), (0.1e-3, 0.0, -0.4e-3)), (0.0, 0.5e-3, 1e-3))
 ALL: dict[str, Any] = {
     "friction": Friction(1.0),
@@ -54,7 +54,7 @@ ALL: dict[str, Any] = {
     "inertia": Inertia(),
     "gravity": Gravity((300.0, 0.0, -500.0)),
 }
-# Share of `ALL` at which each is weak enough to answer in proportion.
+# Share of `ALL` at which each effect is weak enough for a linear response.
 WEAK = {"friction": 1e-3, "viscosity": 1e-4, "inertia": 1e-4, "gravity": 2e-3}
 
 
@@ -75,7 +75,7 @@ def _kernels(factory: Callable[..., Any], flags: dict[str, bool]) -> list[Any]:
 
 
 def _flags(factory: Callable[..., Any]) -> dict[str, bool]:
-    """The effect flags of a factory, all off."""
+    """Return the effect flags of a factory, all off."""
     names = {snippet.flag for effect in EFFECTS.values() for snippet in effect.KERNELS}
     code = getattr(factory, "__wrapped__", factory).__code__
     return {name: False for name in code.co_varnames[: code.co_argcount] if name in names}
@@ -100,7 +100,7 @@ def test_every_effect_is_declared_under_its_own_name() -> None:
 def test_an_effect_that_is_off_compiles_to_the_machine_code_of_a_source_without_it(
     name: str,
 ) -> None:
-    """And one that is on does not: the comparison can see it."""
+    """Compiling with the effect on must differ, to show that the comparison is sensitive."""
     for snippet in EFFECTS[name].KERNELS:
         factory = getattr(importlib.import_module(snippet.module), snippet.factory)
         off = _flags(factory)
@@ -116,7 +116,7 @@ def test_an_effect_that_is_off_compiles_to_the_machine_code_of_a_source_without_
 def test_an_effect_that_is_off_gives_the_results_of_a_build_without_it_bit_for_bit(
     name: str,
 ) -> None:
-    """With the three others on, so that their lines stand beside the ones that were cut."""
+    """With the three other effects on, so that their code remains next to the removed code."""
     scene = _scene(replace(Effects(**ALL), **{name: None}))
     with_it = _arrays(simulate(scene, numerics=COARSE))
     with built_without(name):
@@ -182,7 +182,7 @@ def _plain() -> Result:
 
 
 def _difference(name: str, share: float) -> float:
-    """Difference of the last force from that without the effect [N]."""
+    """Return the change of the last force by the effect [N]."""
     weak = ALL[name].weakened(share)
     result = simulate(_scene(Effects(**{name: weak})), numerics=TIGHT)
     return float(np.linalg.norm(result.wrench[-1, :3] - _plain().wrench[-1, :3]))

@@ -13,7 +13,7 @@ from sim.fem.element import GAUSS_POINTS, element_kernels
 from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
-# Mesh of each environment: not in their order.
+# Mesh index of each environment, not in order.
 VARIANT = [1, 0]
 PLACED = [MESHES[variant] for variant in VARIANT]
 ELEMENTS = MESHES[0].elements
@@ -26,7 +26,7 @@ KINDS = ["elastic", "viscous", "full_integration"]
 
 
 def _states(count: int) -> Array:
-    """Displacements (B, N, 3) with strains of some 20 %, of the base too."""
+    """Return displacements (B, N, 3) with strains of about 20 %, also of the base."""
     return np.random.default_rng(11).normal(0, 0.02, (count, NODES, 3))
 
 
@@ -149,7 +149,7 @@ def test_rigid_motion_has_no_force_and_no_energy() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: str) -> None:
-    """Bit for bit; on the other mesh it gets something else."""
+    """Bitwise; on the other mesh the result differs."""
     materials, u = _materials(kind), _states(2)
     together = _residual(materials, u, wp.float64, kind)
     for env in range(2):
@@ -161,7 +161,7 @@ def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: s
 
 
 def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> None:
-    """2e-7 of shear modulus times face, whatever the strain: what `FORCE_FLOOR` rests on."""
+    """2e-7 of shear modulus times face area at any strain: the basis of `FORCE_FLOOR`."""
     materials = _materials("elastic")
     for scale in (1.0, 1e-2, 1e-4):
         u = _states(2) * scale

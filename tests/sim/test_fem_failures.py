@@ -1,4 +1,4 @@
-"""What the finite-element tier does when it cannot: it says so, and gives nothing else."""
+"""Failures of the finite-element tier: it reports them and returns no result."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_one_press_that_diverges_does_not_take_the_others_with_it() -> None:
 
 
 def test_nothing_unconverged_is_returned() -> None:
-    """Whatever the tolerance, every frame's residual is below it."""
+    """For any tolerance, every frame's residual is below it."""
     slid = Scene(
         sphere(3e-3),
         press_shear_return(0.3e-3, 0.2e-3, steps=1),
@@ -120,7 +120,7 @@ def test_finer_meshes_are_solved_in_float64_where_a_coarser_one_was() -> None:
 
 
 def test_unlike_scenes_in_one_call_get_what_they_get_alone() -> None:
-    """Bodies of other sizes, thickness, dome; other effects: solved side by side where they can."""
+    """Bodies of different size, thickness, dome and effects, batched where possible."""
     bodies = [
         BODY,
         Body(size_x=9e-3, size_y=8e-3, thickness=4e-3),

@@ -1,4 +1,4 @@
-"""Coulomb friction of the finite-element tier: what whole presses show."""
+"""Coulomb friction of the finite-element tier, in whole presses."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def test_shear_to_the_other_side_and_across_is_the_mirrored_and_the_turned_resul
         simulate(_loop(angle, 0.2e-3, 1), numerics=COARSE) for angle in (0.0, np.pi, np.pi / 2)
     )
     size = np.abs(right.force).max()
-    # Each is solved to 1e-4 of the force in every step, on a path that remembers.
+    # Each step is solved to 1e-4 of the force, on a history-dependent path.
     assert np.abs(left.force * [-1, 1, 1] - right.force).max() < 2e-3 * size
     assert np.abs(across.force[:, [1, 0, 2]] - right.force).max() < 2e-3 * size
 
 
 def test_more_friction_holds_the_surface_more() -> None:
-    """What the surface slides outwards under the sphere falls with the coefficient."""
+    """The outward slip of the surface under the sphere decreases with the coefficient."""
     slides = []
     for coefficient in (0.0, 0.2, 0.5, 2.0):
         effects = Effects(friction=Friction(coefficient))

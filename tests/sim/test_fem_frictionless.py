@@ -1,6 +1,6 @@
-"""Contact without friction: no force along a face, none that says where in the mesh a press is.
+"""Contact without friction: no tangential force on a face, no dependence on mesh position.
 
-Errors are held against those that the results state themselves.
+Errors are compared with those that the results state themselves.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ SIDES = 8
 
 
 def _face(indenter: Indenter) -> Array:
-    """Outward normal (3,) of the flat face that is below when the indenter is upright."""
+    """Return the outward normal (3,) of the face at the bottom of the upright indenter."""
     return -indenter.stance[0][:, 2]
 
 
 def _stated(result: Result) -> float:
-    """The error that the last frame states, over its force."""
+    """Return the stated error of the last frame, relative to its force."""
     return float(result.record["error"]["force"][-1])
 
 
 def _along(force: Array, normal: Array) -> float:
-    """Share of a force (3,) that is not along a normal."""
+    """Return the share of a force (3,) that is not along a normal."""
     return float(np.linalg.norm(np.cross(force, normal)) / np.linalg.norm(force))
 
 
-# A plate wider than the body, whose low edge is beside it: the body feels one plane and no more.
+# A plate wider than the body, with its low edge outside it: the body is in contact with one plane.
 
 WIDE = 24e-3
 # Degrees, distance of the low edge from the body's side, and depth of the edge [m].
@@ -74,7 +74,7 @@ def test_a_plane_on_a_fine_mesh_pushes_along_its_normal(degrees: int) -> None:
     _plate(degrees, (0.07e-3, 0.3e-3), Numerics())
 
 
-# A punch that leans: its face pushes along the normal, its low edge as much the other way aside.
+# A tilted punch: its face pushes along the normal, its low edge equally in the other direction.
 
 
 def _punch(degrees: int, shift: float, numerics: Numerics) -> None:
@@ -83,9 +83,9 @@ def _punch(degrees: int, shift: float, numerics: Numerics) -> None:
     result = simulate(Scene(punch, press([0.3e-3], at=(shift, 0.0)), SMALL), numerics=numerics)
     stated = _stated(result)
     assert stated < 0.15
-    # The body is wide: the same work is done wherever the punch stands, so nothing pulls it aside.
+    # The body is wide: the work does not depend on the punch's position, so no force acts sideways.
     assert np.abs(result.force[-1, :2]).max() < stated * -result.force[-1, 2]
-    # Nodes all of whose neighbours touch the face itself, not its rounded edge.
+    # Nodes whose neighbours all touch the face itself, not its rounded edge.
     x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")
     places = np.stack([x, y, np.zeros_like(x)], axis=-1) + result.surface[-1]
     normal = punch.distance(places - np.array([shift, 0.0, -0.3e-3]))[1]
@@ -109,7 +109,7 @@ def test_a_leaning_punch_on_the_default_mesh_is_not_pulled_aside(degrees: int) -
     _punch(degrees, 0.13e-3, Numerics())
 
 
-# A sphere at places within one element: the same force at each, and none aside.
+# A sphere at positions within one element: equal forces, none of them sideways.
 
 
 def _ripple(depth: float, element: float, numerics: Numerics, most: float) -> None:
@@ -128,14 +128,14 @@ def _ripple(depth: float, element: float, numerics: Numerics, most: float) -> No
     assert (ripple < stated).all()
     assert (aside < stated).all()
     assert max(ripple.max(), aside.max()) < most
-    # What was moved was moved: the mesh stays, or goes along.
+    # Consistency check: the mesh stays in place, or follows.
     same = all((result.surface_x == results[0].surface_x).all() for result in results)
     assert same != numerics.follows
 
 
 @pytest.mark.parametrize("depth", [0.3e-3, 0.6e-3])
 def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(depth: float) -> None:
-    """Elements that stay, 3 to 5 across the contact."""
+    """A fixed mesh with 3 to 5 elements across the contact."""
     _ripple(depth, 0.8e-3, Numerics(spacing=0.8e-3, graded=False), 0.06)
 
 

@@ -1,6 +1,6 @@
-"""Blade, rim and corner: forces are right within the error that a result states of itself.
+"""Blade, rim and corner: forces are correct within the error that a result states.
 
-Truths are those of GetFEM (`benchmarks independent`) where there is one, else a finer mesh.
+Ground truth is from GetFEM (`benchmarks independent`) where available, else from a finer mesh.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ BLADE = box(0.5e-3, 12e-3, 0.2e-3)
 
 
 def _against_getfem(name: str, indenter: Indenter, numerics: Numerics | None = None) -> Result:
-    """A case solved by `sim`, whose forces are those of GetFEM within both stated errors."""
+    """Solve a case with `sim` and compare its forces with GetFEM's within both stated errors."""
     path = next(case.path for case in CASES if case.name == name)
     truths = [row for row in load() if row.case == name]
     tip = [(x * 1e-3, y * 1e-3, -depth * 1e-3) for x, y, depth in path]
@@ -34,7 +34,7 @@ def _against_getfem(name: str, indenter: Indenter, numerics: Numerics | None = N
 
 
 def _against_finer(scene: Scene, coarse: float, fine: float) -> Result:
-    """A scene solved with two finenesses, whose forces agree within both stated errors."""
+    """Solve a scene at two finenesses and compare the forces within both stated errors."""
     results = [simulate(scene, numerics=Numerics(fineness=one)) for one in (coarse, fine)]
     first, second = (result.force[-1] for result in results)
     off = float(np.linalg.norm(first - second) / np.linalg.norm(second))
@@ -48,7 +48,7 @@ def _against_finer(scene: Scene, coarse: float, fine: float) -> Result:
 def test_a_sphere_partly_beyond_the_rim_has_getfems_force(numerics: Numerics | None) -> None:
     result = _against_getfem("sphere 4 beyond the rim", sphere(4e-3), numerics)
     assert result.record["error"]["percent"] < 20
-    assert (result.force[:, 0] < 0).all()  # towards the body's middle
+    assert (result.force[:, 0] < 0).all()  # towards the centre of the body
     assert result.record["symmetry"]["percent"] < 0.01
 
 
@@ -59,11 +59,11 @@ def test_a_sphere_over_the_corner_has_a_finer_meshs_force() -> None:
 
 
 def test_a_plate_on_all_of_a_skin_that_keeps_its_volume_has_a_finer_meshs_force() -> None:
-    """It ends at the body's rim, and the skin below flows outwards: both take elements."""
+    """It ends at the body's rim, and the skin below flows outwards: both need elements."""
     body = Body(size_x=12e-3, size_y=12e-3, poisson=0.49)
     scene = Scene(plane(), press([0.2e-3]), body, Effects(friction=Friction(0.8)))
     result = _against_finer(scene, 1.0, 2.0)
-    # A fineness of 3 has 2.465 N, and 2 has 2.476 N.
+    # At a fineness of 3 the force is 2.465 N, at 2 it is 2.476 N.
     assert result.force[-1, 2] == pytest.approx(-2.466, rel=result.record["error"]["force"][-1])
     assert result.record["error"]["percent"] < 5
 
@@ -74,7 +74,7 @@ def test_a_plate_on_all_of_a_skin_that_keeps_its_volume_has_a_finer_meshs_force(
 def test_a_deep_press_at_the_corner_has_a_finer_meshs_force(at: float) -> None:
     scene = Scene(sphere(4e-3), press([1e-3], at=(at, at)))
     assert _against_finer(scene, 0.75, 1.1).record["error"]["percent"] < 5
-    # A linear layer knows no sides, and says so.
+    # The linear layer has no sides, and reports that it has no error estimate.
     assert simulate(scene, "layer").record["error"]["status"] == "none"
 
 

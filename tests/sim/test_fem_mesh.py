@@ -26,7 +26,7 @@ def _domed() -> Mesh:
 
 
 def _graded() -> Mesh:
-    """Finer than `COARSEST` in the middle; elements up to 3 times as wide outside."""
+    """Return a mesh finer than `COARSEST` in the middle, up to 3 times as wide outside."""
     return build_mesh(FLAT, 0.25e-3, ((-0.5e-3, 0.5e-3), (0.0, 1e-3)))
 
 
@@ -48,7 +48,7 @@ def test_volumes_of_nodes_and_areas_of_faces_are_the_elements(make: Callable[[],
     corners = mesh.nodes[mesh.faces]
     one, other = corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1]
     area = np.linalg.norm(np.cross(one, other), axis=1) / 2
-    # A dome's faces are two triangles that do not lie quite in one plane.
+    # A dome's faces are two triangles that are not exactly coplanar.
     np.testing.assert_allclose(4 * mesh.face_area, area, rtol=1e-3 if make is _domed else 1e-11)
 
 
@@ -120,7 +120,7 @@ def test_a_graded_mesh_is_fine_in_its_window_and_has_fewer_elements_for_it() -> 
 
 
 def test_elements_wider_than_the_coarsest_are_not_graded() -> None:
-    """There is nothing to gain; the window may be anywhere."""
+    """Grading would gain nothing; the window may be anywhere."""
     spacing = 1.01 * COARSEST * FLAT.thickness
     meshes = [build_mesh(FLAT, spacing, (window, window)) for window in WINDOWS]
     for mesh in meshes:
@@ -142,18 +142,18 @@ def test_an_axis_is_as_fine_as_asked_in_its_window_and_grows_slowly_outside(
     assert (lengths > 0).all()
     inside = (places[1:] > window[0]) & (places[:-1] < window[1])
     assert inside.any()
-    # An element that stands half in the window may be as much longer as its other half is outside.
+    # An element half inside the window may be longer, according to its distance outside.
     within = inside & (places[:-1] >= window[0]) & (places[1:] <= window[1])
     assert (lengths[within] <= spacing * (1 + 1e-3)).all()
     assert (lengths[inside] <= spacing * np.exp(GROWTH)).all()
     assert lengths.max() <= max(coarsest, spacing) * (1 + 1e-3)
-    # Length grows by GROWTH per distance, so by exp(GROWTH) at most from one to the next.
+    # Length grows by GROWTH per distance, hence by at most exp(GROWTH) between neighbours.
     ratio = lengths[1:] / lengths[:-1]
     assert np.maximum(ratio, 1 / ratio).max() <= np.exp(GROWTH) * (1 + 1e-3)
     away = np.maximum(np.maximum(window[0] - places[1:], places[:-1] - window[1]), 0)
     asked = np.minimum(spacing + GROWTH * (away + lengths), max(coarsest, spacing))
     assert (lengths <= asked * (1 + 1e-3)).all()
-    # Not much finer than that either: rounding up adds less than a multiple.
+    # Nor much finer than that: rounding up adds less than a multiple.
     least = np.minimum(spacing + GROWTH * away, max(coarsest, spacing))
     shrunk = (len(lengths) - multiple) / len(lengths)
     assert (lengths >= least * shrunk * (1 - 1e-3)).all()

@@ -117,7 +117,7 @@ def _reduced(sums: Any) -> Array:
 
 
 def test_a_run_knows_the_least_determinant_around_its_own_nodes() -> None:
-    """So that every element is looked at, whichever run its nodes are in."""
+    """So that every element is checked, whichever run its nodes belong to."""
     runs = np.arange(COUNT) // RUN
     for element in (0, len(MESH.elements) // 2, len(MESH.elements) - 1):
         det = np.ones((3, len(MESH.elements)))

@@ -1,4 +1,4 @@
-"""Patch tests: what the assembled equations say of even deformation, and of themselves."""
+"""Patch tests of the assembled equations: uniform deformation, and internal consistency."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MATERIAL = oracle.Material(BODY.shear_modulus / BODY.modulus, BODY.bulk_modulus 
 
 
 def _mesh() -> Mesh:
-    """Uneven inside, flat outside: even deformation must not see the inner nodes' places."""
+    """Return a mesh with displaced inner nodes, on which a patch test must not depend."""
     mesh = build_mesh(BODY, 1e-3)
     moved = oracle.moved(mesh, 0.05)
     outer = np.unique(mesh.faces)
@@ -35,7 +35,7 @@ def _assembly(mesh: Mesh, scene: Scene) -> Assembly:
 
 
 def _strained(deformation: Array) -> tuple[Array, Array]:
-    """Residual (N, 3) and reaction of the base (3,) in moduli and thicknesses, under even F."""
+    """Return residual (N, 3) and base reaction (3,) [moduli, thicknesses] under uniform F."""
     mesh = _mesh()
     assembly = _assembly(mesh, Scene(plane(), press([1e-4]), BODY))
     height = mesh.nodes + np.array([0, 0, 1])
@@ -63,7 +63,7 @@ def test_confined_compression_is_even_and_its_base_feels_the_closed_form(stretch
 def test_uniaxial_stress_leaves_the_sides_without_force() -> None:
     stretch = 0.8
     stress = uniaxial_stress(stretch, 1.0, BODY.poisson)
-    # The side's stretch q at which the sides carry nothing: from P = G J^(-5/3) (s^2 - q^2) q^2.
+    # Lateral stretch q at which the sides are traction-free: from P = G J^(-5/3) (s^2 - q^2) q^2.
     q = np.linspace(1.0, 1.3, 200001)
     volume = q**2 * stretch
     found = MATERIAL.shear * volume ** (-5 / 3) * (stretch**2 - q**2) * q**2
@@ -94,8 +94,8 @@ ALL = Effects(
 )
 
 
-# The turning of the normal under a sphere is measured over a short distance; what it does to the
-# shear traction is left out of the tangent to keep it symmetric. A plane's normal stands still.
+# The curvature of a sphere's normal is measured over a short distance; its effect on the shear
+# traction is omitted from the tangent to keep it symmetric. A plane's normal is constant.
 @pytest.mark.parametrize(
     ("indenter", "effects", "error"),
     [
@@ -109,7 +109,7 @@ ALL = Effects(
 def test_the_tangent_is_the_derivative_of_the_residual(
     indenter: Indenter, effects: Effects, error: float
 ) -> None:
-    """Of the whole assembly, everything held that is held, with the indenter pressed in."""
+    """For the whole assembly, with all constraints, and the indenter pressed in."""
     mesh = _mesh()
     scene = Scene(indenter, press([1e-4]), BODY, effects)
     assembly = _assembly(mesh, scene)
@@ -135,7 +135,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(
 
 
 def _begin(assembly: Assembly, tip: Array) -> None:
-    """Put every tip (B, 3) where a step of 0.3 ms ends."""
+    """Set every tip (B, 3) to its position at the end of a step of 0.3 ms."""
     everyone = np.ones(len(tip), bool)
     nothing = np.zeros(len(tip))
     assembly.state.begin_step(everyone, tip, np.full(len(tip), 3e-4), nothing)
@@ -157,7 +157,7 @@ def _residual(assembly: Assembly, u: Array) -> Array:
 def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
     indenter: Indenter, friction: Friction | None, error: float
 ) -> None:
-    """Sideways and down, with pressure carried over; an environment that is off keeps its own."""
+    """Sideways and down, with multipliers; an inactive environment keeps its previous values."""
     scene = Scene(indenter, press([1e-4]), BODY, Effects(friction=friction))
     assembly = Assembly([_mesh()] * 2, [scene] * 2, Numerics(), "float64", "cpu")
     state = assembly.state
@@ -188,7 +188,7 @@ def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
 
 
 def test_environments_on_two_graded_meshes_get_in_a_batch_what_they_get_alone() -> None:
-    """Residual, sums, tangent and push of each, bit for bit, on meshes of one topology."""
+    """Compare residual, sums, tangent and push bitwise, on meshes of the same topology."""
     body = Body(size_x=8e-3, size_y=7e-3, thickness=3e-3)
     windows = (((-1e-3, 1e-3), (-1e-3, 1e-3)), ((0.5e-3, 2.5e-3), (-2e-3, 0.0)))
     meshes = [build_mesh(body, 0.6e-3, window) for window in windows]

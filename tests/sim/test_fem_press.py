@@ -16,7 +16,7 @@ EXACT = Numerics(spacing=4e-3 / 3, precision="float64", tolerance=1e-8)
 
 
 def _arrays(result: Result) -> dict[str, np.ndarray]:
-    """Everything measured in a result, by name."""
+    """Return all measured arrays of a result, by name."""
     arrays = {
         name: getattr(result, name)
         for name in ("wrench", "surface_x", "surface_y", "surface", "traction")
@@ -33,12 +33,12 @@ def _results(scenes: list[Scene], numerics: Numerics) -> list[Result]:
 
 
 def test_a_sphere_on_the_papers_gel_is_within_5_percent_of_the_fine_solution() -> None:
-    """F by two independent element families, 0.1 % apart; here elements are 1 mm."""
+    """Force by two independent element families, 0.1 % apart; elements here are 1 mm."""
     scene = Scene(sphere(4e-3), press([0.5e-3, 1.0e-3, 1.5e-3]))
     result = simulate(scene, numerics=Numerics(spacing=1e-3))
     assert result.record["precision"] == "float32"
     assert -result.force[1:, 2] == pytest.approx([0.2652, 0.9197, 1.9560], rel=0.05)
-    # The surface at 6 and 8 mm from the axis, outside of the contact: out by 42.4 and 9.7 um.
+    # The surface 6 and 8 mm from the axis, outside the contact, moves outwards by 42.4 and 9.7 um.
     along = CubicSpline(result.surface_x, result.surface[-1, :, len(result.surface_y) // 2])
     assert along([6e-3, 8e-3])[:, 2] == pytest.approx([42.4e-6, 9.7e-6], abs=6e-6)
     assert along(6e-3)[0] == pytest.approx(139e-6, abs=10e-6)
@@ -97,7 +97,7 @@ def test_mirrored_presses_mirror() -> None:
 
 @pytest.mark.parametrize("effects", [Effects(), Effects(friction=Friction(0.5))])
 def test_a_batch_gives_what_its_scenes_give_alone_bit_for_bit(effects: Effects) -> None:
-    """Different indenters, motions, lengths of motion and materials, side by side."""
+    """Different indenters, motions, lengths of motion and materials in one batch."""
     soft = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, modulus=3e4, poisson=0.3)
     scenes = [
         Scene(sphere(3e-3), press([0.3e-3, 0.6e-3]), SMALL, effects),
@@ -137,7 +137,7 @@ def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
     area = np.outer(*sides)
     total = (result.traction[-1].astype(float) * area[..., None]).sum((0, 1))
     assert total == pytest.approx(result.force[-1], rel=1e-5, abs=1e-8)
-    # A smooth sphere pushes through its centre, a radius above the tip.
+    # A smooth sphere's force acts through its centre, one radius above the tip.
     torque = np.cross([0, 0, 3e-3], result.force[-1])
     assert result.wrench[-1, 3:] == pytest.approx(torque, abs=2e-3 * np.abs(torque).max())
 

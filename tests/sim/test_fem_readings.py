@@ -1,4 +1,4 @@
-"""What is read of a batch: the same whether arrays are copied for all environments or looked at."""
+"""Readings of a batch: equal whether arrays are copied for all environments or viewed."""
 
 from __future__ import annotations
 

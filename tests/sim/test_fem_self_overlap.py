@@ -1,4 +1,4 @@
-"""The skin against itself: found where it folds, and how deep."""
+"""Self-contact of the skin: detection of folds and their depth."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from sim.indenters import sphere
 
 Array = NDArray[np.float64]
 
-# A strip 6 thicknesses long whose halves are rolled up, like a book that is closed too far.
+# A strip 6 thicknesses long whose halves are rolled up, like an overclosed book.
 
 STRIP = Body(size_x=12e-3, size_y=4e-3, thickness=2e-3)
 HALF, RADIUS = 3.0, 0.4
 
 
 def _rolled(mesh: Mesh, lean: float) -> Array:
-    """Places (N, 3): from the middle, a bend by 90 degrees + `lean` [rad], then straight walls.
+    """Return places (N, 3): a bend from the middle by 90 degrees + `lean` [rad], straight walls.
 
     The top is the inner side, bent along a circle of `RADIUS`.
     """
@@ -40,7 +40,7 @@ def _rolled(mesh: Mesh, lean: float) -> Array:
 
 
 def _deepest(mesh: Mesh, places: Array, lean: float) -> float:
-    """Shortest way out (of the left half's straight wall) of the right half's deepest node."""
+    """Return the depth of the right half's deepest node in the left half's straight wall."""
     nodes = np.unique(mesh.faces)
     right = places[nodes[mesh.nodes[nodes, 0] > 0]]
     along = np.array([math.sin(lean), math.cos(lean)])
@@ -83,7 +83,7 @@ def test_the_solver_notices_folds_as_they_are(precision: Literal["float32", "flo
 
 
 def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
-    """The right half rolled over by half a turn, its end 0.05 thicknesses deep in the left half."""
+    """The right half is rolled by half a turn, its end 0.05 thicknesses deep in the left half."""
     mesh = build_mesh(STRIP, 0.25e-3)
     x, y, z = mesh.nodes.T
     angle = np.clip(x / RADIUS, 0.0, math.pi)
@@ -94,7 +94,7 @@ def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
     assert deep == pytest.approx(0.05, rel=1e-6)
 
 
-# Real presses.
+# Simulated presses.
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 
@@ -107,7 +107,7 @@ def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
 
 
 def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The measure is replaced: 5 % of the contact's width, then 30 %."""
+    """The measured overlap is replaced: 5 % of the contact width, then 30 %."""
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
     numerics = Numerics(spacing=4e-3 / 3)
     depth = 0.5e-3 / SMALL.thickness

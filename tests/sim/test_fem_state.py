@@ -33,7 +33,7 @@ def _pressure(assembly: Assembly) -> Array:
 
 
 def _pressed() -> Assembly:
-    """Both indenters pressed into bodies that have not moved."""
+    """Return an assembly with both indenters pressed into undeformed bodies."""
     assembly = _assembly()
     assembly.state.begin_step(BOTH, TIP, STEP, np.zeros(2))
     assembly.state.put_tip(BOTH)
@@ -41,7 +41,7 @@ def _pressed() -> Assembly:
 
 
 def test_pressure_that_is_carried_is_there_without_penetration_until_it_is_given_up() -> None:
-    """The same penetration again on top of it: twice the pressure, of the chosen one only."""
+    """With the same penetration in addition, the pressure doubles, only in the selected one."""
     assembly = _pressed()
     state = assembly.state
     once = _pressure(assembly)
@@ -97,7 +97,7 @@ def test_an_accepted_step_is_where_the_next_begins_for_the_chosen_only() -> None
 
 @pytest.mark.parametrize("chosen", [BOTH, FIRST])
 def test_a_step_begins_by_extrapolation_and_bodies_fly_on_at_their_speed(chosen: Array) -> None:
-    """u begins with a share of the last change; without forces it would go on at u' = du / dt."""
+    """u starts with a share of the last change; without forces it continues at u' = du / dt."""
     assembly = _pressed()
     state = assembly.state
     random = np.random.default_rng(1)

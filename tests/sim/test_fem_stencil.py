@@ -101,7 +101,7 @@ def test_the_elastic_part_is_kept_where_it_is_not_anew(keep: bool) -> None:
     now.assemble(stencil, wp.float64, anew=[1, 0, 0])
     found = stencil.matrix.numpy()
     assert oracle.relative(spread_out(found[0]), now.dense(0)) < 1e-12
-    if keep:  # contact and damping are those of now
+    if keep:  # contact and damping are the current ones
         now.u[1] = before.u[1]
     assert oracle.relative(spread_out(found[1]), now.dense(1)) < 1e-12
     assert (found[2] == FILLED).all()

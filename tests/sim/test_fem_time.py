@@ -1,4 +1,4 @@
-"""What depends on time, and weight: viscosity, inertia and gravity against their references."""
+"""Time-dependent effects and weight: viscosity, inertia and gravity against their references."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def _viscous(relaxes: str = "all") -> Effects:
 
 @pytest.mark.parametrize("relaxes", ["all", "shear"])
 def test_a_fast_press_feels_the_modulus_before_relaxation(relaxes: str) -> None:
-    """Shear modulus times 1.5 and, with `all`, bulk modulus too: another elastic body, exactly."""
+    """Shear modulus times 1.5, with `all` also the bulk modulus: exactly another elastic body."""
     shear = SMALL.shear_modulus * (1 + GLASS)
     bulk = SMALL.bulk_modulus * (1 + GLASS if relaxes == "all" else 1.0)
     modulus = 9 * bulk * shear / (3 * bulk + shear)
     poisson = (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
     glass = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, modulus=modulus, poisson=poisson)
-    # The contact springs are given in moduli: the same springs, then, for both.
+    # Contact springs are given in moduli: use the same springs for both.
     same_springs = Numerics(
         spacing=SPACING,
         precision="float64",
@@ -63,14 +63,14 @@ def test_a_slow_press_feels_the_modulus_at_rest() -> None:
 
 
 def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
-    """Force of the elastic press of the same mesh, remembered through the hereditary integral."""
+    """Force of the elastic press on the same mesh, passed through the hereditary integral."""
     motion = ramp_hold(0.15e-3, ramp=0.1, hold=0.4, steps=4)
     numerics = Numerics(spacing=4e-3 / 5, precision="float64")
     elastic = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=numerics)
     viscous = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics=numerics)
     expected = hereditary(motion.time, -elastic.force[:, 2], (GLASS,), (0.1,))
     found = -viscous.force[:, 2]
-    # On the ramp the force of the elastic press is not straight between frames; small strain.
+    # On the ramp the elastic force is not linear between frames; small strain.
     assert found[1:5] == pytest.approx(expected[1:5], rel=0.02)
     assert found[5:] == pytest.approx(expected[5:], rel=5e-3)
     assert (np.diff(found[4:]) < 0).all(), "it relaxes all the while"
@@ -78,7 +78,7 @@ def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
 
 
 def test_gravity_sags_a_wide_layer_by_the_closed_form() -> None:
-    """12 thicknesses wide, and nu = 0.3, so that the edges are not felt in the middle."""
+    """12 thicknesses wide, nu = 0.3, so that the edges do not affect the middle."""
     wide = Body(size_x=48e-3, size_y=48e-3, thickness=4e-3, poisson=0.3)
     acceleration = 30.0, 0.0, -50.0
     away = Motion(((0.0, 0.0, 1e-3),), (0.0,))
@@ -92,9 +92,9 @@ def test_gravity_sags_a_wide_layer_by_the_closed_form() -> None:
 
 
 def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
-    """Pressed evenly, then free: the middle moves up and down before the sides are heard of.
+    """Pressed uniformly, then released: the middle oscillates before waves from the sides arrive.
 
-    Backward Euler with 48 steps a period swings 0.6 % too slowly and damps.
+    Backward Euler with 48 steps per period is 0.6 % too slow, and damps.
     """
     wide = Body(size_x=32e-3, size_y=32e-3, thickness=4e-3, poisson=0.3)
     period = 1 / compression_frequency(4e-3, wide.density, wide.modulus, wide.poisson)
@@ -126,7 +126,7 @@ def test_a_slow_press_with_mass_is_the_press_without() -> None:
 
 
 def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
-    """10 m/s is 0.4 of the speed of pressure waves: the body cannot give way."""
+    """10 m/s is 0.4 of the speed of pressure waves: the body cannot yield."""
     effects = Effects(inertia=Inertia())
     slow, fast = (
         simulate(Scene(sphere(3e-3), press([0.6e-3], speed=speed), SMALL, effects), numerics=COARSE)
@@ -155,7 +155,7 @@ def test_weight_is_no_loss() -> None:
 
 @pytest.mark.parametrize(("pull", "found"), [((24.0, 0.0, 0.0), True), ((0.0, 0.0, -49.05), False)])
 def test_strong_gravity_is_brought_up_in_steps(pull: Point, found: bool) -> None:
-    """A gel of 100 Pa: too heavy for 15 iterations at once; down, it cannot carry all of it."""
+    """A gel of 100 Pa: too heavy for 15 iterations in one step; downwards it has no solution."""
     gel = Body(20e-3, 20e-3, 10e-3, modulus=100.0)
     away = Motion(((0.0, 0.0, 90e-3),), (0.0,))
     scene = Scene(sphere(4e-3), away, gel, Effects(gravity=Gravity(pull)))

@@ -29,7 +29,7 @@ STEPS = [np.array([0.05, 0.4]), np.array([1e-4, 0.02]), np.array([3.0, 0.3]), np
 
 @dataclass
 class Recurrence:
-    """One environment's branches, step by step as Simo & Hughes (1998), (10.3.12), have them."""
+    """One environment's branches, step by step by Simo & Hughes (1998), (10.3.12)."""
 
     viscosity: Viscosity
     material: Material
@@ -54,12 +54,12 @@ class Recurrence:
 
     @property
     def total(self) -> tuple[Array, Array]:
-        """Second Piola-Kirchhoff stress (E, 8, 3, 3), isochoric, and pressure (E,)."""
+        """Return second Piola-Kirchhoff stress (E, 8, 3, 3), isochoric, and pressure (E,)."""
         return self.stress + sum(self.branches), self.pressure + sum(self.bulk_branches)
 
 
 def rest_stress(mesh: Mesh, u: Array, material: Material) -> tuple[Array, Array]:
-    """Second Piola-Kirchhoff stress of the isochoric part, and pressure, at rest modulus.
+    """Return isochoric second Piola-Kirchhoff stress and pressure at the relaxed modulus.
 
     S = G J^(-2/3) (1 - tr(C)/3 C^-1), C = F^T F.
     """
@@ -94,7 +94,7 @@ def _begin(branches: Branches, duration: Array, active: Array = EVERYONE) -> tup
 
 
 def _walk() -> list[Array]:
-    """A displacement of both environments (2, N, 3) for each of `STEPS`."""
+    """Return a displacement of both environments (2, N, 3) for each of `STEPS`."""
     return list(np.random.default_rng(31).normal(0, 0.02, (len(STEPS), 2, *MESHES[0].nodes.shape)))
 
 
@@ -103,7 +103,7 @@ def _walk() -> list[Array]:
     [pytest.param(wp.float64, 1e-12, id="float64"), pytest.param(wp.float32, 2e-5, id="float32")],
 )
 def test_branches_follow_simo_and_hughes(real: Any, error: float) -> None:
-    """Factor times rest stress plus history is the stress of the recurrence, step after step."""
+    """Factor times relaxed stress plus history equals the recurrence's stress in every step."""
     branches = _branches(real)
     meshes = [MESHES[variant] for variant in VARIANT]
     expected = [Recurrence(*each) for each in zip(SERIES, MATERIALS, meshes, strict=True)]
@@ -134,7 +134,7 @@ def test_an_environment_that_is_not_active_remembers_the_step_before() -> None:
 
 
 def test_a_step_that_begins_leaves_the_history_of_one_that_is_under_way() -> None:
-    """Each environment is at its own step: the one given its duration again keeps its factors."""
+    """Environments are at different steps: one with an unchanged duration keeps its factors."""
     u = _walk()
     branches = _branches(wp.float64)
     _begin(branches, STEPS[0])

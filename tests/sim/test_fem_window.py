@@ -12,7 +12,7 @@ from sim.indenters import cone, flat_punch, named, plane, sphere, torus
 
 RIM = 0.5e-3
 AROUND = np.array([-RIM, RIM])
-# Of both bodies, along x and y.
+# Sides of both bodies, along x and y.
 SIDES = np.array([-10e-3, 10e-3])
 FLAT = Body()
 DOMED = Body(dome_radius=60e-3)
@@ -34,9 +34,9 @@ MOTIONS = {
 
 
 def _footprint(scene: Scene, samples: int = 161) -> np.ndarray:
-    """Box of what the indenter covers of the untouched top on its way, ((low, high), ...) [m].
+    """Return the box that the indenter covers on the undeformed top, ((low, high), ...) [m].
 
-    Looked for point by point of the top, at places between the waypoints too.
+    Found point by point on the top, also at positions between the waypoints.
     """
     body, tip = scene.body, np.asarray(scene.motion.tip)
     x = np.linspace(-body.size_x / 2, body.size_x / 2, samples)
@@ -74,7 +74,7 @@ def test_the_window_holds_the_footprint_and_stays_on_the_body(body: Body, motion
 def test_an_indenter_that_hangs_over_the_edge_is_followed_to_the_far_side(
     indenter: Indenter,
 ) -> None:
-    """It is wider than half the body, and pressed in beside the middle."""
+    """It is wider than half the body, and pressed in off-centre."""
     body = Body(size_x=10e-3, size_y=10e-3)
     scene = Scene(indenter, press([1e-3], at=(2e-3, 3e-3)), body)
     assert _holds(contact_window(scene, RIM), _footprint(scene))
@@ -85,13 +85,13 @@ def test_an_indenter_that_hangs_over_the_edge_is_followed_to_the_far_side(
 def test_the_widest_of_an_indenter_counts_when_it_goes_in_deeper(
     indenter: Indenter, body: Body
 ) -> None:
-    """At 1 mm all that is left of these in the plane of the top is a point or a line."""
+    """At a depth of 1 mm, their section in the plane of the top is only a point or a line."""
     scene = Scene(indenter, press([1e-3], at=(3e-3, 0.0)), body)
     assert _holds(contact_window(scene, 0.2e-3), _footprint(scene))
 
 
 def test_the_margin_is_kept_when_it_is_finer_than_the_places_looked_at() -> None:
-    """The paper's cylinder ends at 3 mm; the body is looked at every 0.2 mm."""
+    """The paper's cylinder ends at 3 mm; the body is sampled every 0.2 mm."""
     scene = Scene(named("cylinder"), press([1e-3], at=(0.1e-3, 0.0)), FLAT)
     assert _holds(contact_window(scene, 0.05e-3), _footprint(scene, samples=401))
 

@@ -1,7 +1,7 @@
-"""Scenes that were answered wrongly without a word, found by `hard-cases --random`: never again.
+"""Regression tests of scenes with silently wrong results, found by `hard-cases --random`.
 
-A file of `found/` that is repaired loses its reason here and stays; a new one is copied there from
-the folder that the command names.
+Once a scene of `found/` is fixed, its reason is removed here and the file stays; new files are
+copied there from the folder that the command names.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from benchmarks.sim.stability.chance.shrink import failure, load
 from benchmarks.sim.stability.chance.verdict import Settings, judge_scene
 
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
-# Why an answer is still silently wrong.
+# Reason why a result is still silently wrong.
 NOT_YET: dict[str, str] = {}
 
 
@@ -24,7 +24,7 @@ def _case(path: Path) -> object:
     return pytest.param(path, id=path.stem, marks=[*marks, *SLOW.get(path.stem, [])])
 
 
-# More than 5 seconds.
+# Scenes that take more than 5 seconds.
 SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "blade-goes-through": [pytest.mark.slow],
     "corner-below-the-base": [pytest.mark.slow, pytest.mark.timeout(180)],

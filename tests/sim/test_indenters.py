@@ -27,8 +27,8 @@ from sim.indenters import (
 
 Array = NDArray[np.float64]
 
-# Areas 0.5 mm above the tip plane [mm^2], measured on the published meshes. Their facets make
-# radii up to 0.05 mm smaller, so the area of round shapes is less by 0.05 mm of their outline.
+# Areas 0.5 mm above the tip plane [mm^2], measured on the published meshes. Their facets reduce
+# radii by up to 0.05 mm, hence areas of round shapes by 0.05 mm times their outline.
 AREAS = {
     "sphere": (14.45, 0.6),
     "sphere_s": (8.47, 0.4),
@@ -49,7 +49,7 @@ AREAS = {
     "moon": (19.4, 0.1),
     "random": (15.8, 0.1),
 }
-# A point of the lowest part of each [mm].
+# A point of each indenter's lowest part [mm].
 TIPS = {
     "cylinder_sh": (3.1, 0.0),
     "torus": (0.0, -3.0),
@@ -70,7 +70,7 @@ def _cloud(count: int, seed: int = 0) -> Array:
 
 
 def _on_surface(indenter: Indenter, count: int = 3000) -> Array:
-    """Points on the surface: those next to it, moved along the normal until they are there."""
+    """Return surface points: nearby points moved along the normal onto the surface."""
     points = _cloud(20 * count)
     points = points[np.abs(indenter.distance(points)[0]) < 0.3e-3][:count]
     for _ in range(30):
@@ -106,7 +106,7 @@ def test_the_normal_is_the_unit_gradient_of_the_gap_on_the_surface(name: str) ->
         behind, normal_behind = indenter.distance(points - shift)
         gradient[:, axis] = (ahead - behind) / (2 * step)
         bend = np.maximum(bend, np.abs(normal_ahead - normal_behind).max(axis=1))
-    # Concave corners stay sharp: a difference across one is no gradient.
+    # Concave corners stay sharp: a finite difference across one is not a gradient.
     smooth = bend < 0.01
     assert smooth.mean() > 0.9
     np.testing.assert_allclose(gradient[smooth], normal[smooth], atol=2e-3)

@@ -97,7 +97,7 @@ def test_any_mix_of_indenters_in_one_launch_gives_the_gaps_of_the_oracle(
         near = (true < FAR) & (gap < FAR)
         assert near.sum() > 50, indenter.name
         np.testing.assert_allclose(gap[near], true[near], rtol=0, atol=gap_error * UNIT)
-        # Where two faces are as near as rounding can tell, either normal is right.
+        # Where two faces are equally near up to rounding, either normal is right.
         apart = np.abs(normal - true_normal)[near].max(axis=1) > normal_error
         assert apart.mean() < 1e-3, indenter.name
 
@@ -109,7 +109,7 @@ def test_far_away_the_gap_is_a_lower_bound_that_is_far_too() -> None:
     bound = gaps != exact
     assert bound.mean() > 0.2
     assert np.all(gaps[bound] > FAR)
-    # Beside an oblique edge the oracle's gap is of first order only, so it may be the lesser one.
+    # Next to an oblique edge the oracle's gap is only first-order accurate, so it may be smaller.
     assert np.quantile(gaps[bound] / exact[bound], 0.999) < 1.001
     assert np.max(gaps[bound] / exact[bound]) < 1.05
 
@@ -177,7 +177,7 @@ def test_beside_others_that_lean_an_upright_indenter_keeps_every_bit() -> None:
 
 @pytest.mark.slow
 def test_what_no_indenter_has_leaves_no_trace_in_the_machine_code(block: Indenter) -> None:
-    """The function is that of a source which never knew bodies from files, or a tilt."""
+    """The function equals that of a source without indenters from files and without tilt."""
     source = inspect.getsource(device)
     for flag in ("traits.tilted", "traits.sampled"):
         source = cut(source, flag)
@@ -187,7 +187,7 @@ def test_what_no_indenter_has_leaves_no_trace_in_the_machine_code(block: Indente
     file = "sim_indenters_device_cut.py"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     exec(compile(source, file, "exec", dont_inherit=True), never.__dict__)
-    # The same struct, so that nothing but the function can differ.
+    # Use the same struct, so that only the function can differ.
     never.__dict__["table_struct"] = table_struct
     plain = machine_code(_kernel(wp.float64))
     assert plain == machine_code(_kernel(wp.float64, PLAIN, never.distance_function))

@@ -1,4 +1,4 @@
-"""Distances to triangles, on the device and worked out by hand."""
+"""Distances to triangles, on the device and by an independent implementation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEVICES = [
         ],
     ),
 ]
-# A body with a hole, of long triangles.
+# A body with a hole, made of long triangles.
 TUBE = files.revolved([(3, 0), (3, 4), (2, 4), (2, 0)], 12)
 
 
@@ -35,9 +35,9 @@ def _cloud(count: int) -> Array:
 
 
 def _oracle(body: files.Body, points: Array) -> tuple[Array, Array]:
-    """Distance to the nearest triangle and how often the surface winds around (N,), (N,).
+    """Return distance to the nearest triangle and winding number of the surface (N,), (N,).
 
-    Nearest: the foot in the plane where it falls into the triangle, else on one of its sides.
+    Nearest: the projection on the plane if it is in the triangle, else on one of its sides.
     Winding: solid angles (Van Oosterom & Strackee 1983) over 4 pi.
     """
     nearest, winding = np.full(len(points), np.inf), np.zeros(len(points))
@@ -72,7 +72,7 @@ def test_distance_and_side_are_those_worked_out_by_hand(device: str) -> None:
     np.testing.assert_allclose(length, nearest, rtol=0, atol=2e-9)
     np.testing.assert_allclose(gap, np.where(winding > 0.5, -nearest, nearest), atol=2e-9)
     assert 200 < (gap < 0).sum() < 1800
-    # The gradient leads to the surface.
+    # The gradient points to the surface.
     for distance, direction in ((length, along), (gap, out)):
         np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1, atol=1e-5)
         on_it = points - distance[:, None] * direction
@@ -95,7 +95,7 @@ def test_the_nodes_of_a_grid_have_the_signed_distance_near_the_surface_and_its_s
     np.testing.assert_allclose(found[close], true[close], atol=1e-12)
     assert 0.1 < close.mean() < 0.9
     assert np.array_equal(found[~close] < 0, true[~close] < 0)
-    # No distance changes faster than the place.
+    # The distance changes at most as fast as the position.
     assert np.abs(found - true).max() < np.sqrt(3) * SKIP * grid.spacing / 2
 
 
@@ -107,11 +107,11 @@ def test_shells_that_overlap_or_are_inside_out_are_misplaced() -> None:
         return misplaced_share(vertices * 1e-3, faces.astype(np.int32))
 
     assert share(one, files.moved(other, [4, 0, 0])) == 0
-    # Half of the ball lies in the block; the block's top has a disc of it inside, too coarse to
-    # be seen: its two triangles' middles are not.
+    # Half of the ball is inside the block. Part of the block's top is inside the ball, but its two
+    # triangles are too coarse to show it: their centroids are outside.
     assert 0.05 < share(one, other) < 0.6
     assert share(one, (other[0] + [4, 0, 0], other[1][:, ::-1])) > 0.1
-    # A hollow is no mistake.
+    # A cavity is valid.
     bubble = files.moved(files.ball(0.5, 9), [0, 0, 1])
     assert share(one, (bubble[0], bubble[1][:, ::-1])) == 0
     assert share(one, bubble) > 0.05

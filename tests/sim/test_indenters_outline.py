@@ -22,7 +22,7 @@ def _values(name: str) -> tuple[float, ...]:
 
 
 def _polygon(values: tuple[float, ...], count: int = 2000) -> Array:
-    """The path as a fine polygon, its arcs cut by turning about their centres."""
+    """Return the path as a fine polygon, its arcs divided by turning about their centres."""
     points = []
     for piece in pieces(values):
         share = np.arange(count)[:, None] / count
@@ -38,7 +38,7 @@ def _polygon(values: tuple[float, ...], count: int = 2000) -> Array:
 
 
 def _polygon_distance(polygon: Array, points: Array) -> Array:
-    """Nearest edge by brute force; the sign by counting the edges that a ray crosses."""
+    """Return the distance by brute force over edges; the sign by counting ray crossings."""
     start, end = polygon, np.roll(polygon, -1, axis=0)
     along = end - start
     result = np.empty(len(points))
@@ -71,14 +71,14 @@ def test_the_distance_is_that_of_a_fine_polygon(name: str) -> None:
     values = _values(name)
     points = _cloud(values, 300)
     polygon = _polygon(values)
-    # A chord lies radius * (1 - cos(half its angle)) inside of its arc: 3e-9 m at most here.
+    # A chord is radius * (1 - cos(half its angle)) inside its arc: at most 3e-9 m here.
     expected = _polygon_distance(polygon, points)
     np.testing.assert_allclose(_gap(values, 0.0, points), expected, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", OUTLINES)
 def test_rounding_keeps_exactly_what_a_disc_of_that_radius_can_cover(name: str) -> None:
-    # The definition of an opening: the union of all discs that fit into the sharp outline.
+    # Definition of an opening: the union of all discs that fit into the sharp outline.
     values = _values(name)
     radius = 0.8 * min(radius_max(values), 1e-3)
     points = _cloud(values, 3000)

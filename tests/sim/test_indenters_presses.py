@@ -1,4 +1,4 @@
-"""Presses by indenters from files and by indenters that lean, in every tier."""
+"""Presses by indenters from files and by tilted indenters, in every tier."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) ->
 def test_a_prism_from_a_file_presses_like_the_one_by_name(
     drawn: float, declared: float, tmp_path: Path
 ) -> None:
-    """Drawn with its fillets [mm], or sharp and told its edge radius [m], or both."""
+    """Drawn with its fillets [mm], or sharp with a declared edge radius [m], or both."""
     sharp, count = files.block(5, 7, 8), 25
     body = files.rounded_block(5, 7, 8, drawn, count) if drawn else sharp
     indenter = from_stl(files.write_binary(tmp_path / "prism.stl", body), edge_radius=declared)
@@ -68,7 +68,7 @@ def test_a_prism_from_a_file_presses_like_the_one_by_name(
             simulate(Scene(one, press([0.5e-3])), tier, numerics=numerics).force[-1, 2]
             for one in (indenter, expected)
         )
-        # An edge finer than the elements (0.4 mm) is where the two differ most.
+        # An edge finer than the elements (0.4 mm) makes the largest difference.
         assert found == pytest.approx(by_name, rel=0.03 if tier == "fem" else 0.01)
 
 
@@ -163,7 +163,7 @@ def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -
     assert isinstance(found, Result)
     assert isinstance(expected, Result)
     np.testing.assert_allclose(found.force[1:], expected.force[1:], atol=2e-3)
-    # The torque is about the tip: the origin of the one that leans.
+    # The torque is about the tip, i.e. the origin of the tilted indenter.
     lever = np.cross([aside, 0, 0], expected.force[1])
     torque = expected.wrench[1, 3:] + lever
     np.testing.assert_allclose(found.wrench[1, 3:], torque, atol=2e-5)

@@ -1,4 +1,4 @@
-"""Indenters from STL files: beside the exact shapes, and as values that are kept and read again."""
+"""Indenters from STL files: compared with exact shapes, and stored and read as values."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
 
 
 def _near(exact: Indenter, count: int = 30000) -> tuple[Array, Array, Array]:
-    """Points within 0.3 mm of the lower surface, from 0.05 mm within; their gaps and normals."""
+    """Return points 0.3 mm outside to 0.05 mm inside the lower surface, with gaps and normals."""
     sides = np.clip(np.array(exact.bounds), -4e-3, 4e-3)
     low, high = sides[:, 0] - 0.4e-3, sides[:, 1] + 0.4e-3
     high[2] = 2.2e-3
@@ -52,7 +52,7 @@ def _near(exact: Indenter, count: int = 30000) -> tuple[Array, Array, Array]:
 
 
 def _errors(found: Indenter, exact: Indenter) -> tuple[Array, Array]:
-    """Of the gap [m] and of the normal [rad]."""
+    """Return the errors of the gap [m] and of the normal [rad]."""
     points, gap, normal = _near(exact)
     other, other_normal = found.distance(points)
     np.testing.assert_allclose(np.linalg.norm(other_normal, axis=1), 1, atol=1e-12)
@@ -61,7 +61,7 @@ def _errors(found: Indenter, exact: Indenter) -> tuple[Array, Array]:
 
 def test_a_fine_sphere_is_a_sphere(make: Make) -> None:
     gap, turn = _errors(make("ball", files.ball(1.5, 31), 0.0), sphere(1.5e-3))
-    # The file's chords lie up to 0.9 um inside of the sphere, and lean by up to 1.6 degrees.
+    # The file's chords are up to 0.9 um inside the sphere, and tilted by up to 1.6 degrees.
     assert gap.max() < 1.5e-6
     assert np.degrees(turn).max() < 1.0
 
@@ -94,7 +94,7 @@ def test_a_tube_keeps_its_hole(make: Make) -> None:
 
 
 def test_a_pointed_tip_becomes_round_and_its_lowest_point_the_origin(make: Make) -> None:
-    # Seen from the axis at 45 degrees: a cone of 4 mm on a cylinder.
+    # As seen from the axis at 45 degrees: a cone of 4 mm on a cylinder.
     body = files.revolved([(0, 0), (3, 3), (3, 5), (0, 5)], 120)
     found, exact = make("cone", body), rounded_cone(np.pi / 4, EDGE)
     gap, _ = _errors(found, exact)
@@ -113,7 +113,7 @@ def test_heights_are_where_the_distance_first_becomes_zero(make: Make) -> None:
     assert 100 < hit.sum() < 450
     gap, _ = found.distance(np.column_stack([x[hit], y[hit], heights[hit]]))
     assert np.abs(gap[heights[hit] > 0]).max() < 1e-9
-    # Where a face becomes an edge the spline swings below the tip plane, by little.
+    # Where a face meets an edge the spline undershoots the tip plane slightly.
     assert np.abs(gap).max() < 2e-6
     np.testing.assert_allclose(heights, box(3e-3, 4e-3, EDGE).heights(x, y, reach=2e-3), atol=40e-6)
 
@@ -204,7 +204,7 @@ def test_what_the_grid_or_the_body_has_no_room_for_is_refused(
 
 def test_a_wall_that_rounding_would_lose_is_refused(make: Make) -> None:
     rim = [(1, 0), (1.6, 0), (1.6, 3), (2, 3), (2, 5), (0, 5), (0, 3), (1, 3)]
-    with pytest.raises(SceneError, match="does not part inside from outside"):
+    with pytest.raises(SceneError, match="does not separate inside from outside"):
         make("overlap", files.joined(files.block(1, 3, 4), files.block(3, 1, 4)))
     with pytest.raises(SceneError, match=r"edge_radius: 0.0004 m takes 0\.00\d+ m off rim.stl"):
         make("rim", files.revolved(rim, 60), reach=4e-3)
@@ -220,7 +220,7 @@ def test_a_scene_keeps_the_file_by_its_content(make: Make, tmp_path: Path) -> No
     assert found.solid is not None
     assert again.indenter.solid.path == found.solid.path
     assert pickle.loads(pickle.dumps(scene)) == scene
-    # Where it lies is no matter, what it holds is.
+    # Only its content matters, not its path.
     copy = tmp_path / "copy.stl"
     copy.write_bytes(Path(found.solid.path).read_bytes())
     moved = replace(found, solid=replace(found.solid, path=str(copy)))
@@ -236,7 +236,7 @@ def test_a_file_that_has_gone_or_changed_is_told_of_only_when_it_is_needed(
     path = files.write_binary(tmp_path / "tip.stl", files.block(2, 2.5, 3))
     found = from_stl(path, edge_radius=EDGE, spacing=SPACING, reach=2e-3)
     stored = scene_to_json(Scene(found, press([0.5e-3])))
-    # As if in a new process, which has not read it yet.
+    # As if in a new process that has not read it yet.
     for name, at in (("changed", path), ("gone", tmp_path / "gone.stl")):
         stored["indenter"]["solid"].update(path=str(at), reach=2e-3 + 1e-9 * len(name))
         if name == "changed":

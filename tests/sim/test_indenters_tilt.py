@@ -1,4 +1,4 @@
-"""Indenters that lean."""
+"""Tilted indenters."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from sim.scene import Scene, press
 
 Array = NDArray[np.float64]
 
-# 15 degrees in all, unlike about x and y.
+# 15 degrees in total, with different parts about x and y.
 TILT = math.radians(9), math.radians(-12)
-# Every kind of part; the others are looked at with the slow tests.
+# Every kind of part; the other indenters are slow tests.
 QUICK = ("sphere", "cone", "cylinder_si", "torus", "dots", "wave", "line", "moon")
 
 
@@ -63,7 +63,7 @@ def test_a_tilted_sphere_is_a_sphere() -> None:
 def test_a_tilted_punch_stands_on_its_rim(edge: float, angle: float) -> None:
     radius = 3e-3
     punch = flat_punch(radius, edge).tilted(0.0, angle)
-    # The rim's arc has its lowest point straight below its centre.
+    # The lowest point of the rim's arc is straight below its centre.
     drop = (radius - edge) * math.sin(angle) + edge * (1 - math.cos(angle))
     assert punch.stance[1] == pytest.approx(drop, abs=5e-9)
     foot = (radius - edge) * math.cos(angle) + edge * math.sin(angle)
@@ -75,7 +75,7 @@ def test_a_tilted_box_stands_on_a_corner() -> None:
     corners = np.array([(x, y, 0) for x in (-2e-3, 2e-3) for y in (-3e-3, 3e-3)])
     lowest = (corners @ _turn().T)[:, 2].min()
     assert box(4e-3, 6e-3).tilted(*TILT).stance[1] == pytest.approx(-lowest, abs=1e-12)
-    # A round bar along y rolls about y, and stands on the end of its lowest line otherwise.
+    # A round bar along y rolls about y; tilted about x, it rests on the end of its lowest line.
     radius, length = 3e-3, 14e-3
     rolled = bar(radius, length).tilted(0.0, 0.2)
     assert rolled.stance[1] == pytest.approx(radius * (1 - math.cos(0.2)), abs=1e-9)
@@ -101,14 +101,14 @@ def test_the_distance_is_that_of_the_upright_body_turned_by_hand(name: str) -> N
 )
 def test_the_tip_is_at_zero_and_nothing_is_below_it(name: str) -> None:
     leaning = named(name).tilted(*TILT)
-    # The surface of the upright body, densely, turned by hand.
+    # The surface of the upright body, sampled densely and rotated explicitly.
     sides = np.clip(named(name).bounds[:2], -9e-3, 9e-3)
     x, y = np.meshgrid(*(np.linspace(*side, 41) for side in sides), indexing="ij")
     heights = named(name).heights(x, y, reach=5e-3)
     hit = np.isfinite(heights)
     surface = np.stack([x[hit], y[hit], heights[hit]], axis=1) @ _turn().T
     lowest = surface[:, 2].min() + leaning.stance[1]
-    # Between two places the surface falls by no more than the tilt of the way.
+    # Between two samples the surface falls by at most the tilt times their distance.
     assert -1e-9 < lowest < np.hypot(*np.ptp(sides, axis=1)) / 40 * math.tan(math.radians(15))
     x_side, y_side, z_side = leaning.bounds_below(2e-3)
     below = surface[surface[:, 2] + leaning.stance[1] < 2e-3]
@@ -144,7 +144,7 @@ def test_heights_are_where_the_distance_first_becomes_zero(name: str) -> None:
 
 @pytest.mark.parametrize("angle", [1e-7, 0.1, 0.3])
 def test_a_pin_between_the_columns_is_found(angle: float) -> None:
-    # A plate 2 mm up, and a pin that reaches down from it.
+    # A plate at 2 mm, and a pin extending down from it.
     wall, foot = flat_punch(0.1e-3).parts
     pin = replace(wall, axis=(1.03e-3, 2.02e-3))
     plate = replace(foot, values=(0.0, -1.0, -2e-3))

@@ -1,4 +1,4 @@
-"""STL files: what is read, what is repaired and said, and what is refused."""
+"""STL files: reading, reported repairs, and rejection."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _read(path: Path, unit: Unit = "mm", up: Up = "+z", axis: Axis = "middle") -
 
 
 def _corners(read: Triangles) -> Array:
-    """The triangles' corners in an order of their own (F, 9)."""
+    """Return the triangles' corners in a canonical order (F, 9)."""
     corners = read.vertices[read.faces].reshape(len(read.faces), 9)
     return corners[np.lexsort(corners.T)]
 
@@ -68,7 +68,7 @@ def test_any_axis_can_be_up_and_nothing_is_mirrored(up: Up, tmp_path: Path) -> N
     read = _read(path, up=up)
     size = np.ptp(read.vertices, axis=0)
     assert size[2] == pytest.approx([3e-3, 4e-3, 6e-3]["xyz".index(up[1])])
-    # A mirrored body would have its triangles turned round.
+    # A mirrored body would have inverted triangles.
     assert _volume(read) == pytest.approx(36e-9)
     assert read.notes == ()
     plus = np.dot(PRISM[0], np.eye(3)["xyz".index(up[1])])

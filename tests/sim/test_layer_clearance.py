@@ -1,4 +1,4 @@
-"""The gap under an indenter, read from its samples."""
+"""The gap under an indenter, interpolated from its samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_in_between_a_sphere_is_read_to_a_fraction_of_a_micrometre(x: float, y: 
     clearance = Clearance(sphere(RADIUS), GRID, ASIDE)
     near, exact = _gap_of_sphere((x, y, -0.5e-3))
     found = clearance.at(np.array([x, y, -0.5e-3]))
-    # 0.2 um is what keeping within the cell's corners costs at the very tip.
+    # 0.2 um is the cost, at the very tip, of limiting to the values at the cell's corners.
     np.testing.assert_allclose(found[near], exact, atol=0.25e-6)
 
 

@@ -1,4 +1,4 @@
-"""The layer's compliance, wave by wave, against the equations it solves."""
+"""The layer's compliance, wave by wave, against its differential equations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def _chebyshev(count: int) -> tuple[Array, Array]:
-    """Points from 1 to -1, and the matrix that differentiates between them."""
+    """Return points from 1 to -1, and the matrix that differentiates between them."""
     points = np.cos(np.pi * np.arange(count + 1) / count)
     weight = np.ones(count + 1)
     weight[[0, -1]] = 2
@@ -26,7 +26,7 @@ def _chebyshev(count: int) -> tuple[Array, Array]:
 
 
 def _collocated(wave_number: float, poisson: float, across: bool = False) -> Array:
-    """Top displacement (i U, W) by tractions (i T, S) from the differential equations alone."""
+    """Return top displacement (i U, W) by tractions (i T, S), from the differential equations."""
     lame = 2 * SHEAR * poisson / (1 - 2 * poisson)
     stiff, k = lame + 2 * SHEAR, wave_number
     _, d = _chebyshev(48)

@@ -84,7 +84,7 @@ def test_descent_finds_the_same_pressure_as_an_active_set_method() -> None:
     columns = np.eye(count).reshape(count, 8, 16)
     matrix = np.stack([body.answer.normal(column).ravel() for column in columns], axis=1)
     gap = np.random.default_rng(0).normal(size=(8, 16)) * 1e-4
-    # The least of p.A p / 2 + g.p over p >= 0, as a least-squares problem.
+    # The minimum of p.A p / 2 + g.p over p >= 0, as a least-squares problem.
     root = np.linalg.cholesky(matrix).T
     expected, _ = nnls(root, -np.linalg.solve(root.T, gap.ravel()))
     found = solve_frictionless(body, gap, np.zeros((3, 8, 16)), tolerance=1e-9)
@@ -130,7 +130,7 @@ def test_more_body_around_changes_nothing_within_the_layer() -> None:
 
 def test_contact_outside_of_a_window_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     usual = simulate_layer(Scene(named("dots"), press([1.2e-3])), grid=64)
-    # Windows that hold only what overlaps by half: they have to be widened.
+    # Windows that contain only overlaps of more than half: they have to be widened.
     monkeypatch.setattr(press_module, "BULGE", -0.5)
     found = simulate_layer(Scene(named("dots"), press([1.2e-3])), grid=64)
     assert found.quality.steps.sum() > usual.quality.steps.sum()

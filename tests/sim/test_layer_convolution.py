@@ -1,4 +1,4 @@
-"""Convolutions with the layer's answer, against sums written out and point loads."""
+"""Convolutions with the layer's compliance, against explicit sums and point loads."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_near_a_small_load_a_thick_layer_moves_like_a_half_space(poisson: float)
             along, aside = (x[far], y[far]) if axis == 0 else (y[far], x[far])
             exact = cerruti(along, aside, force, modulus, poisson).T
             exact = exact if axis == 0 else exact[[1, 0, 2]]
-        # The base, ten distances below, holds the whole neighbourhood back by the same amount.
+        # The base, ten distances below, reduces the displacement of the neighbourhood uniformly.
         difference = found - exact
         difference -= difference.mean(axis=1, keepdims=True)
         assert np.abs(difference).max() < 0.02 * np.abs(exact).max()

@@ -1,4 +1,4 @@
-"""Projected gradient descent at the least that numbers can hold."""
+"""Projected gradient descent at the limit of floating-point precision."""
 
 from __future__ import annotations
 

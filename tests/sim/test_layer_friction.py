@@ -69,7 +69,7 @@ def test_a_punch_that_sticks_moves_the_body_as_a_bonded_disc_does() -> None:
     state.move(np.array([0, 0, -depth]), 0.1)
     held = state.force
     state.move(np.array([shift, 0, -depth]), 0.1)
-    # All displacements of the disc's pixels are given: one linear system.
+    # The displacements of all pixels of the disc are given: one linear system.
     inside = np.hypot(grid.x[:, None], grid.y[None, :]) < 2e-3
     answer = Convolutions(grid).within(grid.shape).answer
     places = np.flatnonzero(np.broadcast_to(inside, (3, *grid.shape)))
@@ -111,7 +111,7 @@ def test_a_sphere_slips_from_the_rim_inwards_as_mindlin_says() -> None:
 
 
 def _base_shift(body: Body) -> float:
-    """Sideways shift of a small load's surroundings by the base below [m/N], a negative number."""
+    """Return the base's (negative) effect on the shift around a small sideways load [m/N]."""
 
     def lacking(k: float) -> float:
         at = np.array([k])
@@ -172,7 +172,7 @@ def test_much_friction_converges(coefficient: float, poisson: float, thickness: 
     result = simulate_layer(scene, grid=64)
     assert result.quality.residual.max() <= 2e-3
     assert result.force[2, 0] > -0.5 * result.force[2, 2]
-    # A body that shear draws in strongly still touches where it bears, and nowhere else overlaps.
+    # A body strongly drawn in by shear still touches where it carries load, without other overlap.
     assert result.quality.contact.max() < 2e-3
 
 

@@ -1,4 +1,4 @@
-"""The layer tier from outside: what it refuses, what it gives, what it reports."""
+"""Public interface of the layer tier: errors, results and reports."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_above_the_body_nothing_happens_and_contact_is_found_on_the_way() -> Non
     np.testing.assert_array_equal(result.surface[:2], 0)
     straight = simulate_layer(Scene(sphere(4e-3), press([1e-3])), grid=64)
     np.testing.assert_allclose(result.force[-1], straight.force[-1], atol=1e-3)
-    # The way through the air is one step, not one for each half pixel.
+    # Moving through the air is one step, not one per half pixel.
     assert result.quality.steps[-1] < 20
 
 

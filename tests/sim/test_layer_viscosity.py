@@ -33,7 +33,7 @@ def test_a_punch_held_down_relaxes_as_lee_and_radok_say() -> None:
     elastic = _simulated(flat_punch(3e-3), motion, Effects(), tolerance=1e-7)
     expected = hereditary(motion.time, elastic.force[:, 2], RATIOS, TIMES)
     np.testing.assert_allclose(found.force[:, 2], expected, rtol=1e-6)
-    # The load on the skin relaxes, its shape stays.
+    # The load on the skin relaxes, its shape remains.
     np.testing.assert_allclose(found.surface[4], found.surface[-1], atol=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_loading_lies_above_unloading_and_the_loop_loses_energy() -> None:
     assert (result.traction[..., 2] <= 0).all()
     assert force[-1] == 0
     assert result.quality.energy_gap[-1] > 0.2
-    # The skin is still on its way back.
+    # The skin is still recovering.
     assert result.surface[-1, ..., 2].min() < -50e-6
     fine = _down_and_up(32)
     np.testing.assert_allclose(force, -fine.force[::4, 2], atol=0.01 * force.max())

@@ -1,4 +1,4 @@
-"""Errors told by two meshes: of a tolerance, and of an error bar."""
+"""Errors measured by two meshes: for a tolerance, and for an error bar."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FINE = Numerics(spacing=0.4e-3)
 
 @pytest.fixture(scope="module")
 def truth() -> np.ndarray:
-    """Force of elements of 0.4 mm, and what is left of their error by those of 0.8 mm."""
+    """Force with elements of 0.4 mm, with the remaining error extrapolated from 0.8 mm."""
     fine, coarse = (simulate(BALL, numerics=one).force for one in (FINE, Numerics(spacing=0.8e-3)))
     return fine + (fine - coarse) / 3
 

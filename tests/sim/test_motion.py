@@ -1,4 +1,4 @@
-"""Motions: where the tip is, when, and which motions mean nothing."""
+"""Motions: tip position over time, and invalid motions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The law in the displacement gradient: the one `sim.scene` states, and exact at rest."""
+"""The constitutive law in the displacement gradient: equal to `sim.scene`'s, exact at rest."""
 
 # Warp reads the annotations of kernels as values: no `from __future__ import annotations` here.
 from typing import Any
@@ -16,7 +16,7 @@ SHEAR, BULK = 0.7, 3.1
 
 
 def _of_law(gradients: Array, real: Any) -> tuple[Array, Array, Array]:
-    """Det(F) - 1 (N,), Kirchhoff stress (N, 3, 3) and energy (N,) of gradients (N, 3, 3)."""
+    """Return Det(F) - 1 (N,), Kirchhoff stress (N, 3, 3), energy (N,) of gradients (N, 3, 3)."""
     dilatation, kirchhoff, energy = law_functions(real)
     mat33 = matrix_of(real)
 

@@ -1,4 +1,4 @@
-"""What the `mpm` tier is told: sampling, mass and time step, and what it refuses."""
+"""Settings of the `mpm` tier: sampling, mass, time step, and invalid values."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_without_inertia_the_mass_follows_from_the_speed_asked_for() -> None:
     assert pace.speed_ratio == pytest.approx(0.02)
     assert pace.courant == pytest.approx(0.5)
     assert pace.steps == 1e-3 / CELL / 0.02 / 0.5
-    # Time means nothing then: a faster motion walks the same way.
+    # Then time has no meaning: a faster motion takes the same steps.
     fast = pace_of(Scene(sphere(4e-3), press([0.5e-3, 1e-3], speed=1.0)), numerics, CELL)
     np.testing.assert_array_equal(fast.at, pace.at)
 
@@ -188,7 +188,7 @@ def test_the_authors_preset_is_what_their_code_says() -> None:
     assert pace.wave_speed == pytest.approx(0.74, abs=0.005)
     assert pace.courant == pytest.approx(0.575, abs=0.005)
     assert lattice.held == 3 * 101 * 101
-    # Their volume makes forces too small by the volume of a particle over it.
+    # Their particle volume makes forces too small by this ratio.
     volume = lattice.volume[0] * lattice.cell**3
     assert 0.2e-3**3 / volume == pytest.approx(1.93, abs=0.005)
 

@@ -1,4 +1,4 @@
-"""Presses with the material-point method: how far it is off, and what it must keep all the same."""
+"""Presses with the material-point method: known errors, and properties that must hold exactly."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def small() -> Result:
 
 def test_a_coarse_press_is_within_the_methods_known_error(coarse: Result) -> None:
     error = -coarse.force[1:, 2] / np.array(FORCE) - 1
-    # O(cell): too stiff as it touches, too soft deep down. Finite elements are within 4 % here.
+    # O(cell): too stiff at first contact, too soft at depth. Finite elements are within 4 % here.
     assert 0.1 < error[0] < 0.6
     assert -0.35 < error[2] < -0.1
 
@@ -66,7 +66,7 @@ def test_work_goes_into_the_material_but_for_a_tenth(coarse: Result) -> None:
 
 
 def test_a_symmetric_press_gives_a_symmetric_surface(small: Result) -> None:
-    # The grid runs from one corner: mirrored places are rounded differently, no more.
+    # The grid starts at one corner: mirrored positions only differ by rounding.
     last = small.surface[-1]
     np.testing.assert_allclose(last[..., 2], last[::-1, :, 2], atol=1e-8)
     np.testing.assert_allclose(last[..., 0], -last[::-1, :, 0], atol=1e-8)
@@ -135,7 +135,7 @@ def test_a_sticking_contact_drags_the_surface_along_and_pushes_harder(small: Res
 
 
 def test_under_its_weight_a_column_sags_by_the_closed_form() -> None:
-    # nu = 0: u(z) = density g ((T - s)^2 - T^2) / 2 E, whatever the sides do.
+    # nu = 0: u(z) = density g ((T - s)^2 - T^2) / 2 E, independent of the sides.
     body = replace(SMALL, poisson=0.0, modulus=2e4)
     effects = Effects(gravity=Gravity((0.0, 0.0, -50.0)))
     far = through([(0.0, 0.0, 5e-3), (1e-3, 0.0, 5e-3)], speed=0.01)
@@ -146,7 +146,7 @@ def test_under_its_weight_a_column_sags_by_the_closed_form() -> None:
 
 
 def test_with_inertia_a_fast_press_is_met_by_the_bodys_mass() -> None:
-    # Before a wave has come back from the base, a plane feels density * c * v on each area.
+    # Before a wave returns from the base, the pressure on a plane is density * c * v.
     body = replace(SMALL, poisson=0.0)
     speed = 0.02 * wave_speed(body)
     depth = 0.02 * 0.8 * body.thickness
@@ -165,7 +165,7 @@ def test_a_dome_is_pressed_with_the_force_that_elements_give_within_the_known_er
         _one(Scene(shape, press([0.8e-3]), dome), numerics).force[-1, 2]
         for shape in (plane(), sphere(4e-3))
     )
-    # Finite elements; on a flat body the plane would need -2.78 N.
+    # From finite elements; on a flat body the plane would need -2.78 N.
     assert domed == pytest.approx(-1.47, rel=0.25)
     assert ball == pytest.approx(-0.451, rel=0.25)
 

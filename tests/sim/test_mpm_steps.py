@@ -1,4 +1,4 @@
-"""One time step of the material points: against NumPy, and against what must be kept."""
+"""One time step of the material points: against NumPy, and against conservation laws."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EXACT = MpmNumerics(cell=0.5e-3, jitter=0.3, precision="float64")
 
 
 def _stirred(scene: Scene, numerics: MpmNumerics) -> tuple[State, Array]:
-    """A deformed state that moves, and the nodes' velocity (X, Y, Z, 3)."""
+    """Return a deformed, moving state and the nodes' velocity (X, Y, Z, 3)."""
     state, lattice, _ = oracle.state_of([scene], numerics)
     random = np.random.default_rng(1)
     count = len(lattice.rest)
@@ -100,7 +100,7 @@ def test_a_body_with_nothing_to_hold_it_falls_freely() -> None:
     steps = 40
     state.advance(steps)
     cell, time = lattice.cell, paces[0].time_step
-    # Velocity first, then place, each step: the sum of 1 to `steps`.
+    # Velocity first, then position, in each step: the sum of 1 to `steps`.
     fallen = np.array([1.0, -2.0, -9.0]) * time**2 * steps * (steps + 1) / 2 / cell
     np.testing.assert_allclose(
         state.shift.numpy()[0], np.broadcast_to(fallen, (len(lattice.rest), 3)), rtol=1e-6
@@ -119,7 +119,7 @@ def test_what_is_at_rest_stays_at_rest_to_the_last_bit(precision: str) -> None:
 
 
 def test_a_bonded_column_swings_at_the_speed_of_sound() -> None:
-    # With nu = 0 a column's sides do not move: a quarter wave stands in it, its period 4 T / c.
+    # With nu = 0 a column's sides do not move: it vibrates in a quarter wave of period 4 T / c.
     body = Body(size_x=2e-3, size_y=2e-3, thickness=8e-3, poisson=0.0)
     scene = Scene(sphere(1e-3), press([0.1e-3]), body, Effects(inertia=Inertia()))
     state, lattice, paces = oracle.state_of([scene], MpmNumerics(cell=0.5e-3, precision="float64"))
@@ -137,7 +137,7 @@ def test_a_bonded_column_swings_at_the_speed_of_sound() -> None:
     for _ in range(round(1.2 * half)):
         state.advance(1)
         top.append(float(state.surface()[0, 1, 1, 2]))
-    # The first of these is the second step: putting the velocity in was one.
+    # The first of these is the second step: setting the velocity was one.
     time = np.arange(len(top)) + 2
     falling = time > half / 2
     back = np.interp(0.0, -np.array(top)[falling], time[falling])

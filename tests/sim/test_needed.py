@@ -1,4 +1,4 @@
-"""Effects that do not matter are left out, judged together, and their error is told."""
+"""Negligible effects are omitted, judged jointly, and their error is reported."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sim.result import Result
 from sim.tiers import simulate_many
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
-# Down and a little aside, a second a millimetre.
+# Down and slightly sideways, one second per millimetre.
 SLOW = Motion(((0.0, 0.0, 0.0), (0.0, 0.0, -0.4e-3), (0.2e-3, 0.0, -0.4e-3)), (0.0, 0.4, 0.6))
 RUBS = Scene(sphere(3e-3), SLOW, BODY, Effects(friction=Friction(0.5), inertia=Inertia()))
 PULLED = Effects(viscosity=Viscosity((0.05,), (1e-3,)), gravity=Gravity((0.0, 0.0, -40.0)))
@@ -64,7 +64,7 @@ def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
 def test_effects_are_judged_together() -> None:
     worth = _by_name(sim.plan(TWO))
     each = sorted(one.change.value("share") for one in worth.values())
-    # Room for the larger one alone, but not for both on top of each other.
+    # Enough for the larger one alone, but not for both together.
     room = module.SAFETY * (each[1] + 0.25 * each[0])
     found = sim.plan(TWO, tolerance=f"{100 * room / module.PART:.6f} %")
     assert found.tolerance is not None
@@ -131,7 +131,7 @@ def test_a_bound_is_no_less_than_the_probe(speed: float) -> None:
     scene = Scene(sphere(3e-3), sim.press((0.15e-3, 0.3e-3), speed=speed), wide, effects)
     bounds = bounds_of(scene, effects.key)
     assert set(bounds) == set(effects.key)
-    # Of no strength in place of off: the steps are the same, and so is all that hangs on them.
+    # At zero strength instead of off: the steps, and all that depends on them, are the same.
     weak = [
         replace(scene, effects=replace(effects, **{name: getattr(effects, name).weakened(0.0)}))
         for name in effects.key

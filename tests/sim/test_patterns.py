@@ -1,4 +1,4 @@
-"""Patterns: the markers they promise, and signed distances that are what geometry says."""
+"""Patterns: their markers, and signed distances that agree with geometry."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_layouts_count_as_they_say() -> None:
 
 
 def outline(pattern: Pattern, count: int) -> np.ndarray:
-    """Points of the edges of all markers, evenly spaced along each."""
+    """Return points on the edges of all markers, evenly spaced along each."""
     turn = 2 * np.pi * np.arange(count) / count
     if pattern.shape == "disc":
         edge = pattern.size / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -195,7 +195,7 @@ def test_a_saddle_is_joined_or_split_by_its_mean(middle: float, joined: bool) ->
     level = np.array([[-1.0, 1.0], [1.0, -1.0]]) + middle
     segments = contour(level)
     assert len(segments) == 2
-    # Corners that are cut off are the positive ones if the negative ones are joined.
+    # The corners that are cut off are the positive ones if the negative ones are joined.
     cut = [(1.0, 0.0), (0.0, 1.0)] if joined else [(0.0, 0.0), (1.0, 1.0)]
     for corner in cut:
         near = np.abs(segments - np.array(corner)).sum(axis=2).max(axis=1)
@@ -216,7 +216,7 @@ def test_the_contour_of_a_disc_is_closed_and_its_distance_exact() -> None:
 
 
 def disc_image(pattern: Pattern, pixels: int, soft: bool) -> np.ndarray:
-    """Grey levels of a 20 mm gel: markers black on white."""
+    """Return grey levels of a 20 mm gel: black markers on white."""
     along = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 20e-3
     pixel = 20e-3 / pixels
     distance = pattern.distance(along, along, 4 * pixel)[::-1]
@@ -230,7 +230,7 @@ def test_an_image_gives_edges_to_a_fraction_of_its_pixels(soft: bool, within: fl
     image = ImagePattern("drawn", disc_image(pattern, 567, soft), 20e-3)
     x = np.linspace(-4e-3, 4e-3, 401)
     found, exact = image.distance(x, x, 0.2e-3), pattern.distance(x, x, 0.2e-3)
-    # Where the two sides of a marker are equally near, a bump of its outline decides.
+    # Where both sides of a marker are equally near, small irregularities of its outline decide.
     near = np.abs(exact) < 0.15e-3
     assert np.abs(found - exact)[near].max() < within * image.pixel
 

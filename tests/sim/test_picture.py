@@ -1,4 +1,4 @@
-"""The picture of a result: drawn where things are, in colours that mean what the bar says."""
+"""The picture of a result: positions are correct, and colours match the colour bar."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def test_large_strain_is_drawn_where_the_material_went(pressed: Result) -> None:
     before, _ = surface_of(replace(pressed, tier="fem"), 2).at(3e-3, middle)
     after, _ = surface_of(moved, 2).at(5e-3, middle)
     assert after == pytest.approx(before, abs=2e-6)
-    # The linear tier has one place for both.
+    # In the linear tier, undeformed and deformed positions are the same.
     linear, _ = surface_of(replace(moved, tier="layer"), 2).at(3e-3, middle)
     assert linear == pytest.approx(-1e-3, rel=0.01)
 
 
 def test_every_place_shows_the_point_that_moved_there(pressed: Result) -> None:
-    # Stretched to 1.8 and pressed together to 0.2 times its length, here and there.
+    # Locally stretched to 1.8 and compressed to 0.2 times its length.
     x, y = np.meshgrid(pressed.surface_x, pressed.surface_y, indexing="ij")
     wave = 2e-3
     surface = np.zeros_like(pressed.surface)

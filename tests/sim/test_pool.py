@@ -1,4 +1,4 @@
-"""Scenes shared among processes: the same answers, and no process survives what goes wrong."""
+"""Scenes distributed over processes: equal results, and no process survives an error."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCENES = [
     for depth, at in ((0.1e-3, (0, 0)), (0.2e-3, (1e-3, 0)), (0.1e-3, (0, 1e-3)))
 ]
 HEAVY = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
-# Half a minute or more: nothing that is stopped has finished by itself.
+# Half a minute or more, so that a stopped process has not finished by itself.
 HEAVY_NUMERICS = Numerics(spacing=0.3e-3)
 
 
@@ -38,7 +38,7 @@ def _dumps_in_a_folder_of_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def workers() -> list[int]:
-    """Processes of ours that came from `multiprocessing`, its resource tracker left out."""
+    """Return our processes started by `multiprocessing`, without its resource tracker."""
     listed = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
     return [pid for pid in map(int, listed) if b"spawn_main" in command(pid)]
 
@@ -124,7 +124,7 @@ def test_other_tiers_are_shared_too() -> None:
 
 
 def once_two_work(act: object) -> threading.Thread:
-    """Calls `act` with the worker processes once two of them are there and had time to begin."""
+    """Call `act` with the worker processes once two exist and have had time to begin."""
 
     def wait() -> None:
         parent = f"/proc/{os.getpid()}/task"
@@ -199,7 +199,7 @@ def script(tmp_path: Path, guard: str) -> subprocess.Popen[str]:
 
 
 def group(leader: int) -> list[int]:
-    """Processes of the session that `leader` began."""
+    """Return the processes of the session that `leader` started."""
     found = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit() and b"spawn_main" in command(int(folder.name)):
@@ -218,7 +218,7 @@ def test_workers_do_not_outlive_their_parent(tmp_path: Path, with_signal: signal
     while len(group(parent.pid)) < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(1.5)
-    # As a terminal does: to every process of the group.
+    # Like a terminal: to every process of the group.
     if with_signal == signal.SIGINT:
         os.killpg(parent.pid, with_signal)
     else:
@@ -236,7 +236,7 @@ def test_a_script_without_its_guard_is_told_so(tmp_path: Path) -> None:
     parent = script(tmp_path, "if True:")
     said = parent.communicate(timeout=40)[1]
     assert parent.returncode == 1
-    assert "ended with exit code 1, 0 of 3 scenes done; a script that asks for processes" in said
+    assert "ended with exit code 1, 0 of 3 scenes done; a script that starts processes" in said
 
 
 def test_workers_say_nothing_of_their_own(capfd: pytest.CaptureFixture[str]) -> None:

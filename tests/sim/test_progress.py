@@ -1,4 +1,4 @@
-"""What a person who waits is told: nothing at first, then how far it is and how long it takes."""
+"""Progress output: nothing at first, then the share done and the time left."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.progress import Progress, duration
 
 
 class _Stream:
-    """A stream that may be a terminal, and what was written to it."""
+    """A stream that may be a terminal, and the text written to it."""
 
     def __init__(self, *, terminal: bool) -> None:
         self.text, self._terminal = "", terminal

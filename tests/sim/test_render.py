@@ -1,4 +1,4 @@
-"""Rendering: material points where a ray finds them, masks where markers are, and nothing else."""
+"""Rendering: material points at ray intersections, masks at markers, and nothing else."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_the_curve_and_its_slope_are_continuous_and_go_on_straight() -> None:
         (np.array([0.0, 1, 2]), r"shape \(3,\); allowed: at least 4"),
         (np.array([0.0, 2, 1, 3]), "does not rise"),
         (np.array([0.0, 1, np.nan, 3]), "does not rise"),
-        (np.linspace(0, 0.1, 5), "asked for 0 to 1; allowed: within"),
+        (np.linspace(0, 0.1, 5), "requested 0 to 1; allowed: within"),
     ],
 )
 def test_an_axis_that_is_none_is_refused(axis: np.ndarray, message: str) -> None:
@@ -132,7 +132,7 @@ def test_a_fold_shows_the_part_that_is_nearer_to_the_camera(renderer: Renderer) 
     rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
     off = np.linalg.norm(seen - rays, axis=-1) / PIXEL
     assert np.nanmax(off) < 0.1
-    # Along a row the material jumps from one sheet to the other: what lies between is hidden.
+    # Along a row the material jumps from one sheet to the other: the part in between is hidden.
     x = seen[240, :, 0]
     assert np.diff(x[np.isfinite(x)]).max() > 1e-3
 
@@ -204,7 +204,7 @@ def test_several_samples_are_counted(renderer: Renderer) -> None:
     exact = cKDTree(PATTERNS[0].centres).query(view.material()[0, 600:840, 900:1140])[0]
     share = (exact <= PATTERNS[0].size / 2).reshape(80, 3, 80, 3).mean(axis=(1, 3))
     grey = view.coverage(textures)[0, 0, 200:280, 300:380]
-    # The texture's edge is 0.2 um off; so one sample of a pixel may be.
+    # The texture's edge is 0.2 um off, so one sample of a pixel may differ.
     assert np.abs(grey / 255 - share).max() < 1.01 * 2 / 9
     assert np.abs(grey / 255 - share).mean() < 1e-3
     assert mismatch(view.masks(textures)[0, 0, 200:280, 300:380], share >= 0.5) < 2e-3
@@ -250,7 +250,7 @@ def test_packed_bits_are_those_of_the_masks(renderer: Renderer, textures: Textur
     distance = low * (1 - down) + high * down
     inside = view.masks(textures)[0, 1].ravel()
     assert not inside[~seen].any()
-    # float32 and float64 may differ where the distance is a nanometre.
+    # float32 and float64 may differ at distances of a nanometre.
     clear = np.abs(distance) > 5e-9
     assert np.array_equal(inside[seen][clear], (distance <= 0)[clear])
 
@@ -304,7 +304,7 @@ def test_markers_at_the_gels_border_are_drawn_up_to_it() -> None:
     _, count = label(mask)
     assert count == 2
     assert mask.sum() * PIXEL**2 == pytest.approx(2e-6, rel=0.05)
-    # The gel's border moves outwards, and the marker on it does too.
+    # The gel's border moves outwards, with the marker on it.
     x, y = np.linspace(-6e-3, 6e-3, 13), np.linspace(-4.5e-3, 4.5e-3, 13)
     surface = np.zeros((1, 13, 13, 3), np.float32)
     surface[..., 0] = 0.05 * x[:, None]
@@ -369,7 +369,7 @@ def test_a_field_goes_on_straight_beside_the_gel() -> None:
     assert np.isfinite(filled).all()
 
 
-# What is refused
+# Invalid values
 
 
 @pytest.mark.parametrize(
@@ -415,7 +415,7 @@ def test_options_that_mean_nothing_are_refused() -> None:
         Textures(unlike, "cpu")
 
 
-# Solved presses, other devices, what measures
+# Solved presses, other devices, measurements
 
 
 @pytest.mark.slow

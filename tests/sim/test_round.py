@@ -1,4 +1,4 @@
-"""Round bodies and domes with a thin rim: their shape, their forces, what happens at their side."""
+"""Round bodies and domes with a thin rim: shape, forces, and behaviour at their side."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_elements_weigh_what_lies_within_the_footprint() -> None:
     mesh = build_mesh(DISC, 0.5 * MM)
     unit = DISC.thickness
     volume = math.pi / 4 * DISC.size_x * DISC.size_y * DISC.thickness / unit**3
-    # Slivers are left out.
+    # Slivers are omitted.
     assert mesh.weight.sum() == pytest.approx(volume, rel=SHARE_LEAST**2)
     assert mesh.node_volume.sum() == pytest.approx(mesh.weight.sum())
     top = mesh.cells[0] * mesh.cells[1]
@@ -138,13 +138,13 @@ def test_elements_weigh_what_lies_within_the_footprint() -> None:
     assert (mesh.face_area[top:] == 0).all()
 
 
-# The forces, against a solver of its own and against laws.
+# The forces, against an independent solver and against laws.
 
 
 def _independent(
     radius: float, body: Body, depth: float, *, elements: int = 8, steps: int = 8
 ) -> float:
-    """Force [N] of a sphere of `radius` [m] by axisymmetric elements of second order."""
+    """Return the force [N] of a sphere of `radius` [m], by second-order axisymmetric elements."""
     half, wide = body.size_x / 2, 1.2 * math.sqrt(radius * depth)
     places = [Fine(0.0, wide, wide / elements), Fine(half, half, half / 40)]
     grid = layer_grid(half, body.thickness, places, 0.3, body.dome_radius)
@@ -237,7 +237,7 @@ def test_a_thin_rim_is_pressed_and_sheared() -> None:
     motion = through([(place, 0, top), (place, 0, low), (place, 0.3 * MM, low)], speed=10 * MM)
     result = simulate(Scene(BALL, motion, THIN, Effects(friction=Friction(0.5))))
     pressed, sheared = result.force[1], result.force[2]
-    assert pressed[0] < 0 < -pressed[2]  # towards the apex, as the surface is inclined
+    assert pressed[0] < 0 < -pressed[2]  # towards the apex, since the surface is inclined
     assert sheared[1] > 0.1 * -sheared[2]
     assert result.quality.residual.max() <= 1e-4
     assert result.quality.balance[1:].max() < 1e-3
@@ -252,7 +252,7 @@ def test_what_lies_beside_a_disc_neither_feels_nor_bends_anything() -> None:
     assert far.any()
     assert not result.traction[:, far].any()
     corner, inside = result.surface[-1, -1, -1], result.surface[-1][DISC.covers(x, y)]
-    assert corner.any()  # goes on as the edge nearest to it
+    assert corner.any()  # continues as the nearest edge
     assert np.abs(corner).max() <= np.abs(inside).max()
 
 
@@ -320,7 +320,7 @@ def test_taxels_refuse_round_bodies() -> None:
         TaxelPad(replace(pad.body, footprint="ellipse"), pad.signal)
 
 
-# What is seen.
+# The rendered view.
 
 
 def test_markers_lie_on_the_round_gel() -> None:

@@ -1,4 +1,4 @@
-"""Scenes: frozen values that refuse what cannot be solved; effects know which of them are on."""
+"""Scenes: frozen values that reject unsolvable input; effects and their flags."""
 
 from __future__ import annotations
 

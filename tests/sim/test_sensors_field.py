@@ -1,4 +1,4 @@
-"""The displacement field that signals are made from: interpolation, turns, slopes."""
+"""The displacement field that signals are computed from: interpolation, rotation, slopes."""
 
 from __future__ import annotations
 

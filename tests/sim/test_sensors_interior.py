@@ -1,4 +1,4 @@
-"""What reaches down into a bonded layer: the equations it solves, and `fem`'s own inside."""
+"""Displacement inside a bonded layer: its equations, and `fem`'s interior solution."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STEP = 1e-5
 
 
 def top() -> SurfaceField:
-    """Something smooth without any symmetry."""
+    """Return a smooth field without any symmetry."""
     x = np.linspace(-10e-3, 10e-3, 81)
     across, along = np.meshgrid(x, x, indexing="ij")
     bell = np.exp(-((across - 1e-3) ** 2 + (along + 0.5e-3) ** 2) / 2.5e-3**2)
@@ -76,7 +76,7 @@ def test_the_layer_is_in_balance_everywhere_inside() -> None:
 
 
 def test_a_top_that_only_slides_or_sinks_takes_the_layer_along_evenly() -> None:
-    """Without waves everything goes linearly; the edges are far enough away not to matter."""
+    """Without waves the displacement is linear in depth; the edges are far enough away."""
     wide = Body(size_x=80e-3, size_y=80e-3)
     still = SurfaceField.untouched(wide).displacement
     for direction in np.eye(3):
@@ -101,7 +101,7 @@ def test_it_agrees_with_the_inside_that_fem_solves(
 ) -> None:
     """Pressed by 1 mm and sheared by 0.5 mm, at the nodes about 1.5 mm below the top.
 
-    The same displacement going down evenly to the base is 3.5 times as far off, or more.
+    Linear interpolation of the same displacement to the base is at least 3.5 times as far off.
     """
     inside: list[tuple[Array, Array]] = []
     keep = Collector.keep

@@ -1,4 +1,4 @@
-"""What makes sensors differ: draws by seed and name, with the stated spread; off is off."""
+"""Device variation: draws by seed and name with the stated spread; off means unchanged."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_nothing_is_on_unless_asked_for() -> None:
 
 
 def discs(count: int = 20) -> np.ndarray:
-    """Grey images of a grid of 6 x 8 discs of radius 9 px, at random places within a pixel."""
+    """Return grey images of a grid of 6 x 8 discs of radius 9 px, at random subpixel positions."""
     column, row = np.meshgrid(np.arange(8) * 72.0 + 60, np.arange(6) * 72.0 + 60)
     places = np.stack([column.ravel(), row.ravel()], axis=1)
     offsets = np.random.default_rng(1).uniform(0, 1, (count, 1, 2))
@@ -107,7 +107,7 @@ def test_a_vanishing_jitter_changes_next_to_nothing() -> None:
 
 
 def test_edges_waver_by_the_stated_deviation() -> None:
-    """A straight edge at a place within a pixel that varies from row to row, found by counting."""
+    """A straight edge at subpixel positions that vary from row to row, measured by counting."""
     jitter = 0.4
     rows = np.arange(480)
     edge = 320 + 20 * rows / 480
@@ -115,7 +115,7 @@ def test_edges_waver_by_the_stated_deviation() -> None:
     grey = np.rint(255 * np.broadcast_to(share, (60, 480, 640))).astype(np.uint8)
     seen = Segmenter(Segmentation(jitter_px=jitter, correlation_px=4.0), 0, "a").seen(grey)
     moved = seen.sum(axis=2) - (edge + 0.5)
-    # Counting whole pixels adds the variance of an even spread over one of them.
+    # Counting whole pixels adds the variance of a uniform distribution over one of them.
     assert moved.var() == pytest.approx(jitter**2 + 1 / 12, rel=0.08)
     assert abs(moved.mean()) < 0.03
 

@@ -1,4 +1,4 @@
-"""Pins under a skin: their tips enlarge the slope, stay round, and mirror with the press."""
+"""Pins under a skin: their tips magnify the slope, stay round, and mirror with the press."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_pin_does_not_bend_with_an_edge_narrower_than_itself() -> None:
     kink = skin(0 * x, 0 * y, np.maximum(x, 0.0))
     places = np.array([[0.0, 0.0]])
     rigid = Pins(2e-3, 2e-3).tips(kink).at(places)[0, 0, 0]
-    # Half of the foot is level, half leans by 45 degrees: so does the pin on average.
+    # Half of the foot is level, half is tilted by 45 degrees: the pin follows the average.
     expected = 2e-3 * np.sin(np.arctan2(np.sin(np.pi / 4) / 2, (1 + np.cos(np.pi / 4)) / 2))
     assert rigid == pytest.approx(expected, rel=0.05)
 

@@ -1,4 +1,4 @@
-"""From one deformation to every signal: references, mirrors, lives, colours."""
+"""From one deformation to every signal: references, mirror images, variations, colours."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 def dent(
     each: SimulatedSensor, at: tuple[float, float] = (0.0, 0.0), depth: float = 0.8e-3
 ) -> SurfaceField:
-    """A smooth dent that squeezes the skin outwards."""
+    """Return a smooth dent that squeezes the skin outwards."""
     x = np.linspace(-each.body.size_x / 2, each.body.size_x / 2, 61)
     across, along = np.meshgrid(x, x, indexing="ij")
     width = 0.8 * each.body.thickness
@@ -105,7 +105,7 @@ def test_the_displacement_lattice_says_how_far_the_image_moved(gelsight: CameraR
 
 def test_parameters_of_nothing_give_the_plain_image() -> None:
     each = plain("gelsight")
-    # A jitter that cannot move an edge by a pixel's hundredth, and chances of nothing.
+    # Jitter below a hundredth of a pixel, and zero probabilities.
     quiet = replace(each, life=Life(segmentation=Segmentation()))
     top = dent(each)
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""Rows of sensors: they are what they should be, and errors say where and what."""
+"""Sensor rows: specified values, and errors that state the place and the cause."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Colours of a lit skin: level, leaning, and with markers over it."""
+"""Colours of a lit skin: level, tilted, and with markers on it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_level_skin_has_phongs_colour() -> None:
 
 
 def test_a_slope_that_faces_a_lamp_from_below_takes_its_colour() -> None:
-    # A skin that rises to the right shows the camera below it a side that faces right, to blue.
+    # For the camera below, a skin rising to the right faces right, towards blue.
     rising = np.array([-0.3, 0.0, math.sqrt(1 - 0.09)])
     level, leaning = SHADING.colours(UP), SHADING.colours(rising)
     assert leaning[2] > level[2] + 10
@@ -36,7 +36,7 @@ def test_mirrored_slopes_swap_mirrored_lamps() -> None:
     slope = np.array([0.25, 0.1, 1.0])
     slope /= np.linalg.norm(slope)
     here, there = SHADING.colours(slope), SHADING.colours(slope * [-1, 1, 1])
-    # Less the background, red here is blue there.
+    # After subtracting the background, red and blue are exchanged.
     ground = 0.8 * np.array(SHADING.background)
     np.testing.assert_allclose((here - ground)[::-1], there - ground, atol=1e-9)
 

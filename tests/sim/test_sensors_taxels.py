@@ -1,4 +1,4 @@
-"""uSkin: dipoles over Hall elements, counts, and the discs that are drawn from them."""
+"""uSkin: dipoles over Hall elements, counts, and the discs drawn from them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MU_0 = 4e-7 * math.pi
 
 
 def dipole(moment: Array, apart: Array) -> Array:
-    """Jackson's formula with unit vectors, written the other way round."""
+    """Return Jackson's formula with unit vectors, in the opposite convention."""
     distance = math.sqrt(sum(float(value) ** 2 for value in apart))
     unit = apart / distance
     along = sum(float(m) * float(n) for m, n in zip(moment, unit, strict=True))
@@ -67,7 +67,7 @@ def test_magnets_that_only_move_give_the_dipole_formulas_counts() -> None:
 
 
 def test_a_turned_magnet_gives_a_turned_field() -> None:
-    """Turning the magnet and turning the place by as much give the same field, turned."""
+    """Rotating magnet and position by the same angle rotates the field by that angle."""
     angle = 0.3
     turn = np.array(
         [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
@@ -98,7 +98,7 @@ def test_taxels_lie_at_i_mod_4_and_i_div_4_and_feel_what_presses_them() -> None:
 
 @pytest.fixture(scope="module")
 def sheared() -> tuple[Result, Result]:
-    """At (3, 2) mm pushed along +x, and its mirror image at (-3, 2) mm."""
+    """Pushed along +x at (3, 2) mm, and the mirror image at (-3, 2) mm."""
     return pressed(3e-3, 2e-3, 1e-3), pressed(-3e-3, 2e-3, -1e-3)
 
 
@@ -121,7 +121,7 @@ def test_full_presses_use_the_range_of_the_discs(sheared: tuple[Result, Result])
 def test_shear_moves_discs_the_way_the_skin_goes(sheared: tuple[Result, Result]) -> None:
     counts = TaxelPad(BODY, SIGNAL).counts(SurfaceField.of(sheared[0]))
     change = counts[2, :, 0] - counts[1, :, 0]
-    # Under the middle the magnet turns as far as it moves, and counts little; those beside it tell.
+    # Under the centre the magnet turns as far as it moves: counts change little, neighbours more.
     assert change.sum() > 1000
     assert change.max() > 3 * -change.min()
 

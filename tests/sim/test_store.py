@@ -1,4 +1,4 @@
-"""Results on disk: whole or not there, equal when read again, plain to any Zarr reader."""
+"""Results on disk: atomic, equal when read again, readable by any Zarr reader."""
 
 from __future__ import annotations
 

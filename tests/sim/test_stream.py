@@ -1,4 +1,4 @@
-"""A live press finds what a simulation of the same poses finds, and foretells what comes next."""
+"""A live press matches a simulation of the same poses, and predicts the next state."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_press_that_is_over_is_forgotten_once_its_dent_is() -> None:
     for _ in range(6):
         each.move(np.array([0.0, 0.0, 2e-3]), 1.0)
     assert not np.abs(each.displacement).any()
-    # Nothing is left to solve: it only goes along.
+    # Nothing to solve: it only follows.
     each.move(np.array([3e-3, 1e-3, 5e-3]), 0.02)
     np.testing.assert_array_equal(each.tip, [3e-3, 1e-3, 5e-3])
     again = pressed()
@@ -141,13 +141,13 @@ def test_a_slope_keeps_across_a_move_what_it_knew() -> None:
     slope.learn(np.array([0.0, 0.0, -1e-3]), np.array([-2.0]))
     slope.learn(np.array([1e-3, 0.0, 0.0]), np.array([0.5]))
     np.testing.assert_allclose(slope.matrix, [[500.0, 0.0, 2000.0]], rtol=1e-3)
-    # What so short a move changes is noise.
+    # The change over such a short move is noise.
     slope.learn(np.array([1e-8, 0.0, 0.0]), np.array([0.1]))
     np.testing.assert_allclose(slope.matrix, [[500.0, 0.0, 2000.0]], rtol=1e-2)
 
 
 def foretold(each: LiveSensor, tip: np.ndarray, seconds: float) -> np.ndarray:
-    """What the last answer says of a tip."""
+    """Return the last answer's prediction for a tip."""
     last = each.answer
     way = tip - last.tip if last.touching else np.array([0.0, 0.0, min(tip[2], 0.0)])
     return last.values + last.slope @ way + last.rate * seconds
@@ -164,7 +164,7 @@ def test_an_answer_foretells_the_next_one(name: str) -> None:
     for turn, place in enumerate(np.array(path)):
         told, before = foretold(each, place, 0.016), each.answer.values
         each.move(place, 0.016)
-        # The first move of each direction is only guessed.
+        # The first move of each direction is only a guess.
         if turn not in (0, 1, 2, 11):
             errors.append(each.answer.values - told)
             changes.append(each.answer.values - before)
@@ -186,7 +186,7 @@ def test_the_first_answer_is_of_an_untouched_sensor_that_knows_what_a_touch_does
 
 
 def dent(row: str, shift: float = 0.0) -> SurfaceField:
-    """A smooth dent with a sideways part, as wide as the body is thick."""
+    """Return a smooth dent with a sideways part, as wide as the body is thick."""
     body = sensor(row).body
     grid = Grid(body, 64)
     across, along = np.meshgrid(grid.x, grid.y, indexing="ij")
@@ -201,7 +201,7 @@ def test_rims_lie_where_the_camera_sees_the_material_of_the_pattern(name: str) -
     pattern = row.signal.drawn()[0]
     rims = LiveMarkers(row, Grid(row.body, 64)).outlines(top.displacement[0])
     assert rims.shape == (len(pattern), 32, 2)
-    # Rings of material: their middles are seen where the markers' middles went.
+    # Rings of material: their centres appear where the markers' centres moved to.
     places = np.column_stack([pattern.centres, np.zeros(len(pattern))]) + top.at(pattern.centres)[0]
     middle = row.signal.camera().project(places)
     inside = (np.abs(pattern.centres) < 7e-3).all(axis=1)

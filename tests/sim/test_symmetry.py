@@ -1,4 +1,4 @@
-"""What the symmetry of a scene forbids, and what a result says of it."""
+"""Consequences of a scene's symmetry, and the resulting error estimate."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ ALL = set(PLANES)
         (box(4e-3, 3e-3, 0.3e-3).tilted(0.0, 0.1), {"y = 0"}),
         (box(4e-3, 3e-3, 0.3e-3).tilted(0.1, 0.0), {"x = 0"}),
         (flat_punch(3e-3, 0.3e-3).tilted(0.1, 0.1), {"x = -y"}),
-        # A sphere is turned about its tip: its lowest point is beside its middle then.
+        # A tilted sphere is rotated about its tip: its lowest point is then off its centre.
         (sphere(4e-3).tilted(0.1, 0.1), {"x = -y"}),
     ],
     ids=lambda value: f"{value.name} {value.tilt}" if isinstance(value, Indenter) else "",
@@ -92,7 +92,7 @@ def test_a_scenes_planes_hold_its_body_its_motion_and_gravity(
 
 
 def _pushed(force: tuple[float, float, float]) -> Result:
-    """A press along y = 0 that says another force, and nothing of its error yet."""
+    """Return a press along y = 0 with a different force, and no error estimate yet."""
     motion = press([0.4e-3, 0.3e-3], at=(1e-3, 0.0))
     result = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=Numerics(spacing=4e-3 / 4))
     wrench = result.wrench.copy()
@@ -110,7 +110,7 @@ def test_a_force_that_symmetry_forbids_is_part_of_the_error_and_worth_a_warning(
     assert wrong.record["error"]["percent"] == pytest.approx(60)
     assert wrong.record["error"]["force"][2] < 0.3
     assert "60 % of the force is across it" in wrong.record["warnings"][-1]
-    # Along the plane, a force is no error.
+    # Along the plane, a force is not an error.
     right = with_estimate(_pushed((0.3, 0.0, -0.4)))
     assert right.record["error"]["percent"] < 30
     assert not [one for one in right.record["warnings"] if "across" in one]

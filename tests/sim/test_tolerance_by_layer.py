@@ -1,4 +1,4 @@
-"""A tolerance that `layer` keeps, and those that it leaves to meshes."""
+"""Tolerances that `layer` satisfies, and those that need meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of the solver accuracy and the meshes that a tolerance asks for."""
+"""Solver accuracy and meshes required by a tolerance."""
 
 from __future__ import annotations
 

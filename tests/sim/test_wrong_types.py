@@ -1,4 +1,4 @@
-"""What a caller may get wrong: told by name, value and what is allowed, never by a traceback."""
+"""Wrong argument types: errors state name, value and allowed values, without a traceback."""
 
 from __future__ import annotations
 

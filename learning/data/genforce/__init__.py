@@ -1,7 +1,7 @@
-"""The published GenForce folders: read into marker archives, and written from them.
+"""Import and export of the published GenForce folders.
 
-Three layouts: `training` (packed masks a contact point), `states` (simulated pictures) and `raw` (a
-run as it was collected). No file has times: docs/markers.md says how frames are numbered.
+There are three layouts: `training` (packed masks by contact point), `states` (simulated pictures)
+and `raw` (a collection run). No file has times: docs/markers.md describes the numbering of frames.
 """
 
 from learning.data.genforce.exporting import export_training

@@ -1,4 +1,4 @@
-"""The one call behind `python -m learning export-genforce`: an archive out into their folders."""
+"""Export of an archive to the folder layout of GenForce: `python -m learning export-genforce`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from recorder.spec import PHASES
 
 Rows = NDArray[np.int64]
 NAMED = 5
-# Phases whose depths are in inc_z.csv; those of the others are in dec_z.csv.
+# Phases with depths in inc_z.csv; the others' are in dec_z.csv.
 LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
 
 
@@ -36,14 +36,14 @@ def export_training(
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[str, ...]:
-    """Write an archive as the folder that the authors' training reads; return what was left out.
+    """Write an archive in the layout of the authors' training; return descriptions of omissions.
 
-    The folder appears whole or not at all. Contact points are numbered from 1, target by target;
-    frames through all phases. Times, positions and validity have no place in it.
+    The folder appears only when complete. Contact points are numbered from 1 by target; frames are
+    numbered through all phases. The layout has no times, positions or validity.
 
     Raises:
-        LearningError: No press with four phases, or an archive that is not complete.
-        SessionError: A damaged archive.
+        LearningError: No press has four phases, or the archive is incomplete.
+        SessionError: The archive is corrupt.
         OSError: The disk is full, or not writable.
     """
     archive = MarkerArchive(archive_path)
@@ -71,7 +71,7 @@ def export_training(
 
 
 def _presses(sensor: ArchivedSensor, left_out: list[str]) -> Iterator[Rows]:
-    """Yield the rows of presses that have four phases in their order, frame by frame."""
+    """Yield the rows of presses that have the four phases in order, frame by frame."""
     table = sensor.table
     order = np.lexsort((table["frame"], table["target"], table["indenter"])).astype(np.int64)
     press = np.stack([table["indenter"][order], table["target"][order]], axis=1)

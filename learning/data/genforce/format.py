@@ -1,4 +1,4 @@
-"""What the layouts have in common: presses as files and labels, and sensors made of them."""
+"""Common parts of the layouts: presses, sensors made of them, and readers of their files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Packed = NDArray[np.uint8]
 ReadMask = Callable[[Path], Packed]
 
 NO_LOCATION = -1
-# What stands in `t_ns`: the folders have no times.
+# Value of `t_ns`: the folders have no times.
 NO_TIME = 0
 
 
@@ -38,19 +38,19 @@ class Press:
     target: int
     """Number of the press within the indenter, from 0."""
     files: tuple[Path, ...]
-    """The file of each frame."""
+    """File of each frame."""
     phase: NDArray[np.int64]
-    """Code of the phase of each (n,); -1 for none."""
+    """Phase code of each frame (n,); -1 for none."""
     wrench: Array
     """Forces and torques (n, 6) [N, N m]; NaN without a label."""
     depth: Array
-    """How deep it is (n,) [m]."""
+    """Indentation (n,) [m]."""
     position: Array
-    """Where it is (n, 2) [m]."""
+    """Position (n, 2) [m]."""
     location: NDArray[np.int64]
-    """Location of each (n,); -1 for none."""
+    """Location of each frame (n,); -1 for none."""
     reference: int = 0
-    """Which reference its frames belong to."""
+    """Row of the reference of its frames."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -59,28 +59,28 @@ class Press:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PublishedSensor:
-    """One sensor as folders have it: `learning.archive_writer.SensorFrames`."""
+    """One sensor of a folder; implements `learning.archive_writer.SensorFrames`."""
 
     name: str
     presses: tuple[Press, ...]
     references: Packed
-    """Packed masks of the untouched sensor (K, 38400)."""
+    """Packed masks of the sensor without contact (K, 38400)."""
     indenters: tuple[str, ...]
     """Names, by code."""
     mm_per_px: float
     read_mask: ReadMask
-    """Makes the packed mask (38400,) of a frame's file."""
+    """Reads the packed mask (38400,) of a frame's file."""
     root: Path
-    """Files are told of relative to it."""
+    """Provenance gives files relative to it."""
     unseen: tuple[str, ...]
     """Indenters that models may not be trained on."""
     marker_count: MarkerCount | None = None
-    """How markers are counted; None: they are not."""
+    """Settings of the marker count; None: markers are not counted."""
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def plan(self) -> SensorPlan:
-        """What the archive will hold."""
+        """Plan of its part of the archive."""
         return SensorPlan(
             name=self.name,
             rows=sum(len(press) for press in self.presses),
@@ -96,7 +96,7 @@ class PublishedSensor:
         """Read some of the frames.
 
         Raises:
-            LearningError: A file that is damaged or of another shape, by name.
+            LearningError: A file is corrupt or of another shape; the message names it.
         """
         packed, parts = [], []
         lines: list[dict[str, Any]] = []
@@ -140,28 +140,28 @@ class PublishedSensor:
 
 
 def phases_of(last: Sequence[int]) -> NDArray[np.int64]:
-    """Return the phase of each frame (n,), from the numbers of the last frames of the phases."""
+    """Return the phase of each frame (n,), given the number of the last frame of each phase."""
     counts = np.diff([-1, *last])
     return np.repeat(np.arange(len(last)), counts)
 
 
 def no_phases(count: int) -> NDArray[np.int64]:
-    """Return the phases of frames that have none (n,)."""
+    """Return the phases of frames without any (n,)."""
     return np.full(count, NO_PHASE)
 
 
 # Mask files: packed bits in .npy, plain arrays in .npy, pictures in .jpg.
 
 SUFFIXES = (".npy", ".jpg")
-# A pixel of a picture is a marker's above this grey of 255.
+# A pixel of a picture belongs to a marker above this grey level of 255.
 WHITE_ABOVE = 50
 
 
 def read_mask(path: Path) -> Packed:
-    """Return the packed mask (38400,) in a file.
+    """Read the packed mask (38400,) in a file.
 
     Raises:
-        LearningError: Not there, damaged, or of another size: the message names the file.
+        LearningError: The file is missing, corrupt, or of another size; the message names it.
     """
     if path.suffix == ".npy":
         return _of_array(read_array(path), path)
@@ -169,15 +169,15 @@ def read_mask(path: Path) -> Packed:
 
 
 def write_mask(path: Path, packed: Packed) -> None:
-    """Write a packed mask (38400,) as `numpy.save` does."""
+    """Write a packed mask (38400,) by `numpy.save`."""
     np.save(path, packed, allow_pickle=False)
 
 
 def read_array(path: Path) -> NDArray[np.generic]:
-    """Return the array in a .npy file.
+    """Read the array in a .npy file.
 
     Raises:
-        LearningError: Not there, cut short, or no such file.
+        LearningError: The file is missing, truncated, or no .npy file.
     """
     try:
         array: NDArray[np.generic] = np.load(path, allow_pickle=False)
@@ -192,10 +192,10 @@ def read_array(path: Path) -> NDArray[np.generic]:
 
 
 def _greys(path: Path) -> NDArray[np.uint8]:
-    """Return the pixels (480, 640) of a picture.
+    """Read the pixels (480, 640) of a picture.
 
     Raises:
-        LearningError: Not there, cut short, or of another size.
+        LearningError: The file is missing, truncated, or of another size.
     """
     try:
         with Image.open(path) as picture:
@@ -221,20 +221,20 @@ def _of_array(array: NDArray[np.generic], path: Path) -> Packed:
     values = array.astype(np.float64)
     if not np.isfinite(values).all():
         raise LearningError(f"{path}: found NaN or infinity; expected 0 and 1, or greys")
-    # Greys go up to 255, flags to 1.
+    # Grey levels go up to 255, flags to 1.
     return pack(values > (WHITE_ABOVE if values.max() > 1 else 0))
 
 
-# Text files of numbers: forces, poses, depths, and the list of a press's last frames.
+# Text files of numbers: forces, poses, depths, and the last frames of a press's phases.
 
 
 def read_forces(path: Path) -> tuple[Array, bool]:
-    """Return the wrenches (n, 6) of an ft.csv [N, N m], and whether it has torques.
+    """Read the wrenches (n, 6) of an ft.csv [N, N m]; the flag is True if it has torques.
 
-    Torques are 0 where the file has forces alone.
+    Torques are 0 if the file has forces only.
 
     Raises:
-        LearningError: Not there, other columns, or a value that is no number.
+        LearningError: The file is missing, has other columns, or a value is not a number.
     """
     names, rows = _table(path)
     if names not in (FORCE_COLUMNS, FORCE_COLUMNS[:3]):
@@ -248,7 +248,7 @@ def read_forces(path: Path) -> tuple[Array, bool]:
 
 
 def write_forces(path: Path, wrench: Array) -> None:
-    """Write wrenches (n, 6) [N, N m] as an ft.csv; forces come back as they are."""
+    """Write wrenches (n, 6) [N, N m] as an ft.csv; forces are restored exactly."""
     scaled = wrench.copy()
     scaled[:, 3:] *= 1e3
     with path.open("w", newline="") as file:
@@ -258,10 +258,10 @@ def write_forces(path: Path, wrench: Array) -> None:
 
 
 def read_poses(path: Path) -> Array:
-    """Return the poses (n, 6) of a pose.csv [m, rad].
+    """Read the poses (n, 6) of a pose.csv [m, rad].
 
     Raises:
-        LearningError: Not there, other columns, or a value that is no number.
+        LearningError: The file is missing, has other columns, or a value is not a number.
     """
     names, rows = _table(path)
     if names != POSE_COLUMNS:
@@ -272,10 +272,10 @@ def read_poses(path: Path) -> Array:
 
 
 def read_depths(path: Path) -> Array:
-    """Return the numbers (n,) of an inc_z.csv or dec_z.csv [mm]: one a line, no header.
+    """Read the numbers (n,) of an inc_z.csv or dec_z.csv [mm], one per line, no header.
 
     Raises:
-        LearningError: Not there, or a line that is not one number.
+        LearningError: The file is missing, or a line is not one number.
     """
     rows = [line.split(",") for line in _lines(path)]
     values = [_numbers(row, path, number + 1) for number, row in enumerate(rows)]
@@ -285,15 +285,16 @@ def read_depths(path: Path) -> Array:
 
 
 def write_depths(path: Path, depth_mm: Array) -> None:
-    """Write depths (n,) [mm], one a line."""
+    """Write depths (n,) [mm], one per line."""
     path.write_text("".join(f"{float(value)!r}\n" for value in depth_mm))
 
 
 def read_last(path: Path, frames: int) -> tuple[int, ...]:
-    """Return the numbers of the last frames of the four phases, from a last.csv.
+    """Read the numbers of the last frames of the four phases from a last.csv.
 
     Raises:
-        LearningError: Not there, not four, not in their order, or not those of the folder.
+        LearningError: The file is missing, has not four frames in order, or does not fit its
+            folder.
     """
     names = [line.strip() for line in _lines(path)]
     stems = [PureWindowsPath(name).stem for name in names]
@@ -310,7 +311,7 @@ def read_last(path: Path, frames: int) -> tuple[int, ...]:
 
 
 def write_last(path: Path, names: Sequence[str]) -> None:
-    """Write the names of the last frames of the phases, one a line."""
+    """Write the names of the last frames of the phases, one per line."""
     path.write_text("".join(f"{name}\n" for name in names))
 
 
@@ -348,12 +349,12 @@ def _lines(path: Path) -> list[str]:
     return [line for line in text.splitlines() if line.strip()]
 
 
-# Material coefficients: force over depth as polynomials, one for loading, one for unloading.
+# Material coefficients: polynomials of force over depth, one for loading, one for unloading.
 
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Force over depth of one sensor, as `numpy.poly1d` has it: highest power first."""
+    """Polynomials of force over depth of one sensor, highest power first as in `numpy.poly1d`."""
 
     down: tuple[float, ...]
     """Loading."""
@@ -366,10 +367,10 @@ class Compensation:
 
 
 def read_coefficients(path: Path) -> tuple[float, ...]:
-    """Return the coefficients in a file: one a line, or in one line with commas.
+    """Read the coefficients in a file: one per line, or in one line with commas.
 
     Raises:
-        LearningError: Not there, empty, or a value that is no number.
+        LearningError: The file is missing or empty, or a value is not a number.
     """
     try:
         text = path.read_text(encoding="utf-8").strip()
@@ -391,15 +392,15 @@ def read_coefficients(path: Path) -> tuple[float, ...]:
 
 
 def write_coefficients(path: Path, values: tuple[float, ...]) -> None:
-    """Write coefficients, one a line: they come back as they are."""
+    """Write coefficients, one per line; they are restored exactly."""
     path.write_text("".join(f"{float(value)!r}\n" for value in values))
 
 
 def read_compensation(folder: Path) -> dict[str, Compensation]:
-    """Return the coefficients of every sensor in a folder: <sensor>_down.csv, <sensor>_up.csv.
+    """Read the coefficients of all sensors in a folder: <sensor>_down.csv, <sensor>_up.csv.
 
     Raises:
-        LearningError: No such folder, none in it, or a file without its other half.
+        LearningError: The folder is missing, has no coefficients, or a file of a pair is missing.
     """
     if not folder.is_dir():
         raise LearningError(f"{folder}: no such folder")

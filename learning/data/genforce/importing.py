@@ -1,4 +1,4 @@
-"""The one call behind `python -m learning import-genforce`: folders in, an archive out."""
+"""Import of published folders to a marker archive: `python -m learning import-genforce`."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, prese
 from recorder.archive import MarkerCount
 from recorder.markers import pack
 
-# What can be read, and what it is.
+# Supported layouts and their descriptions.
 LAYOUTS: Mapping[str, str] = {
     "training": "packed masks a contact point, with forces and depths",
     "states": "simulated pictures by place and depth",
     "raw": "a run as it was collected: pictures or taxels, forces, poses",
 }
-# Size of a pixel of the authors' GelSights [mm]; where nothing else is said.
+# Default size of a pixel of the authors' GelSights [mm].
 MM_PER_PX = 0.0249
 TAXELS_MM_PER_PX = 0.03671875
 _NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
@@ -40,10 +40,10 @@ _NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What the folders do not say."""
+    """Options that the folders do not determine."""
 
     preset_name: str | None = None
-    """How markers are found in raw pictures; what is meant for each sensor when None."""
+    """Preset of marker detection for raw pictures; None: the preset for each sensor."""
     mm_per_px: Mapping[str, float] = field(default_factory=dict)
     """Size of a pixel by sensor [mm]."""
     surfaces_mm: Mapping[str, float] = field(default_factory=dict)
@@ -55,10 +55,10 @@ class Choices:
 
 
 def layout_of(root: Path) -> str:
-    """Return which of `LAYOUTS` a folder has.
+    """Return the one of `LAYOUTS` that a folder has.
 
     Raises:
-        LearningError: None of them, or no folder.
+        LearningError: It has none of them, or is not a folder.
     """
     if not root.is_dir():
         raise LearningError(f"{root}: no such folder")
@@ -79,14 +79,14 @@ def import_folder(
     choices: Choices | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
-    """Make the marker archive of a published folder, or go on with it; return the frames made.
+    """Make or resume the marker archive of a published folder; return the number of new frames.
 
-    All labels and lists are read first: a folder that does not fit is refused before anything is
+    All labels and lists are read first, so an invalid folder is rejected before anything is
     written. Masks are read as they are written.
 
     Raises:
-        LearningError: Something is missing or does not fit: the message names the file.
-        SessionError: Another archive lies at `out`.
+        LearningError: A file or folder is missing or invalid; the message names it.
+        SessionError: Another archive exists at `out`.
         OSError: The disk is full, or not writable.
     """
     chosen = choices or Choices()
@@ -119,7 +119,7 @@ def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[Pu
     for one in raw.read_raw(root, _codes(indenters)):
         name = chosen.preset_name or preset_of_sensor(one.name)
         if name is None:
-            raise LearningError(f"{one.name}: no preset is meant for it; say which")
+            raise LearningError(f"{one.name}: no preset is assigned to it; allowed: --preset NAME")
         found = preset(name)
         if isinstance(found, TaxelPreset) != one.taxels:
             kind = "taxels" if one.taxels else "pictures"
@@ -158,7 +158,7 @@ def _published(
     attrs: dict[str, Any] = {"made_from": root.name, "times": _NO_TIMES, **about}
     if name in chosen.compensation:
         attrs["force_depth"] = asdict(chosen.compensation[name])
-    # A mask's markers are counted, but for the discs of taxels, which may grow together.
+    # Markers of a mask are counted, except for the discs of taxels, which may merge.
     return PublishedSensor(
         name=name,
         presses=presses,

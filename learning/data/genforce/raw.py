@@ -1,11 +1,11 @@
-"""The layout of a run as it was collected: pictures or taxels, forces and poses, phase by phase.
+"""The layout of a collection run: pictures or taxels, forces and poses, phase by phase.
 
     <sensor>/image/<indenter>-<YYYYmmdd_HHMMSS>/<point>/<phase>/%04d.jpg, ref.jpg above the points
-    <sensor>/uskin_raw/<run>/<point>/<phase>/%04d.npy                     counts less ref.npy
+    <sensor>/uskin_raw/<run>/<point>/<phase>/%04d.npy                     counts minus ref.npy
     <sensor>/force/<run>/<point>/<phase>/ft.csv
     <sensor>/pose/<run>/<point>/<phase>/pose.csv
 
-Phases are normal_inc, shear_inc, shear_dec, normal_dec; down and up in runs of force and depth.
+Phases are normal_inc, shear_inc, shear_dec, normal_dec; down and up in force-depth runs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from recorder.spec import PHASES
 from recorder.store import decode_jpeg
 
 _RUN = re.compile(r"(.+)-\d{8}_\d{6}")
-# Phases of force-depth runs, and the codes that they are given.
+# Phases of force-depth runs, and their codes.
 FORCE_DEPTH: Mapping[str, int] = {
     "down": PHASES.index("normal_inc"),
     "up": PHASES.index("normal_dec"),
@@ -43,18 +43,18 @@ FORCE_DEPTH: Mapping[str, int] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawSensor:
-    """What folders hold of one sensor."""
+    """Content of the folders of one sensor."""
 
     name: str
     taxels: bool
-    """Whether frames are counts; else they are pictures."""
+    """True if frames are taxel counts; else they are pictures."""
     presses: tuple[Press, ...]
     references: tuple[Path, ...]
-    """The untouched picture of each run."""
+    """The picture without contact of each run."""
 
 
 def is_raw(root: Path) -> bool:
-    """Whether a folder has this layout, of one sensor or of several."""
+    """Return True if a folder has this layout, for one sensor or several."""
     return bool(_sensors(root))
 
 
@@ -66,15 +66,15 @@ def indenters_of(root: Path) -> set[str]:
 def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
     """Yield the sensors of a folder, without opening frames.
 
-    Depth is how far the tool is below its first pose of the press; position is from its first pose
-    of the run.
+    Depth is measured downwards from the first pose of the press, position from the first pose of
+    the run.
 
     Args:
-        root: The folder of a sensor, or one above.
-        codes: Codes of the indenters, by name: locations are numbered by them.
+        root: The folder of a sensor, or its parent.
+        codes: Codes of the indenters, by name; locations are numbered by them.
 
     Raises:
-        LearningError: Something is missing or does not fit: the message names the file.
+        LearningError: A file or folder is missing or invalid; the message names it.
     """
     sensors = _sensors(root)
     targets = max(
@@ -104,10 +104,10 @@ def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return the pixels (480, 640, 3) of a camera's JPEG, RGB, as sessions decode it.
+    """Read the pixels (480, 640, 3) of a camera's JPEG, RGB, decoded as sessions decode it.
 
     Raises:
-        LearningError: Not there, damaged, or of another size.
+        LearningError: The file is missing, corrupt, or of another size.
     """
     try:
         return decode_jpeg(path.read_bytes(), (HEIGHT, WIDTH, 3))
@@ -118,10 +118,10 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 
 
 def read_counts(path: Path) -> Array:
-    """Return the counts (16, 3) in a file of taxels.
+    """Read the counts (16, 3) in a file of taxels.
 
     Raises:
-        LearningError: Not there, damaged, or of another shape.
+        LearningError: The file is missing, corrupt, or of another shape.
     """
     array = read_array(path)
     if array.shape != (16, 3) or array.dtype.kind not in "iuf":
@@ -227,5 +227,5 @@ def _point(folder: Path) -> int:
 def _reference(run: Path) -> Path:
     path = run / "ref.jpg"
     if not path.is_file():
-        raise LearningError(f"{path}: no such file; expected the untouched")
+        raise LearningError(f"{path}: no such file; expected the reference without contact")
     return path

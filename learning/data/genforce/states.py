@@ -22,7 +22,7 @@ State = tuple[float, float, float]
 
 
 def is_states(root: Path) -> bool:
-    """Whether a folder has this layout."""
+    """Return True if a folder has this layout."""
     return any(root.glob("*_ref.*")) and not (root / "img").exists()
 
 
@@ -36,11 +36,11 @@ def read_states(
 ) -> Iterator[tuple[str, Packed, tuple[Press, ...]]]:
     """Yield patterns: name, packed reference (38400,), and a press for each place.
 
-    Places are numbered by x, then y, depths upwards, over all that there are; a location is a place
-    and a depth. Simulated archives number theirs alike.
+    Places are numbered by x, then y, depths in ascending order, over all files; a location is a
+    place and a depth. Simulated archives are numbered in the same way.
 
     Raises:
-        LearningError: Something is missing or does not fit: the message names the file.
+        LearningError: A file is missing or invalid; the message names it.
     """
     names = sorted(path.stem.removesuffix("_ref") for path in root.glob("*_ref.*"))
     shapes = sorted(indenters_of(root))
@@ -95,7 +95,7 @@ def _states(folder: Path) -> dict[State, Path]:
             raise LearningError(f"{path}: expected a name <x>_<y>_<depth>{path.suffix}, in mm")
         x, y, depth = (float(number) for number in named.groups())
         if depth < 0 or (x, y, depth) in states:
-            raise LearningError(f"{path}: found a depth below 0, or a state that is there twice")
+            raise LearningError(f"{path}: found a depth below 0, or a duplicate state")
         states[x, y, depth] = path
     return states
 
@@ -104,4 +104,4 @@ def _reference(root: Path, name: str) -> Packed:
     for suffix in SUFFIXES:
         if (root / f"{name}_ref{suffix}").exists():
             return read_mask(root / f"{name}_ref{suffix}")
-    raise LearningError(f"{root / name}_ref.jpg: no such file, nor .npy; expected the untouched")
+    raise LearningError(f"{root / name}_ref.jpg: no such file, nor .npy; expected the reference")

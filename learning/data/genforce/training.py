@@ -1,12 +1,12 @@
-"""The layout that training reads: a folder of packed masks a contact point.
+"""The layout of training data: a folder of packed masks for each contact point.
 
     img/npy/<Sensor>/<indenter>/<point>/%04d.npy, last.csv     (or img/<Sensor>/..., .jpg)
     img/npy/<Sensor>_ref.npy                                   (or .jpg)
-    img/npy_csv/<Sensor>/<indenter>/<point>/last.csv           (where it is not beside the masks)
+    img/npy_csv/<Sensor>/<indenter>/<point>/last.csv           (if it is not next to the masks)
     force/<Sensor>/<indenter>/<point>/ft.csv
     depth/<Sensor>/<indenter>/<point>/inc_z.csv, dec_z.csv     (not in the homogeneous test)
 
-Frames are numbered through all four phases; last.csv names the last one of each.
+Frames are numbered through all four phases; last.csv names the last frame of each.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from learning.data.genforce.format import (
 from learning.errors import LearningError
 
 DEPTH_UNKNOWN = "unknown: 0"
-# Heights at which the authors' heterogeneous depths are 0 [mm]: their files hold heights, with
-# these in the denominator of the normalised depth. Elsewhere the files hold depths.
+# Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold
+# heights, normalised by these values. Elsewhere the files hold depths.
 SURFACES_MM: Mapping[str, float] = {
     "uskin": 1.08649,
     "tactip": 4.648126681,
@@ -42,34 +42,34 @@ SURFACES_MM: Mapping[str, float] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSensor:
-    """What folders hold of one sensor."""
+    """Content of the folders of one sensor."""
 
     name: str
     reference: Packed
     presses: tuple[Press, ...]
     depths: str
-    """Where depths come from, in words."""
+    """Description of the source of depths."""
     torques: bool
-    """Whether forces come with torques."""
+    """True if forces include torques."""
 
 
 def is_training(root: Path) -> bool:
-    """Whether a folder has this layout."""
+    """Return True if a folder has this layout."""
     return (root / "img").is_dir()
 
 
 def read_training(
     root: Path, codes: Mapping[str, int], surfaces_mm: Mapping[str, float]
 ) -> Iterator[TrainingSensor]:
-    """Yield the sensors of a folder, without opening masks but the references.
+    """Yield the sensors of a folder; of the masks, only references are opened.
 
     Args:
-        root: The folder that has `img`.
-        codes: Codes of the indenters, by name: locations are numbered by them.
+        root: The folder that contains `img`.
+        codes: Codes of the indenters, by name; locations are numbered by them.
         surfaces_mm: Sensors whose depth files hold heights, and the height of their surface [mm].
 
     Raises:
-        LearningError: Something is missing or does not fit: the message names the file.
+        LearningError: A file or folder is missing or invalid; the message names it.
     """
     images = _images(root)
     sensors = _folders(images)
@@ -91,10 +91,10 @@ def indenters_of(root: Path) -> set[str]:
 
 
 def frame_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of the frames in a folder, in their order.
+    """Return the files of the frames in a folder, in order.
 
     Raises:
-        LearningError: None, of two kinds, or a number that is missing.
+        LearningError: There are no frames, frames of two kinds, or a gap in the numbers.
     """
     files = [path for path in folder.iterdir() if path.suffix in SUFFIXES]
     files = sorted(path for path in files if path.stem.isdecimal())
@@ -165,7 +165,7 @@ def _reference(images: Path, sensor: str) -> Packed:
         if path.exists():
             return read_mask(path)
     raise LearningError(
-        f"{images / sensor}_ref.npy: no such file, nor .jpg; expected the untouched"
+        f"{images / sensor}_ref.npy: no such file, nor .jpg; expected the reference"
     )
 
 
@@ -176,7 +176,7 @@ def _last(images: Path, place: Path) -> Path:
 
 
 def _forces(path: Path, files: tuple[Path, ...]) -> tuple[Array, bool]:
-    """Return wrenches (n, 6), NaN where there are no forces of the sensor; whether with torques."""
+    """Return wrenches (n, 6), NaN if the sensor has no forces, and True if they include torques."""
     if not path.parents[2].is_dir():
         return np.full((len(files), 6), np.nan), True
     wrench, torques = read_forces(path)
@@ -188,7 +188,7 @@ def _forces(path: Path, files: tuple[Path, ...]) -> tuple[Array, bool]:
 
 
 def _depth(folder: Path, files: tuple[Path, ...], surface_mm: float | None) -> Array | None:
-    """Return depths (n,) [m]; None where there are none."""
+    """Return depths (n,) [m], or None if there are none."""
     if not folder.is_dir():
         return None
     down, up = read_depths(folder / "inc_z.csv"), read_depths(folder / "dec_z.csv")
@@ -210,7 +210,7 @@ def _points(folder: Path) -> list[Path]:
     """Return the folders of contact points by number.
 
     Raises:
-        LearningError: None, or one that is no number from 1.
+        LearningError: There are none, or a name is not a number from 1.
     """
     points = _folders(folder)
     for point in points:

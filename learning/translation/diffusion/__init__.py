@@ -1,7 +1,7 @@
-"""The paper's translator: SD-Turbo's autoencoder and UNet with adapters, in one step.
+"""The paper's translator: SD-Turbo's autoencoder and UNet with adapters, in a single step.
 
-`train_vae` and `train` are its stages, `load` is what it becomes. The published weights are the
-user's; diffusers, peft and transformers are needed only when one of them is called.
+`train_vae` and `train` are its training stages, `load` opens a trained translator. The user
+supplies the published weights; diffusers, peft and transformers are imported only when used.
 """
 
 from learning.translation.diffusion.network import MarkerToMarker

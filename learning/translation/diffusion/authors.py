@@ -1,8 +1,8 @@
-"""The authors' checkpoints: what their files hold, under the names that tensors have here.
+"""Import of the authors' checkpoints, with tensors renamed to the names used here.
 
 `model_N.pkl` of the translator holds ranks, names of adapted layers, and the adapters of UNet,
-autoencoder and reference encoder; `checkpoint.pth` of the marker autoencoder holds one adapter. All
-of it is tensors, numbers and lists, so nothing in a file is ever run.
+autoencoder and reference encoder; `checkpoint.pth` of the marker autoencoder holds one adapter. The
+files contain only tensors, numbers and lists, so no code in a file is ever run.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ _ADAPTER = re.compile(r"\.lora_([AB])\.[^.]+\.weight$")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AuthorsCheckpoint:
-    """What one of their files holds."""
+    """Content of one of the authors' files."""
 
     kind: Literal["translator", "marker_vae"]
-    """Which of the two it is."""
+    """Kind of checkpoint."""
     tensors: dict[str, torch.Tensor]
-    """State of the translator, or of the marker autoencoder, as they are named here."""
+    """State of the translator or of the marker autoencoder, under the names used here."""
     vae_rank: int
     """Rank of the autoencoder's adapter."""
     unet_rank: int = 0
-    """Rank of the UNet's; 0: there is none."""
+    """Rank of the UNet's adapter; 0: none."""
 
 
 def read_authors(path: Path) -> AuthorsCheckpoint:
-    """Return what a file of the authors holds.
+    """Read one of the authors' checkpoints.
 
     Raises:
-        LearningError: Not there, or not such a file: the message says what is wrong with it.
+        LearningError: The file is missing, or is not such a checkpoint.
     """
     content = read_plain(path)
     if not isinstance(content, dict):
@@ -86,7 +86,7 @@ def read_authors(path: Path) -> AuthorsCheckpoint:
         raise LearningError(f"{path}: rank_ref_encoder: differs from rank_vae ({rank})")
     tensors = {f"unet.{name}": each for name, each in unet.items()}
     tensors |= {f"vae.{name}": each for name, each in vae.items()}
-    # The reference encoder only encodes.
+    # The reference encoder needs no decoder.
     tensors |= {
         f"reference.{name}": each for name, each in reference.items() if name.startswith("encoder.")
     }
@@ -96,7 +96,7 @@ def read_authors(path: Path) -> AuthorsCheckpoint:
 def _adapter(
     path: Path, content: Mapping[str, Any], key: str, adapter: str, also: tuple[str, ...] = ()
 ) -> dict[str, torch.Tensor]:
-    """Return the tensors under a key, their adapter called as here."""
+    """Return the tensors under a key, with their adapter renamed."""
     found = content.get(key)
     if not isinstance(found, Mapping) or not found:
         raise LearningError(f"{path}: {key}: missing; allowed: a checkpoint of the authors' code")
@@ -129,25 +129,25 @@ def _require_targets(
 
 
 def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
-    """Write the folder of a training from a file of the authors.
+    """Write a run folder from one of the authors' checkpoints.
 
-    The network is put together once on the published weights, so that a file that does not fit is
-    refused here and nothing is written.
+    The network is built on the published weights first, so that a checkpoint that does not fit is
+    rejected before anything is written.
 
     Args:
-        path: Their file.
+        path: The authors' file.
         base: Folder of SD-Turbo.
         out: Folder to write, new or empty.
 
     Returns:
-        What it is, and how many numbers it holds.
+        Kind of model, and its number of parameters.
 
     Raises:
-        LearningError: Not such a file, one that does not fit, or a folder that holds something.
+        LearningError: The file is not such a checkpoint or does not fit, or `out` is not empty.
     """
     found = read_authors(path)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise LearningError(f"{out}: holds something already; allowed: a new or empty folder")
+        raise LearningError(f"{out}: is not empty; allowed: a new or empty folder")
     require_base_folder(base)
     weights = Weights(base=base)
     settings: TranslatorSettings | MarkerVaeSettings

@@ -1,4 +1,4 @@
-"""`python -m learning train-diffusion`: the paper's translator, trained on a marker archive."""
+"""`python -m learning train-diffusion`: train the paper's translator on a marker archive."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "train-diffusion",
         description="Trains one translator for all pairs of an archive's sensors, from published "
-        "weights that you have: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. Stopped by Ctrl-C, the same "
-        "command with --resume goes on. Several GPUs: torchrun --nproc-per-node N -m learning ...",
+        "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. After Ctrl-C, the same "
+        "command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m learning "
+        "...",
     )
     parser.add_argument("archive", nargs="?", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--split", type=Path, metavar="JSON", help="of its presses")
+    parser.add_argument("--split", type=Path, metavar="JSON", help="split of its presses")
     parser.add_argument("--out", type=Path, metavar="RUN", help="folder of the run")
     add_settings(
         parser,
@@ -35,7 +36,7 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument("--vgg", metavar="FILE", help="VGG16 of torchvision (weights.vgg)")
     parser.add_argument("--lpips", metavar="FILE", help="LPIPS' heads for VGG (weights.lpips)")
     parser.add_argument(
-        "--marker-vae", type=Path, metavar="RUN", help="start from this autoencoder's training"
+        "--marker-vae", type=Path, metavar="RUN", help="start from this trained autoencoder"
     )
     parser.add_argument(
         "--from", dest="start_from", type=Path, metavar="RUN", help="start from this translator"
@@ -45,7 +46,7 @@ def add_to(verbs: Verbs) -> None:
         "--pairing",
         default="supplement",
         choices=("supplement", "authors_code"),
-        help="which frames of a press are paired (%(default)s)",
+        help="rule for pairing frames of a press (%(default)s)",
     )
     add_resume(parser)
     parser.add_argument(
@@ -61,7 +62,7 @@ def add_to(verbs: Verbs) -> None:
 def _run(options: argparse.Namespace) -> int:
     if options.full_size_check is not None:
         raise LearningError(
-            "--full-size-check: it has moved; run, from the repository: python -m benchmarks "
+            "--full-size-check: moved; run, from the repository: python -m benchmarks "
             f"diffusion-full-size {options.full_size_check}"
         )
     for name in ("archive", "split", "out"):
@@ -117,7 +118,9 @@ def _run(options: argparse.Namespace) -> int:
             for role in ("train", "validation")
         )
         if pairs is None:
-            raise LearningError(f"{options.split}: found no press to train on; allowed: some")
+            raise LearningError(
+                f"{options.split}: found no press to train on; allowed: one or more"
+            )
         print(f"{len(pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
         with training.stop:
             train_translator(
@@ -146,7 +149,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _settings(options: argparse.Namespace) -> TranslatorSettings:
-    """Return the preset's settings, with what was given on the command line."""
+    """Return the preset's settings, updated from the command line."""
     import json
 
     from learning.config import read_settings

@@ -1,13 +1,14 @@
-"""Tokens that the UNet's cross-attention reads: the untouched target, and the untouched source.
+"""Tokens for the UNet's cross-attention: the untouched target and, optionally, source.
 
-The paper says only that the reference's latent is the cross-attention's condition. Three ways:
+The paper only states that the reference's latent is the condition of the cross-attention. Three
+encodings are available:
 
-* `channel_tokens`: a token for each channel of the latent, its raster being the features (authors'
-  code). Nothing to learn; fits where the raster is as large as the cross-attention is wide.
-* `pixel_tokens`: a token for each pixel of the latent.
-* `patch_tokens`: a token for each 2 x 2 pixels of the latent.
+* `channel_tokens`: one token per channel of the latent, with its pixels as features (authors'
+  code). Has no parameters; needs as many pixels as the width of the cross-attention.
+* `pixel_tokens`: one token per pixel of the latent.
+* `patch_tokens`: one token per 2 x 2 pixels of the latent.
 
-The latter two are projected linearly and know their place.
+The latter two use a linear projection and positional encoding.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ class ReferenceTokens(nn.Module):
     def __init__(
         self, kind: Conditioning, *, channels: int, width: int, source_reference: bool
     ) -> None:
-        """Make the tokens' layers.
+        """Build the layers.
 
         Args:
-            kind: How tokens are made.
-            channels: Of the latent.
-            width: Of the UNet's cross-attention.
-            source_reference: Whether the untouched source is given as well.
+            kind: Encoding of tokens.
+            channels: Channels of the latent.
+            width: Width of the UNet's cross-attention.
+            source_reference: True if the untouched source is also an input.
         """
         super().__init__()
         self.kind, self.width, self.source_reference = kind, width, source_reference
@@ -47,14 +48,14 @@ class ReferenceTokens(nn.Module):
             self.norm = nn.LayerNorm(width)
         if source_reference:
             self.role = nn.Parameter(torch.randn(2, width) * 0.02)
-            """Added to the tokens of the target and of the source."""
+            """Embeddings added to the tokens of the target and of the source."""
 
     def forward(self, target: torch.Tensor, source: torch.Tensor | None = None) -> torch.Tensor:
         """Return the tokens (n, count, width) of one or two latents (n, channels, h, w).
 
         Raises:
-            LearningError: The source's reference is given where none is read, or missing; or the
-                raster does not fit `channel_tokens`.
+            LearningError: The source's reference is given but not an input, or missing; or the
+                latent's size does not fit `channel_tokens`.
         """
         if not self.source_reference:
             if source is not None:
@@ -83,10 +84,10 @@ class ReferenceTokens(nn.Module):
 
 
 def sine_places(rows: int, columns: int, width: int) -> torch.Tensor:
-    """Return a code of every place of a raster (rows x columns, width), in row-major order.
+    """Return positional encodings of a raster (rows x columns, width), in row-major order.
 
-    Half of the features code the row, half the column, by sines and cosines of falling frequency
-    (as in Vaswani et al. 2017, once for each axis).
+    Half of the features encode the row and half the column, by sines and cosines of falling
+    frequency (Vaswani et al. 2017, once for each axis).
     """
     halves = width // 2, width - width // 2
     by_row = _sines(rows, halves[0])[:, None].expand(rows, columns, halves[0])

@@ -1,7 +1,7 @@
-"""Location pairs of many sensors at once, every image kept a single time.
+"""Location pairs of many sensors, with every image stored once.
 
-One model serves all pairs of a group, so an image is the source of many pairs and the target of
-many more: a pair is two numbers.
+One model serves all pairs of a group, so an image is the source and target of many pairs. A pair is
+therefore stored as two indices.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePairs:
-    """N pairs of M images, with the K untouched images that belong to them."""
+    """N pairs of M images, with their K untouched images."""
 
     images: torch.Tensor
-    """(M, h, w) uint8, 255 where all is marker."""
+    """(M, h, w) uint8, 255 where a pixel is fully marker."""
     reference: torch.Tensor
     """Row of `references` for each image (M,) int64."""
     references: torch.Tensor
     """(K, h, w) uint8."""
     source: torch.Tensor
-    """Row of `images` that is translated (N,) int64."""
+    """Row of `images` for the source of each pair (N,) int64."""
     target: torch.Tensor
-    """Row of `images` that it should become (N,) int64."""
+    """Row of `images` for the target of each pair (N,) int64."""
 
     def __post_init__(self) -> None:
         for name in ("images", "references"):
@@ -65,7 +65,7 @@ class ImagePairs:
         return len(self.source)
 
     def rows(self, index: torch.Tensor) -> Self:
-        """Return some of the pairs, of the same images."""
+        """Return some of the pairs, with the same images."""
         return replace(self, source=self.source[index], target=self.target[index])
 
     def to(self, device: torch.device | str) -> Self:
@@ -75,11 +75,11 @@ class ImagePairs:
         return replace(self, **moved)
 
     def sources(self) -> torch.Tensor:
-        """Return what is translated (N, 1, h, w) float32 in [0, 1]."""
+        """Return source images (N, 1, h, w) float32 in [0, 1]."""
         return unit(self.images[self.source])
 
     def targets(self) -> torch.Tensor:
-        """Return what it should become (N, 1, h, w) float32 in [0, 1]."""
+        """Return target images (N, 1, h, w) float32 in [0, 1]."""
         return unit(self.images[self.target])
 
 
@@ -99,21 +99,22 @@ def read_image_pairs(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ImagePairs:
-    """Return the location pairs of sensors, both ways unless said otherwise.
+    """Return the location pairs of sensors, in both directions by default.
 
     Args:
-        archive: What is read.
-        split: Which presses have the role, and which sensors are held out; None: all of them.
-        role: What the pairs are for.
-        sensors: Names; none: all that are not held out.
-        pairs: Names of source and target; none: all permutations of the sensors.
-        preset: Which frames of a press are paired: `recorder.archive.PRESETS`.
-        device: Where images go.
-        progress: Called with the images that are read and their number.
+        archive: Archive to read.
+        split: Defines the presses of the role and the held-out sensors; None: use all.
+        role: Role of the presses.
+        sensors: Names; empty: all that are not held out.
+        pairs: Names of source and target; empty: all permutations of the sensors.
+        preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
+        device: Device for the images.
+        progress: Called with the number of images read and the total.
 
     Raises:
-        LearningError: An unknown sensor, a split of another archive, or no pairs.
-        SessionError: An archive that is unfinished or damaged.
+        LearningError: A sensor is unknown, the split belongs to another archive, or there are no
+            pairs.
+        SessionError: The archive is unfinished or damaged.
     """
     if split is not None:
         split.check(archive)
@@ -187,19 +188,19 @@ def read_role_images(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> torch.Tensor:
-    """Return every frame that has a role, of several sensors, (n, 256, 256) uint8.
+    """Return all frames (n, 256, 256) uint8 of several sensors that have a role.
 
     Args:
-        archive: What is read.
-        split: Which presses have the role.
-        role: What the frames are for.
-        sensors: Names.
-        device: Where images go.
-        progress: Called with the images that are read and their number.
+        archive: Archive to read.
+        split: Defines the presses of the role.
+        role: Role of the presses.
+        sensors: Names of the sensors.
+        device: Device for the images.
+        progress: Called with the number of images read and the total.
 
     Raises:
-        LearningError: An unknown sensor.
-        SessionError: An archive that is unfinished or damaged.
+        LearningError: A sensor is unknown.
+        SessionError: The archive is unfinished or damaged.
     """
     if unknown := sorted(set(sensors) - set(archive)):
         raise LearningError(
@@ -221,7 +222,7 @@ def _read(
     total: int,
     progress: Callable[[int, int], None],
 ) -> torch.Tensor:
-    """Return the images of rows; progress counts those of sensors that were read before."""
+    """Return the images of rows; progress includes the `before` images of earlier sensors."""
     return read_frames(
         sensor,
         rows,
@@ -230,19 +231,19 @@ def _read(
     )
 
 
-# What is done alike to true and translated images before they are judged.
+# Augmentation of true and translated images before the discriminator.
 #
 # Differentiable augmentation (Zhao et al. 2020) with its own ranges, as the vision-aided
-# discriminator uses it: colour, translation, cutout. What leaves the image or is cut out becomes 0.
+# discriminator uses it: colour, translation, cutout. Pixels shifted in or cut out become 0.
 
-# Largest shift, as a part of the side.
+# Largest shift, as a share of the side.
 TRANSLATION = 1 / 8
-# Side of the square that is cut out, as a part of the image's.
+# Side of the square that is cut out, as a share of the image's.
 CUTOUT = 1 / 2
 
 
 def augment(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Return images (n, channels, h, w) changed at random, every image by itself."""
+    """Return images (n, channels, h, w), each augmented independently at random."""
     return _cut(_shift(_colour(images, generator), generator), generator)
 
 
@@ -283,7 +284,7 @@ def _cut(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
 
 
 def _places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return numbers of rows (1, 1, h, 1) and of columns (1, 1, 1, w)."""
+    """Return row indices (1, 1, h, 1) and column indices (1, 1, 1, w)."""
     height, width = images.shape[2:]
     rows = torch.arange(height, device=images.device).view(1, 1, -1, 1)
     return rows, torch.arange(width, device=images.device).view(1, 1, 1, -1)

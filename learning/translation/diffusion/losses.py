@@ -1,7 +1,7 @@
-"""A discriminator that sees through CLIP's eyes (vision-aided GAN, Kumari et al. 2022).
+"""A discriminator on CLIP features (vision-aided GAN, Kumari et al. 2022), and the losses.
 
-Frozen features of ViT-B/32 after blocks 4 and 8 and its final projection are judged by a small head
-each; the paper uses it with the multilevel sigmoid loss.
+Each of three frozen features of ViT-B/32 (after blocks 4 and 8, and the final projection) has a
+small head; the paper uses it with the multilevel sigmoid loss.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from accelerate import Accelerator
 
 
-# After these of CLIP's blocks the patches' features are taken.
+# Patch features are taken after these blocks of CLIP.
 BLOCKS = (4, 8)
 # Width of a head (vision-aided GAN).
 HEAD_WIDTH = 256
-# What true images should be judged as: one-sided smooth labels, `multilevel_sigmoid_s`.
+# Label of true images: one-sided smooth labels, `multilevel_sigmoid_s`.
 REAL = 0.8
-# Mean colour of the images CLIP was trained on, of [0, 1].
+# Mean colour of CLIP's training images in [0, 1].
 PIXEL_MEAN = (0.48145466, 0.4578275, 0.40821073)
-# Its standard deviation.
+# Standard deviation of that colour.
 PIXEL_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
-# Binomial filter before the heads halve their raster (Zhang 2019).
+# Binomial filter before the heads halve the resolution (Zhang 2019).
 BLUR = (1.0, 3.0, 3.0, 1.0)
 
 
@@ -52,7 +52,7 @@ class ClipFeatures(nn.Module):
         )
 
     def train(self, mode: bool = True) -> ClipFeatures:
-        """Stay in evaluation: it is frozen."""
+        """Stay in evaluation mode, as it is frozen."""
         return super().train(False)
 
     def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
@@ -70,10 +70,10 @@ class ClipFeatures(nn.Module):
 
 
 class DiscriminatorHeads(nn.Module):
-    """What judges the features; the only part of the discriminator that learns."""
+    """Heads on the features; the only trainable part of the discriminator."""
 
     def __init__(self, raster_width: int, vector_width: int, width: int = HEAD_WIDTH) -> None:
-        """Make a head for each level.
+        """Build a head for each level.
 
         Args:
             raster_width: Channels of CLIP's blocks (768).
@@ -104,17 +104,17 @@ class DiscriminatorHeads(nn.Module):
 
 
 class Blur(nn.Module):
-    """A binomial filter over every channel, of the same size out as in."""
+    """A binomial filter on every channel that keeps the image size."""
 
     def __init__(self, channels: int) -> None:
-        """Make the filter for so many channels."""
+        """Build the filter for `channels` channels."""
         super().__init__()
         line = torch.tensor(BLUR) / sum(BLUR)
         kernel = (line[:, None] * line).expand(channels, 1, -1, -1).clone()
         self.register_buffer("kernel", kernel, persistent=False)
 
     def forward(self, raster: torch.Tensor) -> torch.Tensor:
-        """Return the raster (n, channels, h, w) blurred, zero beyond its border."""
+        """Return the blurred raster (n, channels, h, w), assuming zero beyond its border."""
         kernel: torch.Tensor = self.get_buffer("kernel").to(raster.dtype)
         return functional.conv2d(
             functional.pad(raster, (1, 2, 1, 2)), kernel, groups=raster.shape[1]
@@ -122,11 +122,11 @@ class Blur(nn.Module):
 
 
 def multilevel_sigmoid(logits: Sequence[torch.Tensor], *, real: bool) -> torch.Tensor:
-    """Return the loss of logits, summed over levels, averaged over places and images.
+    """Return the loss of logits, summed over levels and averaged over positions and images.
 
     Args:
-        logits: Of every level, of any shape.
-        real: Whether they should say `REAL` (true images, or the generator's aim), or 0.
+        logits: Logits of every level, of any shape.
+        real: True if the label is `REAL` (true images, or the generator's aim), False if it is 0.
     """
     total = torch.zeros((), device=logits[0].device)
     for level in logits:
@@ -135,61 +135,61 @@ def multilevel_sigmoid(logits: Sequence[torch.Tensor], *, real: bool) -> torch.T
     return total
 
 
-# One step of generator and discriminator, in either of two ways.
+# One step of generator and discriminator, in two variants.
 #
-# `merged` goes through the generator once: reconstruction and adversary share a backward pass and
-# an optimiser's step. `two_pass` is what the authors' code does: a pass and a step for
-# reconstruction, another for the adversary, and two steps of the discriminator.
+# `merged` evaluates the generator once: reconstruction and adversary share a backward pass and an
+# optimiser step. `two_pass` follows the authors' code: a pass and a step for reconstruction,
+# another for the adversary, and two steps of the discriminator.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """What the generator is given, and what it should make of it."""
+    """Inputs and true outputs of the generator."""
 
     source: torch.Tensor
-    """Images (n, 1, h, w) in [0, 1]."""
+    """Source images (n, 1, h, w) in [0, 1]."""
     target: torch.Tensor
-    """The same of the target."""
+    """Target images, likewise."""
     target_reference: torch.Tensor
     """Latents of the untouched target."""
     source_reference: torch.Tensor | None
-    """Latents of the untouched source, where they are read."""
+    """Latents of the untouched source, if they are an input."""
     noise: torch.Tensor | None
-    """Standard normal, of a latent's shape; None: the posterior's mean."""
+    """Standard normal noise of a latent's shape; None: use the posterior's mean."""
     generator: torch.Generator
-    """Of augmentation."""
+    """Random generator of augmentation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """A network that learns, with what makes it."""
+    """A trainable network with its optimiser."""
 
     network: nn.Module
-    """As it is called for gradients: wrapped, on several devices."""
+    """The network, wrapped for distributed training on several devices."""
     optimiser: torch.optim.Optimizer
-    """Of what learns in it."""
+    """Optimiser of its trainable parameters."""
     clip_norm: float
-    """Largest norm of its gradient; 0: any."""
+    """Gradient norm above which gradients are clipped; 0: no clipping."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judges:
-    """What the generator's images are judged by."""
+    """Losses and networks that evaluate the generator's images."""
 
     losses: LossWeights
-    """What counts how much."""
+    """Weights of the losses."""
     perceptual: PerceptualDistance | None
-    """LPIPS; None where it counts nothing."""
+    """LPIPS; None if its weight is 0."""
     features: ClipFeatures | None
-    """CLIP's; None where the adversary counts nothing."""
+    """CLIP's features; None if the adversary's weight is 0."""
     heads: Side | None
-    """The discriminator's."""
+    """Heads of the discriminator; None likewise."""
 
 
 def merged(
     batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
 ) -> dict[str, torch.Tensor]:
-    """Learn from the batches of one step; the mean of each loss, before it is weighted."""
+    """Train one step on its batches; return the mean of each unweighted loss."""
     share = 1 / len(batches)
     said: list[dict[str, torch.Tensor]] = []
     shown = []
@@ -205,7 +205,7 @@ def merged(
     _advance(generator, runs_on)
     if judges.heads is not None and judges.features is not None:
         for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
-            # One pass for both: spectral norms move with every pass.
+            # One pass for both, since every pass updates the spectral norms.
             both = torch.cat((_native(batch, generator, runs_on), made))
             with _synchronised(judges.heads.network, number == len(batches) - 1, runs_on):
                 logits = judges.heads.network(_seen(both, batch, judges.features))
@@ -220,7 +220,7 @@ def merged(
 def two_pass(
     batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
 ) -> dict[str, torch.Tensor]:
-    """Learn from one batch as the authors' code does; the losses, before they are weighted."""
+    """Train one step on one batch as the authors' code does; return the unweighted losses."""
     parts = _reconstruction(_translate(generator.network, batch), batch, generator, judges, runs_on)
     runs_on.backward(_weighted(parts, judges.losses))
     _advance(generator, runs_on)
@@ -267,10 +267,10 @@ def _reconstruction(
 def _fooling(
     made: torch.Tensor, batch: Batch, judges: Judges, runs_on: Accelerator
 ) -> torch.Tensor:
-    """Return how far the discriminator is from taking images for true; its heads do not learn."""
+    """Return the generator's adversarial loss, with frozen heads."""
     if judges.heads is None or judges.features is None:
         return made.new_zeros(())
-    # Past the wrapper: nothing of the heads is synchronised in the generator's backward pass.
+    # Unwrapped, so that the generator's backward pass does not synchronise the heads.
     heads = runs_on.unwrap_model(judges.heads.network).requires_grad_(False)
     try:
         seen = judges.features(augment(made, batch.generator))
@@ -294,7 +294,7 @@ def _weighted(parts: dict[str, torch.Tensor], losses: LossWeights) -> torch.Tens
 
 
 def _synchronised(network: nn.Module, last: bool, runs_on: Accelerator) -> Any:
-    """Gradients are exchanged between devices with the last batch of a step only."""
+    """Synchronise gradients between devices only on the last batch of a step."""
     return nullcontext() if last else runs_on.no_sync(network)
 
 

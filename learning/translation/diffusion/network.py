@@ -1,10 +1,10 @@
-"""The marker-to-marker network: SD-Turbo's autoencoder and UNet with adapters, in one step.
+"""The marker-to-marker network: SD-Turbo's autoencoder and UNet with adapters, in a single step.
 
     source --encoder--> latent --UNet, at t = 999--> noise -> clean latent --decoder--> target
                                   ^ cross-attention
     untouched target --frozen reference encoder--> tokens
 
-The frozen weights are the published ones; what `state_dict` returns is only what is not theirs.
+The frozen weights are the published ones; `state_dict` returns only the others.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from learning.translation.diffusion.conditioning import ReferenceTokens
 from learning.translation.diffusion.settings import Range, TranslatorSettings
 from learning.translation.diffusion.weights import vendor
 
-# Low-rank adapters (LoRA) on the frozen networks: where they sit and which parameters learn.
+# Low-rank adapters (LoRA) on the frozen networks: adapted layers and trainable parameters.
 #
-# Names of adapters and targets are those of the authors' checkpoints, so that these load by name.
+# Names of adapters and targets equal those in the authors' checkpoints, so that these load by name.
 
 # Name of the UNet's adapter.
 UNET_ADAPTER = "unet_lora"
-# Name of the autoencoder's adapter, the translator's and the reference encoder's alike.
+# Name of the autoencoder's adapter, in both the translator and the reference encoder.
 VAE_ADAPTER = "ref_encoder_lora"
-# Ends of the names of the UNet's layers that get an adapter (authors' code).
+# Name suffixes of the UNet's layers with an adapter (authors' code).
 UNET_TARGETS = (
     "to_k",
     "to_q",
@@ -62,23 +62,23 @@ VAE_TARGETS = (
     "to_v",
     "to_out.0",
 )
-# Over the rank, what an adapter counts: 1 at rank 8, 2 at rank 4 (peft's default).
+# Divided by the rank, the weight of an adapter: 1 at rank 8, 2 at rank 4 (peft's default).
 ALPHA = 8
 
 
 def add_adapter(
     network: Any, name: str, rank: int, targets: tuple[str, ...], *, seed: int = 0
 ) -> None:
-    """Add an adapter to a network of diffusers and freeze the rest.
+    """Add an adapter to a diffusers network and freeze the rest.
 
-    Its first half is normally distributed and its second half 0, so that nothing changes at first.
+    The first factor is normally distributed and the second 0, so the initial adapter has no effect.
 
     Args:
         network: UNet or autoencoder.
-        name: Of the adapter.
-        rank: Of its two factors.
-        targets: Ends of the names of the layers that get one.
-        seed: Of the first half.
+        name: Name of the adapter.
+        rank: Rank of its two factors.
+        targets: Name suffixes of the layers to adapt.
+        seed: Seed of the first factor.
     """
     config = vendor("peft").LoraConfig(
         r=rank, lora_alpha=ALPHA, init_lora_weights="gaussian", target_modules=list(targets)
@@ -91,7 +91,7 @@ def add_adapter(
 
 
 def is_adapter(name: str) -> bool:
-    """Return whether a parameter belongs to an adapter, by its name."""
+    """Return True if a parameter's name belongs to an adapter."""
     return ".lora_A." in name or ".lora_B." in name
 
 
@@ -101,19 +101,19 @@ def adapter_tensors(network: nn.Module) -> dict[str, torch.Tensor]:
 
 
 def fuse(network: Any) -> None:
-    """Add the adapters to the weights they adapt, for speed: they cannot learn any more."""
+    """Merge the adapters into the weights they adapt, for speed; training ends here."""
     network.fuse_lora()
     network.unload_lora()
 
 
 def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
-    """Let the state of a module be only what is kept; the rest is as it was made.
+    """Restrict the state of a module to some tensors; the others keep their initial values.
 
-    `state_dict` leaves the rest out, and `load_state_dict` does not ask for it.
+    `state_dict` omits the others, and `load_state_dict` does not require them.
 
     Args:
-        module: A whole network.
-        kept: Whether a tensor is kept, by its name in the module.
+        module: The complete network.
+        kept: Returns True for the name of a tensor to keep.
     """
 
     def leave_out(_: nn.Module, state: dict[str, Any], prefix: str, __: Any) -> None:
@@ -128,44 +128,43 @@ def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
     module.register_load_state_dict_post_hook(not_missed)
 
 
-# One step of diffusion, from the last time at once to the clean latent, in closed form.
+# A single diffusion step, from the last time to the clean latent, in closed form.
 #
-# With one step, DDPM's update at t = 999 is the prediction of the clean latent itself: the weight
-# of the noisy latent and the added noise are both zero. So no scheduler is needed.
+# With one step, DDPM's update at t = 999 equals the prediction of the clean latent: the weight of
+# the noisy latent and the added noise are both zero. No scheduler is needed.
 
-# Times of Stable Diffusion's schedule.
+# Number of times in Stable Diffusion's schedule.
 TIMES = 1000
-# The one time that SD-Turbo is asked at.
+# The only time at which SD-Turbo is evaluated.
 LAST_TIME = TIMES - 1
-# Noise variance of the first and the last time; square roots are evenly spaced between them (Stable
+# Noise variance at the first and the last time; square roots are evenly spaced in between (Stable
 # Diffusion's `scaled_linear` schedule).
 BETA_FIRST, BETA_LAST = 0.00085, 0.012
 
 
 @cache
 def remaining_signal() -> float:
-    """Return the share of the clean latent's variance that is left at the last time (0.00466)."""
+    """Return the share of the clean latent's variance remaining at the last time (0.00466)."""
     low, high = math.sqrt(BETA_FIRST), math.sqrt(BETA_LAST)
     return math.prod(1 - (low + (high - low) * time / LAST_TIME) ** 2 for time in range(TIMES))
 
 
 def clean_latent(noisy: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-    """Return the clean latent of a latent at the last time and the noise predicted in it.
+    """Return the clean latent for a latent at the last time and its predicted noise.
 
-    Computed in float32 whatever comes in: the two terms are 14.6 times as large as their
-    difference.
+    Always computed in float32, since the two terms are 14.6 times as large as their difference.
 
     Args:
         noisy: Latent at the last time (n, channels, h, w), scaled.
-        noise: What the network takes for noise, of the same shape.
+        noise: Predicted noise, of the same shape.
     """
     signal = remaining_signal()
-    # Autocast leaves sums and products with numbers in what they come in.
+    # Autocast does not change the type of sums and of products with scalars.
     rest = noisy.float() - math.sqrt(1 - signal) * noise.float()
     return rest / math.sqrt(signal)
 
 
-_LOG_VARIANCE = -30.0, 20.0  # what Stable Diffusion's autoencoder limits the posterior to
+_LOG_VARIANCE = -30.0, 20.0  # limits of the posterior in Stable Diffusion's autoencoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +174,10 @@ class Posterior:
     mean: torch.Tensor
     """(n, channels, h, w)."""
     deviation: torch.Tensor
-    """Of the same shape."""
+    """Standard deviation, of the same shape."""
 
     def at(self, noise: torch.Tensor | None) -> torch.Tensor:
-        """Return the latent at standard normal noise; the mean, where there is none."""
+        """Return the latent for standard normal noise; the mean if there is none."""
         return self.mean if noise is None else self.mean + self.deviation * noise
 
     def rows(self, index: torch.Tensor) -> Posterior:
@@ -187,22 +186,22 @@ class Posterior:
 
 
 class ReferenceEncoder(nn.Module):
-    """An encoder that never learns: half of an autoencoder, as it was when it was copied."""
+    """A frozen copy of an autoencoder's encoder."""
 
     def __init__(self, vae: Any) -> None:
-        """Copy the half of an autoencoder that encodes."""
+        """Copy the encoder of an autoencoder."""
         super().__init__()
         self.encoder = copy.deepcopy(vae.encoder)
         self.quant_conv = copy.deepcopy(vae.quant_conv)
         self.requires_grad_(False).eval()
 
     def train(self, mode: bool = True) -> ReferenceEncoder:
-        """Stay in evaluation: it is frozen."""
+        """Stay in evaluation mode, as it is frozen."""
         return super().train(False)
 
 
 class MarkerToMarker(nn.Module):
-    """The paper's translator, of images (n, 1, h, w) in [0, 1]."""
+    """The paper's translator for images (n, 1, h, w) in [0, 1]."""
 
     def __init__(
         self,
@@ -213,14 +212,14 @@ class MarkerToMarker(nn.Module):
         pixel_range: Range,
         train_vae: bool,
     ) -> None:
-        """Put together networks that have their adapters; the reference encoder is a copy.
+        """Combine networks that have adapters; the reference encoder is a copy.
 
         Args:
-            unet: Of SD-Turbo, with an adapter.
+            unet: SD-Turbo's UNet, with an adapter.
             vae: Its autoencoder, with an adapter.
-            tokens: What makes tokens of references.
-            pixel_range: What black and white are for the networks.
-            train_vae: Whether the autoencoder's adapter learns.
+            tokens: Converts references to tokens.
+            pixel_range: Values of black and white for the networks.
+            train_vae: True to train the autoencoder's adapter.
         """
         super().__init__()
         self.unet, self.vae, self.tokens = unet, vae, tokens
@@ -247,8 +246,8 @@ class MarkerToMarker(nn.Module):
         Args:
             source: Images (n, 1, h, w) in [0, 1].
             target_reference: Latent of the untouched target (n, channels, h/8, w/8).
-            source_reference: That of the untouched source, where it is read.
-            noise: Standard normal, of a latent's shape; without it the posterior's mean is taken.
+            source_reference: Latent of the untouched source, if it is an input.
+            noise: Standard normal noise of a latent's shape; None: use the posterior's mean.
         """
         latent = self.posterior(source).at(noise)
         time = torch.full((len(source),), LAST_TIME, device=source.device)
@@ -259,7 +258,7 @@ class MarkerToMarker(nn.Module):
         return decoded.float().clamp(-1, 1)
 
     def posterior(self, images: torch.Tensor) -> Posterior:
-        """Return the posterior of images (n, 1, h, w) in [0, 1] by the encoder that learns."""
+        """Return the posterior of images (n, 1, h, w) in [0, 1] by the trainable encoder."""
         return posterior(self.vae, self.native(images), self.scaling)
 
     @torch.no_grad()
@@ -268,28 +267,28 @@ class MarkerToMarker(nn.Module):
         return posterior(self.reference, self.native(images), self.scaling)
 
     def native(self, images: torch.Tensor) -> torch.Tensor:
-        """Return images (n, 1, h, w) in [0, 1] as the networks see them (n, 3, h, w)."""
+        """Convert images (n, 1, h, w) in [0, 1] to network inputs (n, 3, h, w)."""
         seen = images if self.pixel_range == "zero_one" else images * 2 - 1
         return seen.expand(-1, 3, -1, -1)
 
     def grey(self, native: torch.Tensor) -> torch.Tensor:
-        """Return images of the networks (n, 3, h, w) as grey levels (n, h, w) uint8."""
+        """Convert network images (n, 3, h, w) to grey levels (n, h, w) uint8."""
         grey = native.float().mean(dim=1)
         level = grey if self.pixel_range == "zero_one" else (grey + 1) / 2
         return (level * 255).round().clamp(0, 255).to(torch.uint8)
 
     def learning(self) -> dict[str, nn.Parameter]:
-        """Return the parameters that learn, by name."""
+        """Return the trainable parameters by name."""
         return {name: each for name, each in self.named_parameters() if each.requires_grad}
 
 
 def posterior(half: Any, native: torch.Tensor, scaling: float) -> Posterior:
-    """Return the posterior of images (n, 3, h, w) as the networks see them.
+    """Return the posterior of images (n, 3, h, w) in the networks' range.
 
     Args:
-        half: Whatever has an `encoder` and perhaps a `quant_conv`.
+        half: Module with an `encoder` and an optional `quant_conv`.
         native: The images.
-        scaling: Factor between the encoder's latents and the UNet's.
+        scaling: Factor from the encoder's latents to the UNet's.
     """
     moments = half.encoder(native)
     if half.quant_conv is not None:
@@ -306,16 +305,16 @@ def build(
     *,
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
 ) -> MarkerToMarker:
-    """Return the network of SD-Turbo's two, which get their adapters here.
+    """Build the network from SD-Turbo's UNet and autoencoder, and add their adapters.
 
     Args:
         unet: SD-Turbo's UNet.
         vae: Its autoencoder.
         settings: Ranks, tokens, range.
-        vae_adapter: What the autoencoder's adapter has learned; it starts anew without.
+        vae_adapter: Trained adapter of the autoencoder; None: untrained.
 
     Raises:
-        LearningError: The adapter is another network's, or of another rank.
+        LearningError: The adapter belongs to another network or has another rank.
     """
     add_adapter(unet, UNET_ADAPTER, settings.unet_rank, UNET_TARGETS, seed=settings.seed)
     rank = settings.vae_rank if vae_adapter is None else rank_of(vae_adapter)
@@ -343,11 +342,11 @@ def rank_of(adapter: Mapping[str, torch.Tensor]) -> int:
     """Return the rank of an adapter's tensors.
 
     Raises:
-        LearningError: There are none, or they differ.
+        LearningError: There are none, or their ranks differ.
     """
     ranks = {len(tensor) for name, tensor in adapter.items() if ".lora_A." in name}
     if len(ranks) != 1:
-        raise LearningError(f"adapter: found ranks {sorted(ranks)}; allowed: one and the same")
+        raise LearningError(f"adapter: found ranks {sorted(ranks)}; allowed: a single rank")
     return ranks.pop()
 
 

@@ -1,7 +1,7 @@
-"""What a training of the diffusion translator is told, and of its autoencoder before it.
+"""Training settings of the diffusion translator and of its autoencoder.
 
-Presets `paper_main` and `paper_supplement` are the paper's two documents, `authors_code` what the
-published scripts really do, `ours` what we would do.
+Presets `paper_main` and `paper_supplement` follow the paper's two documents, `authors_code` the
+published scripts, and `ours` contains our own choices.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Range = Literal["minus_one_one", "zero_one"]
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """Where the published weights are that training starts from."""
+    """Paths of the published weights that training starts from."""
 
     base: str = ""
     """Folder of SD-Turbo in diffusers' layout."""
@@ -40,18 +40,18 @@ class Weights:
 
 @dataclass(frozen=True, slots=True)
 class Optimiser:
-    """AdamW and its learning rate over time."""
+    """AdamW and its learning-rate schedule."""
 
     rate: Constant | Cosine
     """Learning rate over the steps."""
     betas: tuple[float, float] = (0.9, 0.999)
-    """Of the means of gradient and square."""
+    """Decay of the running means of the gradient and its square."""
     epsilon: float = 1e-8
-    """Added to the root of the square."""
+    """Constant added to the root of the mean square."""
     weight_decay: float = 1e-2
-    """Share of the weights taken off in a step, times the rate."""
+    """Weight decay per step, multiplied by the rate."""
     clip_norm: float = 1.0
-    """Largest norm of a gradient; 0: any."""
+    """Gradient norm above which gradients are clipped; 0: no clipping."""
 
     def __post_init__(self) -> None:
         for beta in self.betas:
@@ -61,7 +61,7 @@ class Optimiser:
         _require("clip_norm", self.clip_norm, 0, 1e6)
 
     def of(self, parameters: Iterable[nn.Parameter]) -> torch.optim.AdamW:
-        """Return the optimiser of some parameters."""
+        """Return the optimiser for some parameters."""
         return torch.optim.AdamW(
             list(parameters),
             lr=self.rate.at(0),
@@ -73,14 +73,14 @@ class Optimiser:
 
 @dataclass(frozen=True, slots=True)
 class LossWeights:
-    """What counts how much in the translator's loss (the paper, eq. 5)."""
+    """Weights in the translator's loss (the paper, eq. 5)."""
 
     adversarial: float = 0.5
     """Multilevel sigmoid loss of the vision-aided discriminator."""
     perceptual: float = 5.0
     """LPIPS on VGG16."""
     square: float = 1.0
-    """Mean square of the difference, of images in the range the network is fed."""
+    """Mean squared error of images in the network's input range."""
 
     def __post_init__(self) -> None:
         for name in ("adversarial", "perceptual", "square"):
@@ -91,54 +91,54 @@ class LossWeights:
 
 @dataclass(frozen=True, slots=True)
 class TranslatorSettings:
-    """How the diffusion translator is trained."""
+    """Training settings of the diffusion translator."""
 
     description: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
     optimiser: Optimiser
-    """Of the generator and of the discriminator, one each."""
+    """Settings of the generator's and the discriminator's separate optimisers."""
     losses: LossWeights = field(default_factory=LossWeights)
-    """What counts how much."""
+    """Weights of the losses."""
     weights: Weights = field(default_factory=Weights)
-    """What training starts from."""
+    """Published weights that training starts from."""
     pixel_range: Range = "minus_one_one"
-    """What black and white are for the networks, all of which were made for -1 and 1."""
+    """Values of black and white for the networks, which were all trained for -1 and 1."""
     conditioning: Conditioning = "patch_tokens"
-    """How cross-attention sees references."""
+    """Encoding of references for cross-attention."""
     source_reference: bool = True
-    """Whether the untouched source is seen as well."""
+    """True if the untouched source is also an input."""
     unet_rank: int = 8
     """Rank of the UNet's adapter."""
     vae_rank: int = 4
-    """Rank of the autoencoder's, where no trained one is given."""
+    """Rank of the autoencoder's adapter if no trained one is given."""
     train_vae: bool = True
-    """Whether the autoencoder's adapter learns. The paper says so; in the authors' code no
-    optimiser holds it."""
+    """True if the autoencoder's adapter is trained, as in the paper; in the authors' code no
+    optimiser updates it."""
     sample_latents: bool = True
-    """Whether training draws latents from the posterior; inference takes its mean."""
+    """True if training samples latents from the posterior; inference uses its mean."""
     two_pass: bool = False
-    """Whether reconstruction and adversary are two passes and two steps each (authors' code),
-    rather than one pass, one step."""
+    """True for separate passes and steps for reconstruction and adversary (authors' code); False
+    for one pass and one step."""
     steps: int = 100_000
     """Steps of the generator's optimiser."""
     batch: int = 16
-    """Pairs in a step on one device, before accumulation."""
+    """Batch size on one device, before accumulation."""
     accumulation: int = 1
-    """Batches in a step."""
+    """Number of batches accumulated per step."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Devices and arithmetic; the step to the clean latent and losses are float32 in any case."""
+    """Devices and precision; the step to the clean latent and the losses are always float32."""
     gradient_checkpointing: bool = False
-    """Whether to compute activations again rather than keep them: less memory, more time."""
+    """True to recompute activations instead of storing them: less memory, more time."""
     validated: int = 256
-    """Most validation pairs that are measured."""
+    """Largest number of validation pairs to evaluate."""
     checkpoint_every: int = 1000
     """Steps between checkpoints."""
     log_every: int = 25
     """Steps between lines in the log."""
     validate_every: int = 1000
-    """Steps between measurements on validation pairs."""
+    """Steps between validations."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of everything random."""
 
     def __post_init__(self) -> None:
         _require_training(self)
@@ -149,47 +149,47 @@ class TranslatorSettings:
 
 @dataclass(frozen=True, slots=True)
 class MarkerVaeSettings:
-    """How the autoencoder learns marker images, before the translator."""
+    """Training settings of the marker autoencoder, the stage before the translator."""
 
     description: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
     optimiser: Optimiser
-    """Of the adapter."""
+    """Optimiser of the adapter."""
     weights: Weights = field(default_factory=Weights)
-    """What training starts from: `base` alone is read."""
+    """Published weights that training starts from; only `base` is read."""
     pixel_range: Range = "minus_one_one"
-    """What black and white are for the network."""
+    """Values of black and white for the network."""
     vae_rank: int = 4
     """Rank of the adapter."""
     absolute: float = 1.0
-    """What the mean absolute difference counts."""
+    """Weight of the mean absolute error."""
     square: float = 1.0
-    """What the mean square of the difference counts."""
+    """Weight of the mean squared error."""
     divergence: float = 1e-6
-    """What the posterior's divergence from the normal distribution counts, summed over a latent."""
+    """Weight of the posterior's divergence from the normal distribution, summed over a latent."""
     decode_scaled: bool = False
-    """Whether the decoder gets the latent times its scaling factor, as in the authors' code. Their
+    """True if the decoder takes the latent times its scaling factor, as in the authors' code. Their
     translator decodes it unscaled."""
     steps: int = 100_000
     """Steps of the optimiser."""
     batch: int = 16
-    """Images in a step on one device, before accumulation."""
+    """Batch size on one device, before accumulation."""
     accumulation: int = 1
-    """Batches in a step."""
+    """Number of batches accumulated per step."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Devices and arithmetic; losses are float32 in any case."""
+    """Devices and precision; losses are always float32."""
     gradient_checkpointing: bool = False
-    """Whether to compute activations again rather than keep them."""
+    """True to recompute activations instead of storing them."""
     validated: int = 256
-    """Most validation images that are measured."""
+    """Largest number of validation images to evaluate."""
     checkpoint_every: int = 1000
     """Steps between checkpoints."""
     log_every: int = 25
     """Steps between lines in the log."""
     validate_every: int = 1000
-    """Steps between measurements on validation images."""
+    """Steps between validations."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of everything random."""
 
     def __post_init__(self) -> None:
         _require_training(self)

@@ -5,8 +5,8 @@ r"""Training of the diffusion translator on location pairs.
         --marker-vae runs/marker-vae --out runs/m2m-sim
     python -m learning train-diffusion real.markers.zarr ... --from runs/m2m-sim --out runs/m2m-real
 
-The paper trains on all pairs of simulated patterns, then on each group of real sensors. The same
-commands under `torchrun --nproc-per-node N -m learning ...` use N devices.
+The paper trains on all pairs of simulated patterns, then on each group of real sensors. To use N
+devices, run the same commands as `torchrun --nproc-per-node N -m learning ...`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from learning.training.run import RunFolder
 
-_AT_ONCE = 16  # images that are encoded or measured together
+_AT_ONCE = 16  # images encoded or evaluated at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,20 +58,20 @@ class Pretrained:
     """The published networks that training starts from."""
 
     unet: Any
-    """SD-Turbo's."""
+    """SD-Turbo's UNet."""
     vae: Any
-    """SD-Turbo's."""
+    """SD-Turbo's autoencoder."""
     clip: Any = None
-    """CLIP's image half; None where nothing is judged by it."""
+    """CLIP's image encoder; None if the adversary's weight is 0."""
     perceptual: PerceptualDistance | None = None
-    """LPIPS; None where it counts nothing."""
+    """LPIPS; None if its weight is 0."""
 
 
 def read_pretrained(settings: TranslatorSettings) -> Pretrained:
-    """Return the networks that a training needs, from the user's files.
+    """Load the networks that a training needs from the user's files.
 
     Raises:
-        LearningError: Something is not there; the message says what to fetch.
+        LearningError: A file is missing; the message names the model to download.
     """
     weights, losses = settings.weights, settings.losses
     return Pretrained(
@@ -95,22 +95,22 @@ def train(
     stopping: Callable[[], bool] = lambda: False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> MarkerToMarker:
-    """Return the trained network; with a run folder, go on from its latest checkpoint.
+    """Train a network and return it; with a run folder, resume from its latest checkpoint.
 
     Args:
-        pairs: What is trained on; copied to the device.
+        pairs: Training pairs; copied to the device.
         pretrained: Networks to start from. UNet and autoencoder become part of the result.
-        settings: Everything else.
-        validation: What is measured on; None: nothing.
-        vae_adapter: What the marker autoencoder has learned, for encoder, decoder and reference.
-        start_from: State of a trained network, of the same settings.
-        run: Where to write; None: nowhere.
-        accelerator: What the training runs on; None: as the settings say.
-        stopping: Whether to save and end after the step in hand.
-        progress: Called with the steps done and their number.
+        settings: Settings of the training.
+        validation: Validation pairs; None: no validation.
+        vae_adapter: Adapter of the marker autoencoder, for encoder, decoder and reference.
+        start_from: State of a trained network with the same settings.
+        run: Folder for checkpoints and logs; None: nothing is written.
+        accelerator: Devices and precision; None: from the settings.
+        stopping: Returns True to save and stop after the current step.
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: No pairs, weights that do not fit, or a loss that is not finite.
+        LearningError: There are no pairs, weights do not fit, or a loss is not finite.
     """
     if not len(pairs):
         raise LearningError("pairs: found none; allowed: one or more")
@@ -128,7 +128,7 @@ def train(
         load_weights(network, start_from, "start_from")
     network.to(device).train()
 
-    # Optimisers, wrapped for the devices; the discriminator is apart from the generator.
+    # Optimisers, wrapped for the devices; generator and discriminator have separate ones.
     own = settings.optimiser
     wrapped, optimiser = runs_on.prepare(network, own.of(network.learning().values()))
     generator, critic = Side(wrapped, optimiser, own.clip_norm), None
@@ -142,7 +142,7 @@ def train(
         states["scaler"] = runs_on.scaler
     judges = Judges(settings.losses, perceptual, features, critic)
 
-    # Loop. What is drawn depends on seed, step and process alone, so a resumed run is the same run.
+    # Loop. Random numbers depend only on seed, step and process, so a resumed run is identical.
     done = 0 if run is None else run.restore(models, states)
     references = encoded_references(network, pairs.references, runs_on)
     for step in range(done, settings.steps):
@@ -184,9 +184,9 @@ def train(
 def evaluate(
     network: MarkerToMarker, pairs: ImagePairs, settings: TranslatorSettings, runs_on: Accelerator
 ) -> dict[str, float]:
-    """Return mean square and Dice of a network on pairs, of images in [0, 1] and their masks."""
+    """Return a network's mean squared error on pairs (images in [0, 1]) and the Dice of masks."""
     count = min(settings.validated, len(pairs))
-    # Spread over all pairs, the same ones each time.
+    # Evenly spread over all pairs, the same ones each time.
     chosen = torch.linspace(0, len(pairs) - 1, count, device=pairs.source.device).round().long()
     references = encoded_references(network, pairs.references, runs_on)
     square, both, marked = 0.0, 0.0, 0.0
@@ -247,7 +247,7 @@ def _batch(
     rank: int,
     ranks: int,
 ) -> Batch:
-    """Return one batch; what is drawn depends on nothing but seed, number and rank."""
+    """Return one batch; random numbers depend only on seed, number and rank."""
     device = pairs.source.device
     index = sampled(settings.seed, number, settings.batch, len(pairs), rank=rank, ranks=ranks)
     chosen = pairs.rows(torch.from_numpy(index).to(device))
@@ -267,7 +267,7 @@ def _batch(
 def _latents(
     pairs: ImagePairs, references: Posterior, source_reference: bool, noise: torch.Tensor | None
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Return the latents of the untouched targets, and of the sources where they are read."""
+    """Return the latents of the untouched targets, and of the sources if they are an input."""
     drawn = (None, None) if noise is None else (noise[0], noise[1])
     target = references.rows(pairs.reference[pairs.target]).at(drawn[0])
     if not source_reference:

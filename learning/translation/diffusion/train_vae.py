@@ -1,10 +1,10 @@
-r"""Training of the marker autoencoder: SD-Turbo's, whose adapter learns to draw markers.
+r"""Training of the marker autoencoder: SD-Turbo's with an adapter for marker images.
 
     python -m learning train-marker-vae sim.markers.zarr --split split.json --preset paper_main \
         --base sd-turbo --out runs/marker-vae
 
-The first stage of the paper's three. Its adapter goes into the translator's encoder and decoder,
-which learn on, and into the reference encoder, which never does.
+This is the first of the paper's three stages. Its adapter initialises the translator's encoder and
+decoder, which are trained further, and the reference encoder, which stays frozen.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 
     from learning.training.run import RunFolder
 
-_AT_ONCE = 16  # images that are measured together
+_AT_ONCE = 16  # images evaluated at once
 
 
 class MarkerVae(nn.Module):
-    """SD-Turbo's autoencoder with an adapter, of images (n, 1, h, w) in [0, 1].
+    """SD-Turbo's autoencoder with an adapter, for images (n, 1, h, w) in [0, 1].
 
-    Its state is the adapter's alone.
+    Its state contains only the adapter.
     """
 
     def __init__(self, vae: Any, settings: MarkerVaeSettings) -> None:
@@ -63,11 +63,11 @@ class MarkerVae(nn.Module):
     def forward(
         self, images: torch.Tensor, noise: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return images as they are, as they are reconstructed, and what their latents diverge by.
+        """Return images, their reconstructions and the divergence of their latents.
 
         Args:
-            images: (n, 1, h, w) in [0, 1].
-            noise: Standard normal, of a latent's shape; None: the posterior's mean is decoded.
+            images: Images (n, 1, h, w) in [0, 1].
+            noise: Standard normal noise of a latent's shape; None: decode the posterior's mean.
 
         Returns:
             Images and their reconstructions (n, 3, h, w) in the network's range, and the
@@ -84,7 +84,7 @@ class MarkerVae(nn.Module):
         return true, made, divergence
 
     def adapter(self) -> dict[str, torch.Tensor]:
-        """Return the adapter's tensors as the translator's autoencoder names them."""
+        """Return the adapter's tensors under the names of the translator's autoencoder."""
         return adapter_tensors(self.vae)
 
 
@@ -99,20 +99,20 @@ def train_vae(
     stopping: Callable[[], bool] = lambda: False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> MarkerVae:
-    """Return the trained autoencoder; with a run folder, go on from its latest checkpoint.
+    """Train the autoencoder and return it; with a run folder, resume from its latest checkpoint.
 
     Args:
-        images: Of all patterns (n, h, w) uint8; copied to the device.
+        images: Training images of all patterns (n, h, w) uint8; copied to the device.
         vae: SD-Turbo's autoencoder; becomes part of the result.
-        settings: Everything else.
-        validation: Images that are measured on; None: nothing.
-        run: Where to write; None: nowhere.
-        accelerator: What the training runs on; None: as the settings say.
-        stopping: Whether to save and end after the step in hand.
-        progress: Called with the steps done and their number.
+        settings: Settings of the training.
+        validation: Validation images; None: no validation.
+        run: Folder for checkpoints and logs; None: nothing is written.
+        accelerator: Devices and precision; None: from the settings.
+        stopping: Returns True to save and stop after the current step.
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: No images, or a loss that is not finite.
+        LearningError: There are no images, or a loss is not finite.
     """
     if not len(images):
         raise LearningError("images: found none; allowed: one or more")
@@ -138,7 +138,7 @@ def train_vae(
                 settings.seed, number, settings.batch, len(images), rank=rank, ranks=ranks
             )
             batch = unit(images[torch.from_numpy(index).to(device)])
-            # Gradients are exchanged between devices with the last batch of a step only.
+            # Gradients are synchronised between devices only on the last batch of a step.
             last_part = part == settings.accumulation - 1
             with nullcontext() if last_part else runs_on.no_sync(wrapped):
                 noise = _noise(batch, network, settings.seed, number, rank)
@@ -176,7 +176,7 @@ def train_vae(
 def _losses(
     found: tuple[torch.Tensor, torch.Tensor, torch.Tensor], settings: MarkerVaeSettings
 ) -> dict[str, torch.Tensor]:
-    """Return the loss that learning follows, and its parts, of what the network gives."""
+    """Return the total loss of the network's output, and its parts."""
     true, made, divergence = found
     parts = {
         "absolute": functional.l1_loss(made, true),
@@ -191,7 +191,7 @@ def _losses(
 def _evaluate(
     network: MarkerVae, images: torch.Tensor, settings: MarkerVaeSettings, runs_on: Accelerator
 ) -> dict[str, float]:
-    """Return mean losses on images that are spread over all there are, without chance."""
+    """Return mean losses on evenly spaced images, without random sampling."""
     count = min(settings.validated, len(images))
     chosen = torch.linspace(0, len(images) - 1, count).round().long().to(images.device)
     found: dict[str, float] = {}

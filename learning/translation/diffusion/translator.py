@@ -1,4 +1,4 @@
-"""A trained diffusion network behind the interface of translators."""
+"""A trained diffusion network with the interface of translators."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from learning.translation.diffusion.settings import TranslatorSettings
 from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
 from learning.translation.translator import require_masks
 
-# Frames that are translated together (the paper, Methods).
+# Frames translated at once (the paper, Methods).
 BATCH = 8
-_KEPT = 64  # references whose latents are kept
+_KEPT = 64  # cached latents of references
 
 
 class DiffusionTranslator:
-    """Translates frame by frame; the latents of references are computed once each."""
+    """Translates each frame independently; latents of references are cached."""
 
     def __init__(
         self,
@@ -32,13 +32,13 @@ class DiffusionTranslator:
         batch: int = BATCH,
         precision: torch.dtype = torch.float32,
     ) -> None:
-        """Take a network to a device and into evaluation before.
+        """Wrap a network that is already on its device.
 
         Args:
-            network: What translates.
-            name: How it is called in reports.
-            batch: Frames at once.
-            precision: Of the network; the step to the clean latent is float32 in any case.
+            network: The network; it is set to evaluation mode.
+            name: Name in reports.
+            batch: Batch size.
+            precision: Precision of the network; the step to the clean latent is always float32.
         """
         self._network, self._name = network.eval().requires_grad_(False), name
         self._batch, self._precision = batch, precision
@@ -46,7 +46,7 @@ class DiffusionTranslator:
 
     @property
     def name(self) -> str:
-        """How it is called in reports."""
+        """Name in reports."""
         return self._name
 
     def translate(
@@ -63,10 +63,10 @@ class DiffusionTranslator:
             source: Masks of the source, bool (n, 480, 640).
             target_reference: The untouched target, bool (480, 640).
             source_reference: The untouched source, bool (480, 640).
-            ordered: The frames are one press in order of time, which begins untouched.
+            ordered: True if the frames are one press in time order that begins untouched.
 
         Raises:
-            LearningError: Wrong shapes or types, or the source's reference is needed and missing.
+            LearningError: Wrong shapes or types, or a required source reference is missing.
         """
         require_masks(source, target_reference, source_reference)
         if not len(source):
@@ -98,7 +98,7 @@ class DiffusionTranslator:
         return enlarge_images(self._network.grey(made))
 
     def _latent(self, reference: torch.Tensor) -> torch.Tensor:
-        """Return the latent of an untouched mask (480, 640): (1, channels, h, w)."""
+        """Return the latent (1, channels, h, w) of an untouched mask (480, 640)."""
         key = reference.cpu().numpy().tobytes()
         if key not in self._latents:
             if len(self._latents) >= _KEPT:
@@ -114,27 +114,27 @@ class DiffusionTranslator:
         return torch.autocast(device.type, dtype=self._precision, enabled=lower)
 
 
-# Trainings of the diffusion translator, and of its autoencoder, as they lie in folders.
+# Run folders of the diffusion translator and of its autoencoder.
 #
-# A folder holds what the published weights do not: adapters, tokens and the UNet's first layer. The
-# published ones are read from `base/` in it (a folder or a link), or from where training found
-# them; `facts.base` says which ones they must be.
+# A folder holds only adapters, tokens and the UNet's first layer. The published weights are read
+# from its `base/` (a folder or a link) or from the path used in training; `facts.base` is their
+# required fingerprint.
 
-# Of the folder of a translator.
+# Kind of a translator's folder.
 KIND = "diffusion"
-# Of the folder of a marker autoencoder.
+# Kind of a marker autoencoder's folder.
 MARKER_VAE = "marker-vae"
-# Name of the fact that tells published weights apart, and of the folder for them.
+# Name of the fact with the fingerprint of the published weights, and of the folder for them.
 BASE = "base"
 
 
 def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTranslator:
     """Return the translator in the folder of a training run, its adapters fused for speed.
 
-    On a GPU that has bfloat16 the network computes in it.
+    The network computes in bfloat16 on GPUs that support it.
 
     Raises:
-        LearningError: Not such a folder, or the published weights are missing or others.
+        LearningError: Not such a folder, or the published weights are missing or different.
     """
     found, device = read_model_folder(Path(folder), KIND), torch.device(device)
     network = load_network(found)
@@ -149,10 +149,10 @@ def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTra
 
 
 def load_network(found: ModelFolder) -> MarkerToMarker:
-    """Return the network in a folder, its adapters apart from the published weights.
+    """Return the network in a folder, with adapters separate from the published weights.
 
     Raises:
-        LearningError: The published weights are missing or others, or the folder's do not fit.
+        LearningError: The published weights are missing or different, or the folder's do not fit.
     """
     settings = found.settings(TranslatorSettings)
     own = found.weights()
@@ -167,14 +167,14 @@ def load_network(found: ModelFolder) -> MarkerToMarker:
 
 
 def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
-    """Return what a marker autoencoder has learned, from its folder.
+    """Return the adapter of a trained marker autoencoder from its folder.
 
     Args:
-        folder: Of its training.
-        base: Fingerprint of the published weights that it will be put on.
+        folder: Run folder of the autoencoder.
+        base: Fingerprint of the published weights that it will be applied to.
 
     Raises:
-        LearningError: Not such a folder, or one of other published weights.
+        LearningError: Not such a folder, or trained from other published weights.
     """
     found = read_model_folder(Path(folder), MARKER_VAE)
     require_base(found, base)
@@ -191,14 +191,14 @@ def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 
 
 def base_of(found: ModelFolder, said: str) -> str:
-    """Return the folder of the published weights that a training was begun with.
+    """Return the folder of the published weights that a run was trained from.
 
     Args:
-        found: The training's folder.
-        said: Where they were then.
+        found: The run folder.
+        said: Their folder during training.
 
     Raises:
-        LearningError: They are not there, or others are.
+        LearningError: The weights are missing, or differ.
     """
     beside = found.path / BASE
     folder = str(beside) if beside.exists() else said
@@ -212,10 +212,10 @@ def base_of(found: ModelFolder, said: str) -> str:
 
 
 def require_base(found: ModelFolder, base: str) -> None:
-    """Refuse published weights that a training was not begun with.
+    """Reject published weights other than those the run was trained from.
 
     Raises:
-        LearningError: They are others.
+        LearningError: The fingerprints differ.
     """
     expected = found.config.facts.get(BASE)
     if expected != base:

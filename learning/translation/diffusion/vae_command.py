@@ -1,4 +1,4 @@
-"""`python -m learning train-marker-vae`: SD-Turbo's autoencoder learns to draw markers."""
+"""`python -m learning train-marker-vae`: train SD-Turbo's autoencoder on marker images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "train-marker-vae",
         description="Trains the adapter of SD-Turbo's autoencoder on the frames of all sensors of "
-        "an archive. Stopped by Ctrl-C, the same command with --resume goes on.",
+        "an archive. After Ctrl-C, the same command with --resume continues.",
     )
     add_inputs(parser)
     add_settings(

@@ -1,4 +1,4 @@
-"""Published weights that the user has: files and folders are read here, and nothing is fetched."""
+"""Readers for published weights in the user's files and folders; nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from torch import nn
 from learning.errors import LearningError
 from learning.training.checkpoint import load_weights, read_weights
 
-# LPIPS: how different two images look to VGG16 (Zhang et al. 2018, version 0.1).
+# LPIPS: perceptual distance of two images by VGG16 (Zhang et al. 2018, version 0.1).
 #
-# The trunk has torchvision's names of parameters (`features.0.weight`, ...), so that its file loads
-# as it is; the linear heads are those of the lpips package.
+# The trunk has torchvision's parameter names (`features.0.weight`, ...), so that its file loads
+# unchanged; the linear heads are those of the lpips package.
 
 # Channels of VGG16's five stages.
 WIDTHS = (64, 128, 256, 512, 512)
-# Convolutions of each stage; features are taken behind the last one's ReLU.
+# Convolutions of each stage; features are taken after the last one's ReLU.
 LAYERS = (2, 2, 3, 3, 3)
-# ImageNet's mean and deviation for images in [-1, 1] (lpips' scaling layer).
+# ImageNet's mean and standard deviation for images in [-1, 1] (lpips' scaling layer).
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-# Added under the root, which has no slope where all features are zero.
+# Added under the root, whose gradient is undefined where all features are zero.
 LEAST_SQUARE = 1e-10
 
 
 class PerceptualDistance(nn.Module):
-    """LPIPS of images in [-1, 1], (n,): 0 of equal ones. Frozen."""
+    """LPIPS distance (n,) of images in [-1, 1], 0 for equal ones. Frozen."""
 
     def __init__(self, widths: Sequence[int] = WIDTHS) -> None:
-        """Make trunk and heads with random weights.
+        """Build trunk and heads with random weights.
 
         Args:
             widths: Channels of the five stages.
@@ -60,11 +60,11 @@ class PerceptualDistance(nn.Module):
         self.requires_grad_(False).eval()
 
     def train(self, mode: bool = True) -> PerceptualDistance:
-        """Stay in evaluation: it is frozen."""
+        """Stay in evaluation mode, as it is frozen."""
         return super().train(False)
 
     def forward(self, images: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-        """Return the distance of images (n, 3, h, w) to others of that shape, (n,)."""
+        """Return the distance (n,) of images (n, 3, h, w) to others of the same shape."""
         pairs = zip(self._stages(images), self._stages(others), self.heads, strict=True)
         distance = torch.zeros(len(images), device=images.device)
         for one, other, head in pairs:
@@ -110,10 +110,10 @@ _OLD_OUTPUT = ".proj_attn.", ".to_out.0."
 
 
 def vendor(module: str) -> Any:
-    """Return diffusers, peft or transformers, which only this translator needs.
+    """Import diffusers, peft or transformers, which only this translator needs.
 
     Raises:
-        LearningError: Not installed.
+        LearningError: The package is not installed.
     """
     try:
         return importlib.import_module(module)
@@ -125,7 +125,7 @@ def read_unet(folder: str) -> nn.Module:
     """Return the UNet in a folder of SD-Turbo, in float32 on the CPU.
 
     Raises:
-        LearningError: Not there, or not such a network's.
+        LearningError: The folder is missing, or holds another network.
     """
     return _diffusers_model(vendor("diffusers").UNet2DConditionModel, folder, "unet")
 
@@ -134,16 +134,16 @@ def read_vae(folder: str) -> nn.Module:
     """Return the autoencoder in a folder of SD-Turbo, in float32 on the CPU.
 
     Raises:
-        LearningError: Not there, or not such a network's.
+        LearningError: The folder is missing, or holds another network.
     """
     return _diffusers_model(vendor("diffusers").AutoencoderKL, folder, "vae")
 
 
 def read_clip(folder: str) -> Any:
-    """Return the image half of CLIP in a folder, a `CLIPVisionModelWithProjection`.
+    """Return CLIP's image encoder in a folder, a `CLIPVisionModelWithProjection`.
 
     Raises:
-        LearningError: Not there, or not a CLIP's.
+        LearningError: The folder is missing or not a CLIP model's.
     """
     where = Path(folder)
     if not folder or not (where / "config.json").is_file():
@@ -154,7 +154,7 @@ def read_clip(folder: str) -> Any:
         clip = transformers.CLIPVisionModelWithProjection(config)
     except (OSError, ValueError, TypeError) as error:
         raise LearningError(f"{where / 'config.json'}: not CLIP's: {_first_line(error)}") from error
-    # The other half, of texts, may be in the file as well.
+    # The file may also contain the text encoder.
     own = clip.state_dict().keys()
     tensors = read_tensors(_weights_file(where, _CLIP_WEIGHTS))
     load_weights(clip, {name: tensors[name].float() for name in own & tensors.keys()}, folder)
@@ -165,7 +165,7 @@ def read_perceptual(vgg: str, lpips: str) -> PerceptualDistance:
     """Return LPIPS with the weights of VGG16 and of its linear heads.
 
     Raises:
-        LearningError: Not there, or not such weights.
+        LearningError: A file is missing or holds other weights.
     """
     for key, path, wanted in (("vgg", vgg, VGG), ("lpips", lpips, LPIPS)):
         if not path or not Path(path).is_file():
@@ -186,10 +186,10 @@ def read_perceptual(vgg: str, lpips: str) -> PerceptualDistance:
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Return the tensors of a file by name: safetensors, or a pickle of nothing but tensors.
+    """Return the tensors of a file by name: safetensors, or a pickle of tensors only.
 
     Raises:
-        LearningError: Not there, or neither.
+        LearningError: The file is missing, or is neither.
     """
     content = read_plain(path)
     if not isinstance(content, dict) or not all(
@@ -200,10 +200,10 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
 
 
 def read_plain(path: Path) -> Any:
-    """Return what a file of weights holds; pickles may hold tensors and plain values only.
+    """Return the content of a weights file; pickles may hold only tensors and plain values.
 
     Raises:
-        LearningError: Not there, not readable, or a pickle that would run code.
+        LearningError: The file is missing, not readable, or a pickle that would run code.
     """
     if not path.is_file():
         raise LearningError(f"{path}: no such file")
@@ -216,10 +216,10 @@ def read_plain(path: Path) -> Any:
 
 
 def require_base_folder(folder: str) -> None:
-    """Refuse a folder that does not hold SD-Turbo.
+    """Reject a folder that does not hold SD-Turbo.
 
     Raises:
-        LearningError: The message says what to fetch.
+        LearningError: The folder is incomplete; the message names the model to download.
     """
     for part in ("unet", "vae"):
         if not folder or not (Path(folder) / part / "config.json").is_file():
@@ -229,9 +229,9 @@ def require_base_folder(folder: str) -> None:
 
 
 def fingerprint(folder: str) -> str:
-    """Return what tells the weights in a folder of SD-Turbo from others: `sha256:` and 16 digits.
+    """Return a fingerprint of the weights in a folder of SD-Turbo: `sha256:` and 16 digits.
 
-    Taken of the configurations, the files' sizes and their first and last MiB.
+    Computed from the configurations, the file sizes, and the first and last MiB of each file.
     """
     seen = hashlib.sha256()
     for part in ("unet", "vae"):
@@ -252,7 +252,7 @@ def _diffusers_model(model: Any, folder: str, part: str) -> nn.Module:
     require_base_folder(folder)
     try:
         config = json.loads((where / "config.json").read_text())
-        # Made without its random weights, since every one of them is read.
+        # Built without initial weights, since all of them are read from the file.
         with torch.device("meta"):
             made: nn.Module = model.from_config(config)
     except (ValueError, TypeError, KeyError) as error:
@@ -274,7 +274,7 @@ def _weights_file(where: Path, names: Sequence[str] = _WEIGHTS) -> Path:
 
 
 def _new_name(name: str) -> str:
-    """Return what diffusers calls a tensor today: old autoencoders name attention otherwise."""
+    """Return the current diffusers name of a tensor; old autoencoders name attention otherwise."""
     if ".attentions." in name:
         for old, new in (*_OLD_ATTENTION.items(), _OLD_OUTPUT):
             name = name.replace(old, new)

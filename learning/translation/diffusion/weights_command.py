@@ -1,4 +1,4 @@
-"""`python -m learning import-weights`: the authors' checkpoints become folders of trainings."""
+"""`python -m learning import-weights`: convert the authors' checkpoints to run folders."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "import-weights",
         description="Reads model_N.pkl of the authors' translator or checkpoint.pth of their "
-        "marker autoencoder, without running anything that is in it, and writes the folder of a "
-        "training: for translate --model, train-diffusion --from, or train-diffusion --marker-vae.",
+        "marker autoencoder, without running any code in it, and writes a run folder: for "
+        "translate --model, train-diffusion --from, or train-diffusion --marker-vae.",
     )
-    parser.add_argument("checkpoint", type=Path, metavar="FILE", help="a .pkl or .pth of theirs")
+    parser.add_argument("checkpoint", type=Path, metavar="FILE", help="their .pkl or .pth file")
     parser.add_argument(
         "--base", required=True, metavar="DIR", help="SD-Turbo in diffusers' layout: unet/, vae/"
     )

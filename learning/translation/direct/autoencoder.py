@@ -1,9 +1,9 @@
 """The marker autoencoder: a convolutional encoder, a Gaussian latent, a decoder.
 
-Its encoder is what the direct translator sees references through, and its pooled features are what
-distances between sets of marker images are measured in. The paper takes the variational
-autoencoder of SD-Turbo for this (the paper, Methods, "Marker encoder-decoder"); this one is small
-and is trained from scratch.
+The direct translator encodes references with its encoder, and distances between sets of marker
+images are computed from its pooled features. The paper uses the variational autoencoder of
+SD-Turbo for this (the paper, Methods, "Marker encoder-decoder"); this one is small and trained from
+scratch.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ GROUPS = 8
 
 
 class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions beside the identity; shapes stay as they are."""
+    """Residual block of two 3 x 3 convolutions; the shape is preserved."""
 
     def __init__(self, width: int) -> None:
         """Build a block of `width` channels."""
@@ -51,14 +51,14 @@ class ResidualBlock(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Images to features at 1/2, 1/4 and 1/8 of their side."""
+    """Encodes images into features at 1/2, 1/4 and 1/8 of their side."""
 
     def __init__(self, widths: Sequence[int], channels: int = 1) -> None:
         """Build it.
 
         Args:
             widths: Channels at the three scales.
-            channels: Of an image.
+            channels: Channels of an image.
         """
         super().__init__()
         self.widths = tuple(widths)
@@ -79,9 +79,9 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Features at 1/8 of the side to logits of an image, with or without something to look at.
+    """Decodes features at 1/8 of the side into logits of an image, with optional skip connections.
 
-    What is looked at (skip connections) are features at 1/4 and 1/2 and an image at full size.
+    Skip connections take features at 1/4 and 1/2, and an image at full size.
     """
 
     def __init__(self, widths: Sequence[int], *, skips: bool) -> None:
@@ -89,7 +89,7 @@ class Decoder(nn.Module):
 
         Args:
             widths: Channels at 1/2, 1/4 and 1/8.
-            skips: Whether there is something to look at.
+            skips: True for skip connections.
         """
         super().__init__()
         fine, middle, coarse = widths
@@ -110,8 +110,8 @@ class Decoder(nn.Module):
         """Return logits (n, 1, 8 h, 8 w).
 
         Args:
-            features: At 1/8 (n, coarse, h, w).
-            skips: Features at 1/4 and at 1/2, and an image; as many rows as features, or one.
+            features: Features at 1/8 (n, coarse, h, w).
+            skips: Features at 1/4 and at 1/2, and an image; batch size n or 1.
         """
         features = self.block(features)
         for place, (join, block) in enumerate(zip(self.joins, self.blocks, strict=True)):
@@ -125,7 +125,7 @@ class Decoder(nn.Module):
 
 
 class Autoencoder(nn.Module):
-    """Marker images to a Gaussian latent at 1/8 of their side and back."""
+    """Encodes marker images into a Gaussian latent at 1/8 of their side, and decodes it."""
 
     def __init__(self, widths: Sequence[int], latent: int) -> None:
         """Build it with untrained weights.
@@ -149,8 +149,8 @@ class Autoencoder(nn.Module):
         """Return logits (n, 1, h, w), mean and log variance.
 
         Args:
-            images: In 0..1 (n, 1, h, w).
-            noise: Standard normal, of the latent's shape; None: the mean is decoded, as the paper
+            images: Images in 0..1 (n, 1, h, w).
+            noise: Standard normal noise of the latent's shape; None: decode the mean, as the paper
                 does for inference.
         """
         mean, log_variance = self.encode(images)
@@ -166,12 +166,13 @@ class Autoencoder(nn.Module):
 
 
 def divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
-    """Return the Kullback-Leibler divergence from a standard normal: sum of an image, averaged."""
+    """Return the KL divergence from a standard normal, summed per image and averaged."""
     terms = mean.square() + log_variance.exp() - 1 - log_variance
     return 0.5 * terms.sum(dim=(1, 2, 3)).mean()
 
 
-# Images that an autoencoder learns from: frames of any archives, random patterns, turned ones.
+# Training images of an autoencoder: frames of archives, random patterns, and mirrored or turned
+# images.
 
 
 def read_images(
@@ -183,19 +184,19 @@ def read_images(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Tensor:
-    """Return frames of a role from all sensors that no split holds out (n, 256, 256) uint8.
+    """Return frames (n, 256, 256) uint8 of a role from all sensors that no split holds out.
 
     Args:
-        archives: Each with the split that was made for it.
-        role: Whose locations are taken.
-        most: Of all frames, so many are chosen at random; fewer if there are fewer.
-        seed: Of that choice.
-        device: Where the images go.
-        progress: Called with the images that are read and their number.
+        archives: Archives with their splits.
+        role: Role of the locations to read.
+        most: Largest number of frames, chosen at random.
+        seed: Seed of the choice.
+        device: Device for the images.
+        progress: Called with the number of images read and the total.
 
     Raises:
-        LearningError: A split of another archive.
-        SessionError: An archive that is unfinished or damaged.
+        LearningError: A split belongs to another archive.
+        SessionError: An archive is unfinished or damaged.
     """
     sensors, rows = [], []
     for archive, split in archives:
@@ -227,7 +228,7 @@ def deformed_patterns(
 
 
 def orient(images: list[Tensor], generator: np.random.Generator) -> list[Tensor]:
-    """Return images mirrored and turned by quarters, all of one sample alike."""
+    """Return images mirrored and rotated by quarter turns at random, the same within a sample."""
     device, count = images[0].device, len(images[0])
     for dims in ((3,), (2,), None):
         chosen = torch.from_numpy(generator.random(count) < 0.5).to(device)[:, None, None, None]
@@ -243,28 +244,28 @@ def scaled(images: Tensor) -> Tensor:
     return images.unsqueeze(1).float() / 255
 
 
-# How far two images show the same.
+# Similarity of two images.
 
 
 def soft_dice(images: Tensor, targets: Tensor) -> Tensor:
-    """Return the soft Dice coefficient (n,) of images (n, 1, h, w) in 0..1; two empty ones: 1."""
+    """Return the soft Dice coefficient (n,) of images (n, 1, h, w) in 0..1; 1 if both are empty."""
     both = (images * targets).sum(dim=(1, 2, 3))
     each = (images.square() + targets.square()).sum(dim=(1, 2, 3))
     return (2 * both + 1) / (each + 1)
 
 
-# How an autoencoder is built and trained; presets lie beside, in `presets/`.
+# Settings of an autoencoder and its training; presets are in `presets/`.
 
-# YAML files, a preset each.
+# YAML files, one per preset.
 PRESETS = Path(__file__).parent / "presets" / "autoencoder"
 
 
 @dataclass(frozen=True, slots=True)
 class AutoencoderSettings:
-    """What a training depends on, beside its data."""
+    """Settings of a training, apart from its data."""
 
     description: str
-    """What the preset is for."""
+    """Purpose of the preset."""
     widths: tuple[int, int, int] = (48, 96, 256)
     """Channels at 1/2, 1/4 and 1/8 of the side; the last is the number of pooled features."""
     latent: int = 8
@@ -276,37 +277,37 @@ class AutoencoderSettings:
     divergence: float = 1e-6
     """Weight of the divergence from a standard normal, summed over an image (the paper)."""
     procedural: float = 0.5
-    """Share of random patterns under made-up deformations; all of them without an archive."""
+    """Share of random patterns under made-up deformations; 1 without an archive."""
     orientation: bool = True
-    """Mirror images and turn them by quarters."""
+    """Mirror images and rotate them by quarter turns."""
     most_images: int = 100_000
-    """Of the archives, at random, that are kept in memory (64 KiB each)."""
+    """Largest number of archive images in memory, chosen at random (64 KiB each)."""
     steps: int = 20_000
-    """Of the optimiser."""
+    """Number of optimiser steps."""
     batch: int = 64
-    """Images of a step, on all devices together."""
+    """Batch size over all devices."""
     learning_rate: float = 3e-4
-    """Of AdamW: the highest. It rises over `warm_up` steps."""
+    """Peak rate of AdamW, reached after `warm_up` steps."""
     warm_up: int = 500
-    """Steps in which the learning rate rises."""
+    """Number of steps over which the learning rate rises."""
     fall: Literal["cosine", "no"] = "cosine"
-    """Whether it falls to 0 towards the last step."""
+    """Decay of the learning rate to 0 at the last step."""
     weight_decay: float = 1e-2
-    """Of AdamW."""
+    """Weight decay of AdamW."""
     clip: float = 1.0
-    """Largest norm of the gradient."""
+    """Gradient norm above which gradients are clipped."""
     average: float = 0.999
-    """Share of the running average of weights that is kept in a step; the average is the model."""
+    """Decay of the running average of weights per step; the average is the model."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of everything random."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Where it runs, and what the network computes in."""
+    """Devices and precision."""
     validate_every: int = 500
-    """Steps from one validation to the next."""
+    """Number of steps between validations."""
     validation_images: int = 512
-    """Most images of a validation."""
+    """Largest number of images in a validation."""
     save_every: int = 1000
-    """Steps from one checkpoint to the next."""
+    """Number of steps between checkpoints."""
 
     def __post_init__(self) -> None:
         for name in ("latent", "steps", "batch", "validate_every", "save_every", "most_images"):
@@ -319,31 +320,32 @@ class AutoencoderSettings:
 
     @property
     def schedule(self) -> Schedule:
-        """The learning rate by step.
+        """Learning rate by step.
 
         Raises:
-            LearningError: As many steps to rise as there are, or a rate that is none.
+            LearningError: Warm-up takes all steps, or the rate is invalid.
         """
         if self.fall == "no":
             return Constant(self.learning_rate, self.warm_up)
         return Cosine(self.learning_rate, self.steps, self.warm_up)
 
 
-# A trained autoencoder from its folder.
+# Load a trained autoencoder from its folder.
 
-# What its folder says that it is.
+# Kind of model in its folder.
 KIND = "autoencoder"
 
 
 def load_autoencoder(folder: Path, device: torch.device | str = "cpu") -> Autoencoder:
-    """Return the autoencoder in a folder, for use.
+    """Return the autoencoder in a folder, in evaluation mode.
 
     Args:
         folder: A finished run of `train-autoencoder`, or one of its checkpoints.
-        device: Where it computes.
+        device: Device to compute on.
 
     Raises:
-        LearningError: No such folder, a model of another kind, or weights that do not fit.
+        LearningError: The folder does not exist, its model is of another kind, or its weights do
+            not fit.
     """
     found = read_model_folder(folder, KIND)
     settings = found.settings(AutoencoderSettings)

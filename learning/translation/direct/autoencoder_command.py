@@ -1,4 +1,4 @@
-"""`python -m learning train-autoencoder`: the marker autoencoder, first stage of training."""
+"""`python -m learning train-autoencoder`: train the marker autoencoder, the first stage."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def add_to(verbs: Verbs) -> None:
     """Add the verb and its options."""
     parser = verbs.add_parser(
         "train-autoencoder",
-        description="Trains a network to give back marker images: of archives, and of random "
-        "patterns that move as nothing does; without an archive of those alone. train-direct "
-        "begins with its encoder, evaluate compares images by its features. Stopped by Ctrl-C, "
-        "the same command with --resume goes on. Several GPUs: torchrun --nproc-per-node N -m "
+        description="Trains a network to reconstruct marker images of archives and of random "
+        "patterns under made-up deformations; without an archive only the latter. train-direct "
+        "starts from its encoder, evaluate compares images by its features. After Ctrl-C, "
+        "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
         "learning train-autoencoder ...",
     )
     parser.add_argument("archives", nargs="*", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
@@ -30,7 +30,7 @@ def add_to(verbs: Verbs) -> None:
         default=[],
         type=Path,
         metavar="JSON",
-        help="of an archive's presses; one for each, in their order",
+        help="split of an archive's presses; one per archive, in the same order",
     )
     add_run(parser)
     add_settings(parser)

@@ -1,4 +1,4 @@
-"""`python -m learning train-direct`: the direct translator, pretrained and then fine-tuned."""
+"""`python -m learning train-direct`: pretrain or fine-tune the direct translator."""
 
 from __future__ import annotations
 
@@ -22,17 +22,20 @@ def add_to(verbs: Verbs) -> None:
         "train-direct",
         description="Trains one network for all pairs of an archive's sensors, on location pairs. "
         "As in the paper: first on simulated states with the encoder of an autoencoder "
-        "(--autoencoder), then from there on each group of sensors (--from). Stopped by Ctrl-C, "
-        "the same command with --resume goes on. Several GPUs: torchrun --nproc-per-node N -m "
+        "(--autoencoder), then from there on each group of sensors (--from). After Ctrl-C, "
+        "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
         "learning train-direct ...",
     )
     add_inputs(parser)
     start = parser.add_mutually_exclusive_group(required=True)
     start.add_argument(
-        "--autoencoder", type=Path, metavar="RUN", help="begin anew, with this one's encoder"
+        "--autoencoder",
+        type=Path,
+        metavar="RUN",
+        help="train from scratch with the encoder of this autoencoder",
     )
     start.add_argument(
-        "--from", dest="start", type=Path, metavar="RUN", help="begin with this translator"
+        "--from", dest="start", type=Path, metavar="RUN", help="start from this translator"
     )
     add_settings(parser)
     add_sensors(parser)
@@ -88,7 +91,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _begun(options: argparse.Namespace, settings: DirectSettings) -> tuple[DirectNetwork, str]:
-    """Return the network to start from, and the hash of the weights that it has."""
+    """Return the initial network, and the hash of its source's weights."""
     from learning.training.checkpoint import read_model_folder
     from learning.translation.direct.autoencoder import load_autoencoder
     from learning.translation.direct.train import new_network

@@ -1,7 +1,7 @@
-"""What the direct translator learns from: aligned images, with errors of segmentation and mounting.
+"""Training data of the direct translator: aligned images with segmentation and mounting errors.
 
-Images are (n, 1, h, w) in 0..1; everything random comes from a numpy generator, so that it is the
-same when a training is resumed.
+Images are (n, 1, h, w) in 0..1. Everything random comes from a numpy generator, so that a resumed
+training draws the same numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from recorder.markers import Lattice
 
 @dataclass(frozen=True, slots=True)
 class Augmentation:
-    """How much is done; 0 or false: not at all. Lengths are in pixels of the nets."""
+    """Amounts of augmentation; 0 or false: none. Lengths are in pixels of the networks' images."""
 
     procedural_source: float = 0.25
     """Share of samples whose source is a random pattern on the target's surface."""
@@ -37,33 +37,33 @@ class Augmentation:
     no_source_reference: float = 0.1
     """Share of samples without the source's own reference."""
     orientation: bool = True
-    """Mirror and turn all images of a sample by quarters."""
+    """Mirror all images of a sample and rotate them by quarter turns."""
     edge: float = 0.8
-    """Most by which the markers of a source grow or shrink at their edge."""
+    """Largest outward or inward shift of the marker edges of a source."""
     edge_frame: float = 0.2
-    """Most by which they do so in a frame and not in its reference."""
+    """Largest additional edge shift in a frame that its reference does not have."""
     drop: float = 0.05
-    """Largest share of a source frame that is blotted out."""
+    """Largest share of a source frame that is erased."""
     mount_shift: float = 3.0
-    """Most by which a source and its reference are shifted, along rows and columns."""
+    """Largest shift of a source and its reference along rows and columns."""
     mount_angle: float = 0.03
-    """Most by which they are turned [rad]."""
+    """Largest rotation of both [rad]."""
     mount_scale: float = 0.02
-    """Most by which they are stretched, as a share."""
+    """Largest relative change of their scale."""
 
 
-# Of the blur under a threshold that is moved [px].
+# Standard deviation of the blur before the shifted threshold [px].
 EDGE_SIGMA = 1.2
-# Places at which an image may be blotted out.
+# Largest number of blots in an image.
 BLOTS = 8
 # Radius of a blot [px]: about that of a marker.
 BLOT_RADIUS = 3.0, 9.0
 
 
 def move_edges(images: Tensor, by: Tensor) -> Tensor:
-    """Return images whose markers grew at their edge by (n,) [px], or shrank if negative.
+    """Return images whose marker edges are moved outwards by (n,) [px], or inwards if negative.
 
-    As a threshold does that is not where it should be: blurred, and cut at another level.
+    Mimics a wrong segmentation threshold: images are blurred and cut at another level.
     """
     reach = int(3 * EDGE_SIGMA)
     steps = torch.arange(-reach, reach + 1, device=images.device, dtype=images.dtype)
@@ -80,7 +80,7 @@ def move_edges(images: Tensor, by: Tensor) -> Tensor:
 
 
 def blot(images: Tensor, largest_share: float, generator: np.random.Generator) -> Tensor:
-    """Return images with discs blotted out at random, up to a share of their area."""
+    """Return images with random discs erased, up to a share of their area."""
     count, _, height, width = images.shape
     radius = generator.uniform(*BLOT_RADIUS, (count, BLOTS))
     share = generator.uniform(0, largest_share, (count, 1))
@@ -102,7 +102,7 @@ def blot(images: Tensor, largest_share: float, generator: np.random.Generator) -
 def remount(
     images: list[Tensor], options: Augmentation, generator: np.random.Generator
 ) -> list[Tensor]:
-    """Return images of a sensor that sits a little elsewhere, all of one sample alike."""
+    """Return images of a slightly displaced sensor, the same displacement within a sample."""
     count, _, height, width = images[0].shape
     angle = generator.uniform(-1, 1, count) * options.mount_angle
     scale = 1 + generator.uniform(-1, 1, count) * options.mount_scale
@@ -123,7 +123,7 @@ def remount(
 def disturb_source(
     frame: Tensor, reference: Tensor, options: Augmentation, generator: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Return a source's frames and references as another mounting and segmentation show them."""
+    """Return a source's frames and references with random mounting and segmentation errors."""
     count = len(frame)
     if options.mount_shift or options.mount_angle or options.mount_scale:
         frame, reference = remount([frame, reference], options, generator)
@@ -139,31 +139,31 @@ def disturb_source(
     return frame, reference
 
 
-# Images of several sensors that were pressed alike, in memory: what pairs are drawn from.
+# Images of several sensors under the same presses, in memory.
 
 _AT_ONCE = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedImages:
-    """N moments of presses, each as S sensors show it."""
+    """Images of S sensors at the same N moments of presses."""
 
     sensors: tuple[str, ...]
-    """Their names (S)."""
+    """Names of the sensors (S)."""
     images: Tensor
     """(S, N, 256, 256) uint8."""
     references: Tensor
-    """The untouched sensors (K, 256, 256) uint8, those of all sensors one after the other."""
+    """Untouched images (K, 256, 256) uint8, concatenated over sensors."""
     reference: Tensor
-    """Row of `references` that belongs to an image (S, N) int64."""
+    """Row of `references` for each image (S, N) int64."""
     location: NDArray[np.int64]
-    """Place of each moment (N,)."""
+    """Location of each moment (N,)."""
     fields: Tensor | None = None
-    """Displacements (F, N, 2, h, w) float16 [px of 640 x 480], of the surfaces that have them."""
+    """Displacements (F, N, 2, h, w) float16 [px of 640 x 480] of surfaces that have them."""
     field_of: tuple[int, ...] = ()
-    """Row of `fields` that belongs to a sensor (S); -1: none."""
+    """Row of `fields` for each sensor (S); -1: none."""
     lattice: Lattice | None = None
-    """Where the fields are kept; None: on cells that cover the image."""
+    """Lattice of the fields; None: cells that cover the image."""
 
     def __len__(self) -> int:
         """Return the number of moments."""
@@ -181,22 +181,22 @@ def align(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> AlignedImages:
-    """Return the location-paired images of an archive's sensors: moments that all of them have.
+    """Return location-paired images of an archive's sensors, at moments that all of them have.
 
     Args:
-        archive: What is read.
-        split: Which locations are whose.
-        role: The role whose locations are taken.
+        archive: Archive to read.
+        split: Split of its locations.
+        role: Role of the locations to read.
         sensors: Names of two or more; None: all that the split does not hold out.
-        preset: Which frames are paired, of `recorder.archive.PRESETS`.
-        fields: Whether displacement fields are read where there are any.
-        device: Where all of it goes.
-        progress: Called with the images that are read and their number.
+        preset: Rule for pairing frames (`recorder.archive.PRESETS`).
+        fields: True to read displacement fields where available.
+        device: Device for all tensors.
+        progress: Called with the number of images read and the total.
 
     Raises:
-        LearningError: A split of another archive, fewer than two sensors or one that is held out,
-            or no frames that belong together.
-        SessionError: No such sensor, or an archive that is damaged or still being written.
+        LearningError: The split belongs to another archive, there are fewer than two sensors, a
+            sensor is held out, or no frames can be paired.
+        SessionError: A sensor does not exist, or the archive is damaged or still being written.
     """
     names = group(archive, split, sensors)
     chosen = [archive[name] for name in names]
@@ -236,15 +236,16 @@ def align(
 def group(
     archive: MarkerArchive, split: Split, sensors: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """Return the names of the sensors that are trained on together.
+    """Return the names of the sensors of one training.
 
     Args:
-        archive: Where they are.
-        split: Which of them are held out.
-        sensors: Those that are wanted; None: all that are not held out.
+        archive: Archive with the sensors.
+        split: Split that defines the held-out sensors.
+        sensors: Requested names; None: all that are not held out.
 
     Raises:
-        LearningError: A split of another archive, fewer than two sensors or one that is held out.
+        LearningError: The split belongs to another archive, there are fewer than two sensors, or a
+            sensor is held out.
     """
     split.check(archive)
     trained = split.trained_sensors(archive)
@@ -262,7 +263,7 @@ def group(
 def _common_rows(
     sensors: Sequence[ArchivedSensor], preset: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return rows (S, N) that belong together in all sensors, and their locations (N,)."""
+    """Return the rows (S, N) paired across all sensors, and their locations (N,)."""
     first = sensors[0].table
     pairs = [location_pairs(first, sensor.table, preset) for sensor in sensors]
     common = functools.reduce(np.intersect1d, [pair.source for pair in pairs])
@@ -280,9 +281,9 @@ def _taken(
 def _read_surfaces(
     sensors: Sequence[ArchivedSensor], rows: NDArray[np.int64], device: torch.device | str
 ) -> tuple[Tensor, tuple[int, ...], Lattice] | None:
-    """Return fields (F, N, 2, h, w) float16, which sensor has which, and where; None without any.
+    """Return fields (F, N, 2, h, w) float16, the row of each sensor, and the lattice; None if none.
 
-    Sensors whose archived fields are the same array and the same rows share a row here too.
+    Sensors that share an array and rows of archived fields share a row here too.
     """
     surfaces: list[Tensor] = []
     owners: dict[tuple[str, bytes], int] = {}
@@ -308,22 +309,22 @@ def _read_surfaces(
 
 # Training examples of a direct translator, drawn on the device.
 
-# Numbers of a source and of a target sensor.
+# Indices of a source and a target sensor.
 Pair = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examples:
-    """Images in 0..1 (n, 1, h, w) that belong together."""
+    """Corresponding images in 0..1 (n, 1, h, w)."""
 
     source: Tensor
     source_reference: Tensor
     given: Tensor
-    """Whether the source's reference may be looked at (n,) bool."""
+    """True if the source's reference may be used (n,) bool."""
     reference: Tensor
-    """Of the target."""
+    """Reference of the target."""
     target: Tensor
-    """What is to be made."""
+    """True frame of the target."""
 
 
 def all_pairs(sensors: int) -> tuple[Pair, ...]:
@@ -338,14 +339,14 @@ def draw_examples(
     augmentation: Augmentation,
     generator: np.random.Generator,
 ) -> Examples:
-    """Return random examples: the same ones for the same generator.
+    """Return random examples, the same for the same generator.
 
     Args:
         aligned: Images to draw from.
         pairs: Directions to train.
-        count: How many examples.
-        augmentation: What is done to them.
-        generator: Of everything random.
+        count: Number of examples.
+        augmentation: Augmentation of the examples.
+        generator: Source of everything random.
     """
     moments = generator.integers(len(aligned), size=count)
     chosen = np.asarray(pairs)[generator.integers(len(pairs), size=count)]
@@ -354,7 +355,7 @@ def draw_examples(
     source_reference, reference = examples.source_reference, examples.reference
     random_source = generator.random(count) < augmentation.procedural_source
     random_target = generator.random(count) < augmentation.procedural_target
-    # A random source lies on the target's surface, a random target on the source's, two on one.
+    # A random source uses the target's surface, a random target the source's; two share one.
     surface = np.where(random_source, chosen[:, 1], chosen[:, 0])
     for replaced, frame, rest in (
         (random_source, source, source_reference),
@@ -381,12 +382,12 @@ def examples_at(
     moments: np.ndarray[tuple[int], np.dtype[np.int64]],
     pairs: np.ndarray[tuple[int, int], np.dtype[np.int64]],
 ) -> Examples:
-    """Return examples as they are in an archive.
+    """Return examples without augmentation.
 
     Args:
         aligned: Images to take them from.
-        moments: Which moments (n,).
-        pairs: Source and target of each (n, 2).
+        moments: Indices of moments (n,).
+        pairs: Source and target of each example (n, 2).
     """
     device = aligned.images.device
     moment = torch.from_numpy(moments).to(device)
@@ -408,15 +409,15 @@ def _replace_by_patterns(
     images: tuple[Tensor, Tensor],
     generator: np.random.Generator,
 ) -> None:
-    """Put random patterns in the place of frames and references, where surfaces have a field.
+    """Replace frames and references by random patterns if their surfaces have a field.
 
     Args:
-        aligned: Where the fields are.
-        moments: Of the examples (n,).
+        aligned: Images with the fields.
+        moments: Moments of the examples (n,).
         surface: Sensor whose surface each example shows (n,).
-        replaced: Which examples are to be replaced (n,).
+        replaced: True for examples to replace (n,).
         images: Frames and references (n, 1, h, w); changed in place.
-        generator: Of the patterns.
+        generator: Generator of the patterns.
     """
     if aligned.fields is None:
         return

@@ -1,4 +1,4 @@
-"""What a translated image is judged by while a direct network learns."""
+"""Reconstruction losses for training the direct network."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from learning.translation.direct.autoencoder import Encoder, soft_dice
 
 @dataclass(frozen=True, slots=True)
 class LossWeights:
-    """How much each judgement counts; one with weight 0 is not computed."""
+    """Weights of the losses; a loss with weight 0 is not computed."""
 
     cross_entropy: float = 1.0
-    """Of pixels."""
+    """Cross-entropy of pixels."""
     dice: float = 1.0
     """1 - soft Dice of an image."""
     perceptual: float = 0.1
     """Mean absolute difference of features of the frozen reference encoder, at its three scales."""
     adversarial: float = 0.0
-    """Of a discriminator; helps where the source does not determine the target (few taxels)."""
+    """Loss of a discriminator; helps if the source does not determine the target (few taxels)."""
 
 
 def perceptual(encoder: Encoder, images: Tensor, targets: Tensor) -> Tensor:
@@ -41,13 +41,13 @@ def perceptual(encoder: Encoder, images: Tensor, targets: Tensor) -> Tensor:
 def reconstruction(
     logits: Tensor, targets: Tensor, encoder: Encoder, weights: LossWeights
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Return the weighted sum of what compares with the target, and its parts for the log.
+    """Return the weighted reconstruction loss, and its parts for the log.
 
     Args:
-        logits: Of the translated images (n, 1, h, w).
+        logits: Logits of the translated images (n, 1, h, w).
         targets: Anti-aliased images in 0..1 (n, 1, h, w).
         encoder: The frozen reference encoder.
-        weights: Of the parts.
+        weights: Weights of the parts.
     """
     logits = logits.float()
     images = logits.sigmoid()

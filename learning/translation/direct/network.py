@@ -1,10 +1,10 @@
 """The direct translator: source image and target reference to the target's image, in one pass.
 
-As in the paper (Methods, "Image-conditioned diffusion model") a trainable encoder reads the source,
-a frozen one the target's reference, and the source attends to the reference; unlike there, nothing
-diffuses, the source's own reference may be read too, and the decoder sees the features of the
-target's reference, since it has to reproduce its layout to the pixel. It may see them where they
-were, or where the tokens say that they went, which nothing but the image that comes out teaches.
+As in the paper (Methods, "Image-conditioned diffusion model"), a trainable encoder reads the
+source, a frozen one the target's reference, and the source attends to the reference. Unlike the
+paper, there is no diffusion, and the source's reference is an optional input. The decoder also sees
+features of the target's reference, because it has to reproduce its layout to the pixel: at their
+original positions, or displaced as predicted from the tokens (trained by the output image only).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from torch.nn.utils.parametrizations import spectral_norm
 from learning.errors import LearningError
 from learning.translation.direct.autoencoder import Decoder, Encoder
 
-# Transformer blocks: tokens of a source image look at each other and at those of a reference.
+# Transformer blocks: tokens of a source image attend to each other and to a reference's tokens.
 
 
 def positions(rows: int, columns: int, width: int, device: torch.device) -> Tensor:
     """Return sinusoidal positions (rows x columns, width): half of the width for each axis.
 
     Args:
-        rows: Of the raster of tokens.
-        columns: The same.
-        width: Of a token, a multiple of 4.
-        device: Where they are made.
+        rows: Rows of the raster of tokens.
+        columns: Columns of the raster.
+        width: Channels of a token, a multiple of 4.
+        device: Device of the result.
     """
     quarter = width // 4
     rates = torch.exp(-math.log(1e4) * torch.arange(quarter, device=device) / quarter)
@@ -49,10 +49,10 @@ def positions(rows: int, columns: int, width: int, device: torch.device) -> Tens
 
 
 class Attention(nn.Module):
-    """Multi-head attention of tokens on other tokens."""
+    """Multi-head attention of tokens to other tokens."""
 
     def __init__(self, width: int, heads: int) -> None:
-        """Build it for tokens of `width` channels, cut into `heads`."""
+        """Build it for tokens of `width` channels, split into `heads`."""
         super().__init__()
         self.heads = heads
         self.query = nn.Linear(width, width)
@@ -60,7 +60,7 @@ class Attention(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, tokens: Tensor, looked_at: Tensor) -> Tensor:
-        """Return what tokens (n, t, c) take from others (n, u, c): (n, t, c)."""
+        """Return the attention (n, t, c) of tokens (n, t, c) to others (n, u, c)."""
         query = self._split(self.query(tokens))
         key, value = (self._split(part) for part in self.key_value(looked_at).chunk(2, dim=2))
         taken = functional.scaled_dot_product_attention(query, key, value)
@@ -73,7 +73,7 @@ class Attention(nn.Module):
 
 
 class TransformerBlock(nn.Module):
-    """Attention on themselves, on the reference, then a perceptron; each beside the identity."""
+    """Residual self-attention, cross-attention to the reference, and perceptron."""
 
     def __init__(self, width: int, heads: int) -> None:
         """Build it for tokens of `width` channels."""
@@ -86,7 +86,7 @@ class TransformerBlock(nn.Module):
         )
 
     def forward(self, tokens: Tensor, reference: Tensor) -> Tensor:
-        """Return tokens (n, t, c) after a look at those of the reference (n, u, c)."""
+        """Return tokens (n, t, c) after attention to those of the reference (n, u, c)."""
         normed = self.norm_self(tokens)
         tokens = tokens + self.attend_self(normed, normed)
         tokens = tokens + self.attend_cross(self.norm_cross(tokens), reference)
@@ -94,19 +94,19 @@ class TransformerBlock(nn.Module):
         return tokens + perceived
 
 
-# First value of the plane that stands for a source reference nobody gave: no image has it.
+# Initial value of the plane that replaces a missing source reference; no image has this value.
 ABSENT = -1.0
 
-# Largest way that the reference's features go, as a share of the image's side: 96 columns.
+# Largest displacement of the reference's features, as a share of the image's side: 96 columns.
 FARTHEST = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncodedReference:
-    """What the frozen encoder makes of target references; reusable for every frame."""
+    """Target references encoded by the frozen encoder; reusable for every frame."""
 
     image: Tensor
-    """In 0..1 (n, 1, h, w)."""
+    """References in 0..1 (n, 1, h, w)."""
     scales: tuple[Tensor, ...]
     """Features at 1/2, 1/4 and 1/8, finest first."""
 
@@ -117,14 +117,14 @@ class DirectNetwork(nn.Module):
     def __init__(
         self, widths: Sequence[int], blocks: int, heads: int, *, moving: bool = False
     ) -> None:
-        """Build it with untrained weights; `start_from` gives it those of an autoencoder.
+        """Build it with untrained weights; `start_from` copies those of an autoencoder.
 
         Args:
-            widths: Channels at 1/2, 1/4 and 1/8, those of the autoencoder.
-            blocks: Transformer blocks at 1/8.
-            heads: Of their attention.
-            moving: Whether the decoder sees the reference's features where the tokens say that they
-                went; else where they were.
+            widths: Channels at 1/2, 1/4 and 1/8, equal to those of the autoencoder.
+            blocks: Number of transformer blocks at 1/8.
+            heads: Number of attention heads.
+            moving: True if the decoder sees the reference's features displaced as predicted from
+                the tokens, otherwise at their original positions.
         """
         super().__init__()
         self.source_encoder = Encoder(widths, channels=2)
@@ -135,23 +135,23 @@ class DirectNetwork(nn.Module):
         self.norm = nn.LayerNorm(widths[-1])
         self.way = nn.Conv2d(widths[-1], 2, 3, padding=1, bias=False) if moving else None
         if self.way is not None:
-            # At first nothing goes anywhere.
+            # The initial displacement is zero.
             nn.init.zeros_(self.way.weight)
         self.decoder = Decoder(widths, skips=True)
 
     def start_from(self, encoder: Encoder) -> None:
-        """Take an autoencoder's encoder: to look at references for good, at sources to begin with.
+        """Copy an autoencoder's encoder: frozen for references, as initial weights for sources.
 
-        At first the source encoder does not see the source's reference.
+        The source encoder initially ignores the source's reference.
 
         Raises:
-            LearningError: An encoder of other widths.
+            LearningError: The encoder has other widths.
         """
         weights = encoder.state_dict()
         if encoder.widths != self.reference_encoder.widths:
             raise LearningError(
                 f"widths: found {encoder.widths} in the autoencoder; allowed: "
-                f"{self.reference_encoder.widths}, as the translator has them"
+                f"{self.reference_encoder.widths}, the translator's widths"
             )
         self.reference_encoder.load_state_dict(weights)
         first = weights["halvings.0.weight"]
@@ -159,7 +159,7 @@ class DirectNetwork(nn.Module):
         self.source_encoder.load_state_dict(weights)
 
     def encode_reference(self, reference: Tensor) -> EncodedReference:
-        """Return what is seen in target references (n, 1, h, w) in 0..1."""
+        """Encode target references (n, 1, h, w) in 0..1."""
         with torch.no_grad():
             return EncodedReference(reference, tuple(self.reference_encoder(reference)))
 
@@ -175,8 +175,8 @@ class DirectNetwork(nn.Module):
         Args:
             source: Images in 0..1 (n, 1, h, w).
             reference: Target references in 0..1 (n, 1, h, w).
-            source_reference: The source's own references (n, 1, h, w), anything where not given.
-            given: Which of them are (n,), bool.
+            source_reference: The source's references (n, 1, h, w), any values where not given.
+            given: True where the source's reference is given (n,), bool.
         """
         return self.translate(source, self.encode_reference(reference), source_reference, given)
 
@@ -187,7 +187,7 @@ class DirectNetwork(nn.Module):
         source_reference: Tensor,
         given: Tensor,
     ) -> Tensor:
-        """Return logits as `forward` does, of references that are encoded already (n or one)."""
+        """Return logits as `forward` does, for already encoded references (n or one)."""
         absent = self.absent.to(source.dtype)
         beside = torch.where(given[:, None, None, None], source_reference, absent)
         features = self.source_encoder(torch.cat([source, beside], dim=1))[-1]
@@ -208,11 +208,11 @@ class DirectNetwork(nn.Module):
 
 
 def fetched(features: Tensor, way: Tensor) -> Tensor:
-    """Return features from elsewhere (n, c, h, w), bilinear; nothing comes from beyond the border.
+    """Return bilinearly sampled displaced features (n, c, h, w); zero beyond the border.
 
     Args:
-        features: What is fetched (n or 1, c, h, w).
-        way: To where it is found, across and down as shares of the sides (n, 2, h', w').
+        features: Features to sample (n or 1, c, h, w).
+        way: Offset to the sampled position, across and down, as shares of the sides (n, 2, h', w').
     """
     count, height, width = len(way), *features.shape[2:]
     way = functional.interpolate(way, (height, width), mode="bilinear", align_corners=False)
@@ -227,11 +227,11 @@ def fetched(features: Tensor, way: Tensor) -> Tensor:
 # A patch discriminator with spectral normalisation, for the adversarial part of the loss.
 #
 # Patches of 70 x 70 pixels as in pix2pix (Isola et al. 2017), hinge loss (Miyato et al. 2018). The
-# paper's discriminator sees through CLIP; this one needs no weights from elsewhere.
+# paper's discriminator uses CLIP features; this one needs no pretrained weights.
 
 
 class PatchDiscriminator(nn.Module):
-    """Says of every patch of an image whether it looks like one of the target's reference."""
+    """Scores every patch of an image as real or generated, given the target's reference."""
 
     def __init__(self, width: int) -> None:
         """Build it with `width` channels in its first layer (64 in pix2pix)."""
@@ -245,7 +245,7 @@ class PatchDiscriminator(nn.Module):
         self.verdict = spectral_norm(nn.Conv2d(widths[-1], 1, 4, padding=1))
 
     def forward(self, images: Tensor, references: Tensor) -> Tensor:
-        """Return verdicts (n, 1, h', w') on images of targets whose references are given."""
+        """Return scores (n, 1, h', w') of target images, given their references."""
         features = torch.cat([images, references], dim=1)
         for layer in self.layers:
             features = functional.leaky_relu(layer(features), 0.2)
@@ -254,10 +254,10 @@ class PatchDiscriminator(nn.Module):
 
 
 def fooling(verdicts: Tensor) -> Tensor:
-    """Return the generator's hinge loss of verdicts on its images."""
+    """Return the generator's hinge loss for scores of its images."""
     return -verdicts.float().mean()
 
 
 def telling(real: Tensor, made: Tensor) -> Tensor:
-    """Return the discriminator's hinge loss of verdicts on real and on made images."""
+    """Return the discriminator's hinge loss for scores of real and generated images."""
     return functional.relu(1 - real.float()).mean() + functional.relu(1 + made.float()).mean()

@@ -1,4 +1,4 @@
-"""How a direct translator is built and trained; presets lie beside, in `presets/`."""
+"""Settings of a direct translator and its training; presets are in `presets/`."""
 
 from __future__ import annotations
 
@@ -12,56 +12,56 @@ from learning.training.run import LaunchSettings
 from learning.translation.direct.data import Augmentation
 from learning.translation.direct.losses import LossWeights
 
-# YAML files, a preset each.
+# YAML files, one per preset.
 PRESETS = Path(__file__).parent / "presets" / "translator"
 
 
 @dataclass(frozen=True, slots=True)
 class DirectSettings:
-    """What a training depends on, beside its data and the weights it starts from."""
+    """Settings of a training, apart from its data and initial weights."""
 
     description: str
-    """What the preset is for."""
+    """Purpose of the preset."""
     widths: tuple[int, int, int] = (48, 96, 256)
-    """Channels at 1/2, 1/4 and 1/8 of the side: those of the autoencoder it starts from."""
+    """Channels at 1/2, 1/4 and 1/8 of the side; must equal those of the initial autoencoder."""
     blocks: int = 4
-    """Transformer blocks."""
+    """Number of transformer blocks."""
     heads: int = 8
-    """Of their attention; divides the last width."""
+    """Number of attention heads; must divide the last width."""
     moving: bool = False
-    """Whether the decoder sees the reference's features where they went, else where they were."""
+    """True if the decoder sees the reference's features at displaced positions."""
     pairs: Literal["supplement", "authors_code"] = "supplement"
-    """Which frames of two sensors belong together, as in `recorder.archive`."""
+    """Rule for pairing frames of two sensors, as in `recorder.archive`."""
     steps: int = 10_000
-    """Of the optimiser."""
+    """Number of optimiser steps."""
     batch: int = 128
-    """Samples of a step, on all devices together."""
+    """Batch size over all devices."""
     learning_rate: float = 3e-4
-    """Of AdamW, after warming up; falls to 0 as a cosine."""
+    """Peak rate of AdamW, after warm-up; decays to 0 as a cosine."""
     warm_up: int = 500
-    """Steps in which the learning rate rises."""
+    """Number of steps over which the learning rate rises."""
     weight_decay: float = 1e-2
-    """Of AdamW."""
+    """Weight decay of AdamW."""
     clip: float = 1.0
-    """Largest norm of the gradient."""
+    """Gradient norm above which gradients are clipped."""
     average: float = 0.999
-    """Share of the running average of weights that is kept in a step; the average is the model."""
+    """Decay of the running average of weights per step; the average is the model."""
     losses: LossWeights = field(default_factory=LossWeights)
-    """What images are judged by."""
+    """Weights of the losses."""
     discriminator_width: int = 64
-    """Channels of its first layer, if there is one."""
+    """Channels of the discriminator's first layer, if there is one."""
     augmentation: Augmentation = field(default_factory=Augmentation)
-    """What is done to training images."""
+    """Augmentation of training images."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of everything random."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Where it runs, and what the network computes in."""
+    """Devices and precision."""
     validate_every: int = 500
-    """Steps from one validation to the next."""
+    """Number of steps between validations."""
     validation_images: int = 512
-    """Most images of a validation."""
+    """Largest number of images in a validation."""
     save_every: int = 1000
-    """Steps from one checkpoint to the next."""
+    """Number of steps between checkpoints."""
 
     def __post_init__(self) -> None:
         for name in ("blocks", "heads", "steps", "batch", "validate_every", "save_every"):
@@ -71,24 +71,24 @@ class DirectSettings:
             raise LearningError(f"widths: found {self.widths}; allowed: multiples of 8")
         if self.widths[-1] % self.heads:
             raise LearningError(
-                f"heads: found {self.heads}; allowed: what divides widths, here {self.widths[-1]}"
+                f"heads: found {self.heads}; allowed: divisors of {self.widths[-1]}, the last width"
             )
         if self.launch.mixed_precision == "fp16" and self.losses.adversarial:
             raise LearningError(
                 "launch.mixed_precision: found fp16 with an adversary, whose gradients need a "
-                "scale of their own; allowed: no, bf16"
+                "separate scale; allowed: no, bf16"
             )
 
     @property
     def structure(self) -> dict[str, Any]:
-        """What the network is built of: the arguments of `DirectNetwork`."""
+        """Arguments of `DirectNetwork`."""
         return {name: getattr(self, name) for name in ("widths", "blocks", "heads", "moving")}
 
     @property
     def schedule(self) -> Cosine:
-        """The learning rate by step.
+        """Learning rate by step.
 
         Raises:
-            LearningError: As many steps to rise as there are, or a rate that is none.
+            LearningError: Warm-up takes all steps, or the rate is invalid.
         """
         return Cosine(self.learning_rate, self.steps, self.warm_up)

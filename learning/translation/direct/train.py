@@ -1,12 +1,12 @@
-"""Training of the direct translator, the second and third stage of the paper's training.
+"""Training of the direct translator: second and third stage of the paper's training.
 
     python -m learning train-direct ARCHIVE --split JSON --autoencoder RUN --out PRETRAINED
     python -m learning train-direct ARCHIVE --split JSON --from PRETRAINED --out RUN
     torchrun --nproc-per-node 8 -m learning train-direct ...
 
-First it is pretrained on simulated states, which show every pattern under every deformation, with
-the encoder of an autoencoder; then each group of sensors is fine-tuned from there, on its location
-pairs. One model serves all pairs of a group. The reference encoder never learns; all else does.
+It is first pretrained on simulated states, which show every pattern under every deformation, with
+the encoder of an autoencoder. Each group of sensors is then fine-tuned on its location pairs. One
+model serves all pairs of a group. All weights are trained except the reference encoder's.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     from learning.training.run import RunFolder, Stop
     from learning.translation.direct.autoencoder import Encoder
 
-# Steps from one line of the log to the next.
+# Steps between lines of the log.
 LOG_EVERY = 25
-# Of the adversary's AdamW, as in pix2pix (Isola et al. 2017).
+# Betas of the adversary's AdamW, as in pix2pix (Isola et al. 2017).
 ADVERSARY_BETAS = 0.5, 0.999
 
 
 def new_network(settings: DirectSettings, encoder: Encoder) -> DirectNetwork:
-    """Return an untrained network with an autoencoder's encoder, the same for the same settings."""
+    """Return an untrained network with an autoencoder's encoder; deterministic in the settings."""
     seed_torch(settings.seed, "network")
     network = DirectNetwork(**settings.structure)
     network.start_from(encoder)
@@ -65,21 +65,21 @@ def train(
     stop: Stop | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> DirectNetwork:
-    """Return a trained network: the running average of its weights.
+    """Train a network and return the running average of its weights.
 
     Args:
-        network: To start from, new or trained before; it is left with the last step's weights.
-        aligned: Images to learn from.
-        validation: To be measured on, of the same sensors; None: nothing is measured.
-        settings: What the training depends on.
+        network: Initial network, new or pretrained; it ends with the last step's weights.
+        aligned: Training images.
+        validation: Validation images of the same sensors; None: no validation.
+        settings: Settings of the training.
         launched: Devices and precision.
-        run: Where checkpoints and metrics go; None: nowhere.
-        pairs: Directions to train, by number of the sensors; None: all.
-        stop: Ends it after the step in hand; then it goes on from there another time.
-        progress: Called with the steps that are done and their number.
+        run: Folder for checkpoints and metrics; None: nothing is written.
+        pairs: Directions to train, as sensor indices; None: all.
+        stop: Ends training after the current step, so that it can be resumed.
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: Sensors of the validation that are not those of the training.
+        LearningError: Sensors of the validation differ from those of the training.
     """
     # Data
     device = launched.device
@@ -92,7 +92,7 @@ def train(
     ranks, rank = launched.num_processes, launched.process_index
     mine = max(1, settings.batch // ranks)
 
-    # Models and optimisers; the adversary has its own, and is idle without a weight
+    # Models and optimisers; the adversary has its own optimiser and is unused at weight 0
     network = network.to(device)
     learning = [weight for weight in network.parameters() if weight.requires_grad]
     optimiser = torch.optim.AdamW(
@@ -119,13 +119,13 @@ def train(
         chance = generator(settings.seed, "step", step, rank)
         batch = draw_examples(aligned, pairs, mine, settings.augmentation, chance)
 
-        # Their loss
+        # Loss
         logits = wrapped(batch.source, batch.reference, batch.source_reference, batch.given)
         with launched.autocast():
             loss, parts = reconstruction(logits, batch.target, network.reference_encoder, weights)
         made = logits.float().sigmoid()
         if weights.adversarial:
-            # Unwrapped and frozen: nothing of it learns here, so processes need not agree on it.
+            # Unwrapped and frozen: its weights do not change here and need no synchronisation.
             adversary.requires_grad_(False)
             parts["adversarial"] = fooling(adversary(made, batch.reference))
             loss = loss + weights.adversarial * parts["adversarial"]
@@ -139,7 +139,7 @@ def train(
         stepper.step()
         average.update(network)
 
-        # A step of the adversary, on what was just made
+        # A step of the adversary, on the images just generated
         if weights.adversarial:
             adversary.requires_grad_(True)
             both = torch.cat([batch.target, made.detach()])
@@ -151,7 +151,7 @@ def train(
             launched.clip_grad_norm_(adversary.parameters(), settings.clip)
             counter.step()
 
-        # Their record
+        # Log, validation and checkpoint
         done = step + 1
         stopping = stop is not None and stop.agreed(launched)
         last = stopping or done == settings.steps
@@ -183,9 +183,9 @@ def validate(
     pairs: Sequence[Pair],
     settings: DirectSettings,
 ) -> dict[str, float]:
-    """Return Dice and mean squared error of translations, and Dice of the target's reference as is.
+    """Return Dice and mean squared error of translations, and Dice of the unchanged reference.
 
-    The same moments, evenly spread, and each direction as often as others.
+    Moments are evenly spaced and always the same, and all directions occur equally often.
     """
     count = min(settings.validation_images, len(aligned) * len(pairs))
     moments = np.linspace(0, len(aligned) - 1, count).round().astype(np.int64)

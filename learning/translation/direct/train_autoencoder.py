@@ -4,8 +4,8 @@
     python -m learning train-autoencoder --out RUN                  # random patterns alone
     torchrun --nproc-per-node 8 -m learning train-autoencoder ...
 
-It learns to give back images of any pattern, real, simulated or random. What comes of it is used by
-the direct translator (its encoder, which looks at references) and by the evaluation (its features).
+It learns to reconstruct images of any pattern, real, simulated or random. The direct translator
+uses its encoder for references, and the evaluation uses its features.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
     from learning.training.run import RunFolder, Stop
 
-# Steps from one line of the log to the next.
+# Steps between lines of the log.
 LOG_EVERY = 25
 
 
 def new_autoencoder(settings: AutoencoderSettings) -> Autoencoder:
-    """Return an untrained network, the same one for the same settings."""
+    """Return an untrained network; deterministic in the settings."""
     seed_torch(settings.seed, "network")
     return Autoencoder(settings.widths, settings.latent)
 
@@ -57,19 +57,19 @@ def train(
     stop: Stop | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Autoencoder:
-    """Return a trained autoencoder: the running average of its weights.
+    """Train an autoencoder and return the running average of its weights.
 
     Args:
-        images: To learn from (n, h, w) uint8; none: random patterns alone.
-        validation: To be measured on (m, h, w) uint8; none: random patterns of another seed.
-        settings: What the training depends on.
+        images: Training images (n, h, w) uint8; if empty, only random patterns.
+        validation: Validation images (m, h, w) uint8; if empty, random patterns of another seed.
+        settings: Settings of the training.
         launched: Devices and precision.
-        run: Where checkpoints and metrics go; None: nowhere.
-        stop: Ends it after the step in hand; then it goes on from there another time.
-        progress: Called with the steps that are done and their number.
+        run: Folder for checkpoints and metrics; None: nothing is written.
+        stop: Ends training after the current step, so that it can be resumed.
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: No images, and settings without random patterns.
+        LearningError: There are no images and the settings have no random patterns.
     """
     # Data
     device, side = launched.device, images.shape[-1] if len(images) else SIDE
@@ -103,7 +103,7 @@ def train(
         latent = (mine, settings.latent, side // 8, side // 8)
         noise = torch.from_numpy(chance.standard_normal(latent, np.float32)).to(device)
 
-        # Its losses
+        # Losses
         logits, mean, log_variance = wrapped(batch, noise)
         made = logits.float().sigmoid()
         absolute, squared = functional.l1_loss(made, batch), functional.mse_loss(made, batch)
@@ -120,7 +120,7 @@ def train(
         stepper.step()
         average.update(network)
 
-        # Its record
+        # Log, validation and checkpoint
         done = step + 1
         stopping = stop is not None and stop.agreed(launched)
         last = stopping or done == settings.steps
@@ -147,7 +147,7 @@ def train(
 
 @torch.no_grad()
 def validate(network: Autoencoder, images: Tensor, batch: int) -> dict[str, float]:
-    """Return mean absolute and squared errors of images given back, and their Dice coefficient."""
+    """Return mean absolute and squared errors and Dice coefficient of reconstructed images."""
     sums = torch.zeros(3, device=images.device)
     network.eval()
     for first in range(0, len(images), batch):
@@ -170,7 +170,7 @@ def _draw(
     chance: np.random.Generator,
     device: torch.device,
 ) -> Tensor:
-    """Return a batch (count, 1, side, side) in 0..1: random patterns, and images of archives."""
+    """Return a batch (count, 1, side, side) in 0..1 of random patterns and archive images."""
     made_up = int((chance.random(count) < procedural).sum())
     parts = [deformed_patterns(made_up, chance, device, side)] if made_up else []
     if made_up < count:

@@ -1,4 +1,4 @@
-"""Masks to masks by a trained direct network."""
+"""Translation of masks by a trained direct network."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from learning.translation.direct.network import DirectNetwork
 from learning.translation.direct.settings import DirectSettings
 from learning.translation.translator import require_masks
 
-# Frames that go through the network together.
+# Frames per batch.
 AT_ONCE = 32
 
 
 class DirectTranslator:
-    """Makes of one sensor's frames what another would have shown; sees each frame on its own."""
+    """Translates each frame independently with a direct network."""
 
     def __init__(self, network: DirectNetwork, name: str) -> None:
-        """Translate by a network.
+        """Wrap a trained network.
 
         Args:
-            network: For use, on the device where it computes.
-            name: How it is called in reports.
+            network: The network, on its device.
+            name: Name in reports.
         """
         self.network, self.name = network.eval(), name
 
@@ -39,14 +39,14 @@ class DirectTranslator:
         *,
         ordered: bool = False,
     ) -> Tensor:
-        """Return frames as the target would have shown them, bool (n, 480, 640), where source is.
+        """Return the frames as the target would have shown them, bool (n, 480, 640).
 
         Args:
-            source: Masks of the source, bool (n, 480, 640).
+            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
             target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640). Without it the first frame of
-                an ordered press is taken; without both the network does without.
-            ordered: The frames are one press in order of time, which begins untouched.
+            source_reference: The untouched source, bool (480, 640); None: the first frame of an
+                ordered press, otherwise no source reference is used.
+            ordered: True if the frames are one press in time order that begins untouched.
 
         Raises:
             LearningError: Wrong shapes or types.
@@ -72,9 +72,9 @@ def _image(mask: Tensor, device: torch.device) -> Tensor:
     return scaled(shrink_masks(mask[None].to(device)))
 
 
-# A trained direct translator from its folder.
+# Load a trained direct translator from its folder.
 
-# What its folder says that it is.
+# Kind of model in its folder.
 KIND = "direct"
 
 _HASH_SHOWN = 8
@@ -87,10 +87,11 @@ def load_network(
 
     Args:
         folder: A finished run of `train-direct`, or one of its checkpoints.
-        device: Where it computes.
+        device: Device to compute on.
 
     Raises:
-        LearningError: No such folder, a model of another kind, or weights that do not fit.
+        LearningError: The folder does not exist, its model is of another kind, or its weights do
+            not fit.
     """
     found = read_model_folder(folder, KIND)
     settings = found.settings(DirectSettings)

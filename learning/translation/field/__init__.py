@@ -1,8 +1,8 @@
-"""The learned field translator: displacement as a network sees it, and as another sensor shows it.
+"""The learned field translator: networks that predict how to deform the target's reference.
 
-`train` is the training, `load` opens a trained model. Nets never draw a marker: they say how
-the target's reference is to be deformed, so edges are as sharp as the reference's, and patterns
-need not have been seen in training.
+`train` trains a model, `load` opens a trained one. The networks never draw markers, they deform the
+target's reference. Edges are therefore as sharp as in the reference, and patterns need not have
+been seen in training.
 """
 
 from learning.translation.field.settings import FieldSettings

@@ -1,4 +1,4 @@
-"""`python -m learning train-field`: the learned field translator, trained on a marker archive."""
+"""`python -m learning train-field`: train the field translator on a marker archive."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "train-field",
         description="Trains one field translator for all pairs of an archive's sensors: a net "
-        "that sees how a sensor is deformed, and a map from each sensor's deformation to each "
-        "other's. Stopped by Ctrl-C, the same command with --resume goes on. Several GPUs: "
+        "that estimates a sensor's deformation, and a map from one sensor's deformation to "
+        "another's. After Ctrl-C, the same command with --resume continues. Several GPUs: "
         "torchrun --nproc-per-node N -m learning train-field ...",
     )
     add_inputs(parser)
@@ -55,7 +55,9 @@ def _run(options: argparse.Namespace) -> int:
             for role in ("train", "validation")
         )
         if presses is None:
-            raise LearningError(f"{options.split}: found no press to train on; allowed: some")
+            raise LearningError(
+                f"{options.split}: found no press to train on; allowed: one or more"
+            )
         with training.stop:
             train_field(
                 presses,

@@ -1,7 +1,7 @@
-"""What the field net learns from: frames of the archive, and patterns that no sensor has.
+"""Training data of the field net: frames of the archive, and random marker patterns.
 
-Everything is drawn from a generator of numbers on the CPU and made on the device, so a step's
-examples are the same wherever they are made.
+Random numbers are drawn on the CPU and examples are computed on the device, so a step's examples do
+not depend on the device.
 """
 
 from __future__ import annotations
@@ -35,37 +35,37 @@ from learning.translation.translator import SensorView
 from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 from recorder.markers import HEIGHT, WIDTH, unpack
 
-# What a field model is trained on: frames of several sensors, and which belong together.
+# Frames of several sensors, and the pairs among them.
 
-_AT_ONCE = 256  # frames that are read together
-_SHIFT_BYTES = 2 * 2 * SIDE * SIDE  # of a frame, float16
-_DISTANCES_AT_ONCE = 8  # full-size masks whose distances are worked out together
+_AT_ONCE = 256  # frames read at once
+_SHIFT_BYTES = 2 * 2 * SIDE * SIDE  # per frame, float16
+_DISTANCES_AT_ONCE = 8  # full-size masks whose distances are computed at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Frames of some sensors, one after the other, all on one device."""
+    """Concatenated frames of some sensors, all on one device."""
 
     images: Tensor
     """(n, 256, 256) uint8."""
     sensor: Tensor
-    """Which sensor each is of (n,) int64."""
+    """Index of the sensor of each frame (n,) int64."""
     reference: Tensor
-    """Row of `distances` of each (n,) int64."""
+    """Row of `distances` for each frame (n,) int64."""
     distances: Tensor
-    """Signed distance of the untouched sensors (k, 1, 256, 256) float16 [px of 640 x 480]."""
+    """Signed distances of the untouched sensors (k, 1, 256, 256) float16 [px of 640 x 480]."""
     scales: Tensor
-    """Millimetres of a pixel along columns and rows, of each sensor (s, 2) float32."""
+    """Millimetres per pixel (column, row) of each sensor (s, 2) float32."""
     pairs: Tensor
-    """Rows of frames of two sensors under the same press, source and target (m, 2) int64."""
+    """Rows of source and target frames under the same press (m, 2) int64."""
     shift: Tensor | None = None
-    """True shift (n, 2, 64, 64) float16 [px], NaN of frames without; None: no frame has one."""
+    """True shift (n, 2, 64, 64) float16 [px], NaN if a frame has none; None: no frame has one."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together.
+        """Reject inconsistent tensors.
 
         Raises:
-            LearningError: Shapes that differ from what is said above, or no frame at all.
+            LearningError: A shape differs from the one documented above, or there are no frames.
         """
         count, square = len(self.images), (IMAGE_SIDE, IMAGE_SIDE)
         due = {
@@ -83,7 +83,7 @@ class Frames:
             if found != shape:
                 raise LearningError(f"{name}: found shape {found}; allowed: {shape}")
         if not count:
-            raise LearningError("images: found none; allowed: one frame and more")
+            raise LearningError("images: found none; allowed: one or more frames")
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -91,19 +91,19 @@ class Frames:
 
     @property
     def device(self) -> torch.device:
-        """Where they are."""
+        """Device of the frames."""
         return self.images.device
 
     def seen(self, rows: Tensor) -> Tensor:
-        """Return frames in 0..1 (m, 1, 256, 256) float32."""
+        """Return some frames in 0..1 (m, 1, 256, 256) float32."""
         return self.images[rows].unsqueeze(1).float() / 255
 
     def distance(self, rows: Tensor) -> Tensor:
-        """Return signed distances of the references of frames (m, 1, 256, 256) float32 [px]."""
+        """Return signed distances of the frames' references (m, 1, 256, 256) float32 [px]."""
         return self.distances[self.reference[rows]].float()
 
     def scale(self, rows: Tensor) -> Tensor:
-        """Return millimetres of a pixel of frames (m, 2)."""
+        """Return millimetres per pixel of some frames (m, 2)."""
         return self.scales[self.sensor[rows]]
 
 
@@ -118,21 +118,21 @@ def gather_role(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Frames | None:
-    """Return the frames of some sensors that have a role; None where no press has it.
+    """Return the frames of some sensors that have a role; None if no press has it.
 
     Args:
-        archive: Where they are.
-        split: Of its presses.
-        sensors: Their names.
-        role: Of the presses.
-        every: Frames are taken whose number within the press this divides, and paired ones.
-        preset: Which frames of a press are paired (`recorder.archive.PRESETS`).
-        device: Where they go.
-        progress: Called with the frames that were read and those there are.
+        archive: Archive to read.
+        split: Split of its presses.
+        sensors: Names of the sensors.
+        role: Role of the presses.
+        every: Take every n-th frame of a press, and all paired frames.
+        preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
+        device: Device for the frames.
+        progress: Called with the number of frames read and the total.
 
     Raises:
-        LearningError: An unknown sensor, or a reference that has no marker.
-        SessionError: A damaged archive.
+        LearningError: A sensor is unknown, or a reference has no markers.
+        SessionError: The archive is damaged.
     """
     rows = {}
     for name in sensors:
@@ -140,7 +140,7 @@ def gather_role(
             raise LearningError(f"{archive.name}: no sensor {name!r}; known: {', '.join(archive)}")
         table = archive[name].table
         there = split.rows(table, role)
-        # A sensor paired with itself: the frames of it that a pair can have.
+        # Pairing a sensor with itself gives all frames that can occur in pairs.
         paired = np.isin(there, location_pairs(table, table, preset).source)
         rows[name] = np.sort(there[paired | (table["frame"][there] % every == 0)])
     if not any(map(len, rows.values())):
@@ -159,19 +159,19 @@ def gather_frames(
     """Return frames of an archive, and the location pairs among them.
 
     Args:
-        archive: Where they are.
-        rows: Which frames of which sensors, ascending; more than one sensor to pair them.
-        preset: Which frames of a press are paired (`recorder.archive.PRESETS`).
-        device: Where they go.
-        progress: Called with the frames that were read and those there are.
+        archive: Archive to read.
+        rows: Rows of each sensor's frames, ascending; pairs need more than one sensor.
+        preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
+        device: Device for the frames.
+        progress: Called with the number of frames read and the total.
 
     Raises:
-        LearningError: No frame, more of them than there is memory for, an unknown sensor, or one
-            whose reference has no marker.
-        SessionError: A damaged archive.
+        LearningError: There are no frames or more than fit in memory, a sensor is unknown, or a
+            reference has no markers.
+        SessionError: The archive is damaged.
     """
     if not any(map(len, rows.values())):
-        raise LearningError(f"{archive.name}: found no frame to learn from; allowed: one and more")
+        raise LearningError(f"{archive.name}: found no frame to learn from; allowed: one or more")
     device = torch.device(device)
     _require_room(sum(map(len, rows.values())), device)
     images, references, distances, shifts = [], [], [], []
@@ -218,7 +218,7 @@ def distances_of(masks: NDArray[np.bool_], device: torch.device | str) -> Tensor
 
 
 def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.device) -> Tensor:
-    """Return true shifts (n, 2, 64, 64) float16; NaN of frames without a field."""
+    """Return true shifts (n, 2, 64, 64) float16; NaN for frames without a field."""
     if sensor.fields is None:
         shape = len(rows), 2, SIDE, SIDE
         return torch.full(shape, torch.nan, dtype=torch.half, device=device)
@@ -229,12 +229,12 @@ def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.devic
 
 
 def _require_room(count: int, device: torch.device) -> None:
-    """Refuse more frames than a device has memory for.
+    """Reject more frames than fit in the device's memory.
 
     Raises:
-        LearningError: Images and fields would not leave enough for the training.
+        LearningError: Images and fields would not leave enough memory for training.
     """
-    # They are there twice while those of all sensors are joined; later there is room to train.
+    # Concatenation holds all frames twice; afterwards that half is free for training.
     needed, free = count * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
     if needed > free:
         raise LearningError(
@@ -252,7 +252,7 @@ def _passed_on(
 def _pairs(
     archive: MarkerArchive, rows: Mapping[str, NDArray[np.int64]], preset: str
 ) -> NDArray[np.int64]:
-    """Return where in the frames the location pairs of all directed pairs of sensors are (m, 2)."""
+    """Return frame rows (m, 2) of the location pairs of all directed pairs of sensors."""
     begins = np.cumsum([0, *(len(each) for each in rows.values())])
     found = [np.zeros((0, 2), np.int64)]
     for source, source_begin in zip(rows, begins, strict=False):
@@ -268,19 +268,19 @@ def _pairs(
 
 
 _DRAWN_AT_ONCE = 8
-_BUMPS = 3  # of which a random shift is the sum
-_BUMP_PX = 30.0, 140.0  # their widths: from an edge to half of the image's height
-_BUMP_MOST_PX = 40.0  # how far one moves what it pushes: past half of a 64 px pitch
-_STRETCH_MOST = 0.6  # slope of a bump, so that nothing folds
+_BUMPS = 3  # bumps in a random shift
+_BUMP_PX = 30.0, 140.0  # range of their widths: from an edge to half of the image's height
+_BUMP_MOST_PX = 40.0  # largest motion by a bump: more than half of a 64 px pitch
+_STRETCH_MOST = 0.6  # slope limit of a bump that prevents folding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bank:
-    """Random patterns, drawn once for a run."""
+    """Random patterns, drawn once per run."""
 
     patterns: Patterns
     distances: Tensor
-    """Their signed distances (n, 1, 256, 256) float16 [px of 640 x 480]."""
+    """Signed distances of the patterns (n, 1, 256, 256) float16 [px of 640 x 480]."""
 
     @classmethod
     def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> Bank:
@@ -298,20 +298,20 @@ class Bank:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examples:
-    """A batch for the field net. The last `len(other)` of them are random patterns."""
+    """A batch for the field net. The last `len(other)` examples are random patterns."""
 
     seen: Tensor
-    """What it sees, in 0..1 (n, 1, 256, 256)."""
+    """Input frames, in 0..1 (n, 1, 256, 256)."""
     distance: Tensor
-    """Signed distance of what that was untouched (n, 1, 256, 256) [px]."""
+    """Signed distance of their references (n, 1, 256, 256) [px]."""
     shown: Tensor
-    """What there was to be seen: all markers, their true edges (n, 1, 256, 256)."""
+    """Ideal frames: all markers, with true edges (n, 1, 256, 256)."""
     shift: Tensor
-    """True shift (n, 2, 64, 64) [px], NaN where it is not known."""
+    """True shift (n, 2, 64, 64) [px], NaN where unknown."""
     other: Tensor
-    """What another pattern would have shown (m, 1, 256, 256)."""
+    """Frames of another pattern under the same deformation (m, 1, 256, 256)."""
     other_distance: Tensor
-    """Signed distance of that other pattern untouched (m, 1, 256, 256) [px]."""
+    """Signed distance of the other pattern's references (m, 1, 256, 256) [px]."""
 
 
 def draw_examples(
@@ -349,7 +349,7 @@ def draw_examples(
 
 
 def random_shifts(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
-    """Return smooth shifts (n, 2, 64, 64) [px]: bumps that push outwards and along."""
+    """Return smooth random shifts (n, 2, 64, 64) [px]: sums of radial and lateral bumps."""
     place = generator.uniform(0.1, 0.9, (count, _BUMPS, 2)) * (WIDTH, HEIGHT)
     least, largest = _BUMP_PX
     wide = np.exp(generator.uniform(np.log(least), np.log(largest), (count, _BUMPS, 1)))
@@ -363,7 +363,7 @@ def random_shifts(count: int, generator: np.random.Generator, device: torch.devi
     )
     offset = (untouched(SIDE, device).unsqueeze(1) - centre) / width
     square = offset.square().sum(dim=2, keepdim=True)
-    # The outward push is greatest, exp(-1/2), one width away from the middle.
+    # The outward push is largest, exp(-1/2), one width from the centre.
     bumps: Tensor = outward * offset * torch.exp(0.5 - square / 2) + along * torch.exp(-square / 8)
     return bumps.sum(dim=1)
 
@@ -371,7 +371,7 @@ def random_shifts(count: int, generator: np.random.Generator, device: torch.devi
 def _views(
     count: int, move: float, generator: np.random.Generator, device: torch.device
 ) -> tuple[Tensor, Tensor]:
-    """Return where frames are looked up (n, 256, 256, 2), and the sign of each axis (n, 2)."""
+    """Return sampling positions of frames (n, 256, 256, 2), and the sign of each axis (n, 2)."""
     sign = _on(2.0 * generator.integers(0, 2, (count, 2)) - 1, device)
     offset = _on(generator.uniform(-move, move, (count, 2)), device)
     grid = image_grid(IMAGE_SIDE, IMAGE_SIDE, device)
@@ -379,7 +379,7 @@ def _views(
 
 
 def _moved_shifts(frames: Frames, rows: Tensor, places: Tensor, sign: Tensor) -> Tensor:
-    """Return the true shifts (n, 2, 64, 64) in views of frames; NaN where none are known."""
+    """Return the true shifts (n, 2, 64, 64) in views of frames; NaN where unknown."""
     if frames.shift is None:
         shape = len(rows), 2, SIDE, SIDE
         return torch.full(shape, torch.nan, device=frames.device)
@@ -389,7 +389,7 @@ def _moved_shifts(frames: Frames, rows: Tensor, places: Tensor, sign: Tensor) ->
 
 
 def _pushed(shift: Tensor, settings: ExampleSettings, generator: np.random.Generator) -> Tensor:
-    """Return shifts for random patterns: the archive's, louder or softer, or random bumps."""
+    """Return shifts for random patterns: scaled ones of the archive, or random bumps."""
     count, device = len(shift), shift.device
     factor = _on(generator.uniform(*settings.amplitude, (count, 1, 1, 1)), device)
     bumps = random_shifts(count, generator, device)
@@ -401,7 +401,7 @@ def _pushed(shift: Tensor, settings: ExampleSettings, generator: np.random.Gener
 def _segmented(
     patterns: Patterns, settings: ExampleSettings, generator: np.random.Generator
 ) -> Patterns:
-    """Return patterns as segmentation finds them: edges in or out a little, markers missing."""
+    """Return patterns with segmentation errors: edges slightly in or out, markers missing."""
     count, device = len(patterns), patterns.radius.device
     edge = generator.uniform(-settings.edge_px, settings.edge_px, (count, 1))
     missing = generator.uniform(0, settings.missing, (count, 1))

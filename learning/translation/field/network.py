@@ -1,4 +1,4 @@
-"""The field translator's networks: a U-Net, and what it makes of frames and of deformations."""
+"""Networks of the field translator: U-Nets for frames and for deformations."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ GROUPS = 8
 
 
 class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions beside the identity, told of a condition between them."""
+    """Residual block of two 3 x 3 convolutions with a conditional scale and offset between them."""
 
     def __init__(self, before: int, width: int, condition: int) -> None:
         """Build a block.
 
         Args:
-            before: Channels that come in.
-            width: Channels that go out.
-            condition: Numbers of the condition; 0: there is none.
+            before: Input channels.
+            width: Output channels.
+            condition: Length of the condition vector; 0: unconditional.
         """
         super().__init__()
         self.norm_in = nn.GroupNorm(GROUPS, before)
-        # What a bias would add the normalisation takes off again.
+        # No bias, as the normalisation would remove it.
         self.convolution_in = nn.Conv2d(before, width, 3, padding=1, bias=False)
         self.norm_out = nn.GroupNorm(GROUPS, width)
         self.convolution_out = nn.Conv2d(width, width, 3, padding=1)
@@ -50,7 +50,7 @@ class ResidualBlock(nn.Module):
 
 
 class Attention(nn.Module):
-    """Every cell looks at every other: what lies far apart may belong together."""
+    """Self-attention over all cells, for relations across the whole field."""
 
     def __init__(self, width: int, heads: int, side: int) -> None:
         """Build attention over side x side cells."""
@@ -67,16 +67,16 @@ class Attention(nn.Module):
 
 
 class Contraction(nn.Module):
-    """A field to features at its own side, half of it, and so on; the last have seen all of it."""
+    """Encodes a field into features at full, half, ... resolution; the coarsest see all of it."""
 
     def __init__(self, channels: int, widths: Sequence[int], side: int, condition: int = 0) -> None:
         """Build it.
 
         Args:
-            channels: That come in.
-            widths: Channels at the full side, its half, and so on.
-            side: Of what comes in.
-            condition: Numbers of the condition; 0: there is none.
+            channels: Input channels.
+            widths: Channels at the full side, half of it, and so on.
+            side: Side of the input field.
+            condition: Length of the condition vector; 0: unconditional.
         """
         super().__init__()
         self.begin = nn.Conv2d(channels, widths[0], 3, padding=1)
@@ -86,7 +86,7 @@ class Contraction(nn.Module):
             for width, wider in itertools.pairwise(widths)
         )
         deepest = side // 2 ** (len(widths) - 1)
-        # Heads of some 32 channels, as far as they divide the width.
+        # Heads of about 32 channels, if they divide the width.
         heads = math.gcd(widths[-1], max(1, widths[-1] // 32))
         self.attention = Attention(widths[-1], heads, deepest)
         self.last = ResidualBlock(widths[-1], widths[-1], condition)
@@ -103,12 +103,12 @@ class Contraction(nn.Module):
 
 
 class FieldUnet(nn.Module):
-    """A field to another of the same side; zero until it has learned."""
+    """U-Net from a field to another of the same side; its untrained output is zero."""
 
     def __init__(
         self, channels: int, out: int, widths: Sequence[int], side: int, condition: int = 0
     ) -> None:
-        """Build it; `out` channels go out, the rest as in `Contraction`."""
+        """Build it with `out` output channels; other arguments are those of `Contraction`."""
         super().__init__()
         self.contraction = Contraction(channels, widths, side, condition)
         self.blocks = nn.ModuleList(
@@ -121,11 +121,11 @@ class FieldUnet(nn.Module):
             nn.init.zeros_(weights)
 
     def forward(self, field: Tensor, condition: Tensor | None = None) -> Tensor:
-        """Return what comes out (n, out, side, side).
+        """Return the output field (n, out, side, side).
 
         Args:
-            field: (n, channels, side, side).
-            condition: (n, condition), where the net was built for one.
+            field: Input field (n, channels, side, side).
+            condition: Condition (n, condition), if the net was built for one.
         """
         scales = self.contraction(field, condition)
         features = scales.pop()
@@ -136,27 +136,27 @@ class FieldUnet(nn.Module):
         return found
 
 
-# Deformations as the networks know them, and how they move a reference.
+# Representation of deformations in the networks, and their application to a reference.
 #
 # A deformation is (n, 3, h, w) on cells that tile the 640 x 480 image evenly, cell centres like the
 # pixel centres of an image of h rows and w columns:
 #
-# - channels 0 and 1: shift (column, row) [px]. What is seen at p in the frame was, untouched, seen
-# at p - shift(p). The archive's fields are the same thing told from the untouched side. - channel
-# 2: growth of the markers seen there [px of their radius], beyond what the shift stretches. Discs
-# of a uSkin grow where they are pressed, though nothing there moves aside. It is a matter of whole
-# markers and so kept coarse: fine growth could draw markers that are not there.
+# - channels 0 and 1: shift (column, row) [px]. The point at p in the frame was at p - shift(p) in
+#   the untouched image. The archive's fields are the same displacement at untouched positions.
+# - channel 2: growth of the markers there [px of their radius], in addition to stretching by the
+#   shift. Discs of a uSkin grow where they are pressed, although nothing there moves sideways.
+#   Growth applies to whole markers and is coarse: fine growth could draw markers that do not exist.
 
 # Shift along columns, shift along rows, growth.
 CHANNELS = 3
 # Cells along either axis: 10 x 7.5 px each, the step of the archive's lattice.
 SIDE = 64
-_GROWTH_CELLS = 4  # one value of growth is for so many cells along either axis: 40 x 30 px
-_INVERSIONS = 12  # fixed-point steps; each shrinks the error by the largest slope of the field
+_GROWTH_CELLS = 4  # cells along either axis that share one growth value: 40 x 30 px
+_INVERSIONS = 12  # fixed-point steps; each reduces the error by the largest slope of the field
 
 
 def image_grid(height: int, width: int, device: torch.device) -> Tensor:
-    """Return where the pixels of an image are, (1, height, width, 2) from -1 to 1 (column, row)."""
+    """Return pixel coordinates of an image (1, height, width, 2), -1 to 1 (column, row)."""
     column = (2 * torch.arange(width, device=device) + 1) / width - 1
     row = (2 * torch.arange(height, device=device) + 1) / height - 1
     across, down = torch.meshgrid(column, row, indexing="xy")
@@ -164,13 +164,13 @@ def image_grid(height: int, width: int, device: torch.device) -> Tensor:
 
 
 def render(distance: Tensor, deformation: Tensor) -> Tensor:
-    """Return signed distances [px] of a reference that has been deformed, (n, 1, h, w).
+    """Return signed distances (n, 1, h, w) [px] of deformed references.
 
-    Outside of its image a reference is not known: a marker that its border cuts goes on there as
-    far as it reaches into the image, and there is no other.
+    A reference is unknown outside its image. A marker cut by the border is assumed to extend beyond
+    it as far as it reaches into the image, and no other markers are assumed there.
 
     Args:
-        distance: Signed distance of references, (n, 1, h, w) or one for all (1, 1, h, w).
+        distance: Signed distance of references, (n, 1, h, w), or (1, 1, h, w) for all.
         deformation: (n, 3, any, any).
     """
     height, width = distance.shape[-2:]
@@ -193,9 +193,9 @@ def render(distance: Tensor, deformation: Tensor) -> Tensor:
 
 
 def coverage(level: Tensor) -> Tensor:
-    """Return an image in 0..1 of signed distances [px]: how much of a pixel a marker covers.
+    """Return the image of signed distances [px]: the share 0..1 of each pixel covered by a marker.
 
-    The edge is taken to be straight over a pixel, whose size is that of the image given.
+    The edge is assumed straight within a pixel; pixel size follows from the image size.
     """
     size = math.sqrt(HEIGHT * WIDTH / (level.shape[-2] * level.shape[-1]))
     covered: Tensor = (0.5 + level / size).clamp(0.0, 1.0)
@@ -203,7 +203,7 @@ def coverage(level: Tensor) -> Tensor:
 
 
 def coarse_growth(deformation: Tensor) -> Tensor:
-    """Return a deformation (n, 3, h, w) whose growth is that of whole markers."""
+    """Return a deformation (n, 3, h, w) with its growth averaged to the scale of whole markers."""
     shift, growth = deformation[:, :2], deformation[:, 2:]
     coarse = functional.avg_pool2d(growth, _GROWTH_CELLS)
     spread: Tensor = functional.interpolate(
@@ -216,8 +216,8 @@ def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tens
     """Return shifts (n, 2, side, side) [px] of displacement fields, by fixed-point iteration.
 
     Args:
-        field: Displacement (column, row) [px] at the lattice's points without NaN, (n, 2, h, w).
-        lattice: Where they are.
+        field: Displacement (column, row) [px] at the lattice's points, without NaN (n, 2, h, w).
+        lattice: Lattice of the points.
         side: Cells along either axis.
     """
     columns, rows = untouched(side, field.device)[0]
@@ -228,21 +228,21 @@ def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tens
 
 
 def carried(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
-    """Return what a deformation is in the image of another sensor, (n, 3, h, w), in its pixels.
+    """Return a deformation (n, 3, h, w) converted to pixels of another sensor's image.
 
-    The middles of both images lie on each other, and millimetres stay what they are.
+    The image centres coincide and lengths in millimetres are preserved.
 
     Args:
-        deformation: In the source's image (n, 3, h, w).
-        zoom: Millimetres of a target's pixel over those of a source's, (n, 2) (column, row).
-        placement: Change of where it is looked up, affine (n, 2, 3) from the target's image to the
-            source's, both from -1 to 1; None: nothing is changed.
+        deformation: Deformation in the source's image (n, 3, h, w).
+        zoom: Millimetres per target pixel over millimetres per source pixel (n, 2) (column, row).
+        placement: Affine change (n, 2, 3) of the sampled position, from the target's image to the
+            source's, both from -1 to 1; None: no change.
     """
     height, width = deformation.shape[-2:]
     grid = image_grid(height, width, deformation.device).expand(len(deformation), -1, -1, -1)
     places = grid * zoom.view(-1, 1, 1, 2)
     if placement is not None:
-        # Written out: as a matrix product it would be rounded to bfloat16 under autocast.
+        # Written out, as autocast would round a matrix product to bfloat16.
         turned = (placement[:, None, None, :, :2] * places.unsqueeze(3)).sum(dim=-1)
         places = places + turned + placement[:, None, None, :, 2]
     looked_up: Tensor = functional.grid_sample(
@@ -253,29 +253,29 @@ def carried(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) 
 
 
 def _per_px(images: Tensor) -> Tensor:
-    """Return how far a pixel of the 640 x 480 image is, of -1 to 1, (2,) (column, row)."""
+    """Return the size of a pixel of the 640 x 480 image in -1..1 coordinates (2,) (column, row)."""
     return images.new_tensor([2 / WIDTH, 2 / HEIGHT])
 
 
-# From a frame and its untouched reference to the deformation between them.
+# Network from a frame and its untouched reference to the deformation between them.
 
-# What the networks count deformations in [px]: they see numbers around one.
+# Unit of deformations in the networks [px], chosen for values around one.
 UNIT_PX = 16.0
 
 
 class FieldNet(nn.Module):
-    """Finds a deformation look by look, at the frame and at the reference as deformed so far.
+    """Estimates a deformation iteratively from the frame and the reference as deformed so far.
 
-    What it says is what is missing. The reference goes in as a signed distance, so that the marker
-    pattern is something to look at, not something to learn: patterns never seen before work.
+    Each pass predicts the remaining deformation. The reference is an input (a signed distance), so
+    the net need not memorise marker patterns and also works for unseen ones.
     """
 
     def __init__(self, widths: Sequence[int], refinements: int) -> None:
-        """Build it; the deformation is zero until it has learned.
+        """Build it; the untrained deformation is zero.
 
         Args:
             widths: Channels at 128, 64, 32, ... cells.
-            refinements: How often it looks.
+            refinements: Number of passes.
         """
         super().__init__()
         self.refinements = refinements
@@ -284,10 +284,10 @@ class FieldNet(nn.Module):
         self.update = FieldUnet(widths[1] + CHANNELS, CHANNELS, widths[1:], SIDE)
 
     def forward(self, frames: Tensor, distance: Tensor) -> list[Tensor]:
-        """Return deformations (n, 3, 64, 64) [px], one after every look, the last one the best.
+        """Return deformations (n, 3, 64, 64) [px], one per pass; the last is the result.
 
         Args:
-            frames: In 0..1, (n, 1, 256, 256).
+            frames: Frames in 0..1 (n, 1, 256, 256).
             distance: Signed distance of the references (n|1, 1, 256, 256) [px].
         """
         deformation = frames.new_zeros(len(frames), CHANNELS, SIDE, SIDE)
@@ -295,7 +295,7 @@ class FieldNet(nn.Module):
         for _ in range(self.refinements):
             with torch.no_grad():
                 so_far = coverage(render(distance, deformation.float()))
-            # 0..1 would leave an offset in every feature of mostly dark images.
+            # Centred, since 0..1 would offset every feature of mostly dark images.
             seen = torch.cat([frames - so_far, frames + so_far - 0.5], dim=1)
             features = self.look_closer(functional.silu(self.look(seen)))
             known = deformation.detach() / UNIT_PX
@@ -305,18 +305,18 @@ class FieldNet(nn.Module):
         return found
 
 
-# From the deformation that one sensor shows to the one that another shows under the same press.
+# Network from one sensor's deformation to another's under the same press.
 
-_LAYOUT = 8  # channels of a reference's layout, cell by cell
+_LAYOUT = 8  # channels of a reference's layout in each cell
 _SCALES = 4  # mm per column and per row of both images
-_SCALE_MM = 0.05  # of a pixel, about which logarithms are taken
+_SCALE_MM = 0.05  # unit of pixel scales before the logarithm
 
 
 class LayoutEncoder(nn.Module):
-    """What a reference tells of its sensor: where its markers are, and which sensor it is."""
+    """Encodes a reference: the layout of its markers, and a vector that identifies the sensor."""
 
     def __init__(self, width: int, numbers: int) -> None:
-        """Build it: `width` channels inside, `numbers` of the sensor as a whole."""
+        """Build it with `width` hidden channels and `numbers` values for the sensor."""
         super().__init__()
         self.look = nn.Conv2d(1, width, 5, stride=2, padding=2)
         self.look_closer = nn.Conv2d(width, width, 3, stride=2, padding=1)
@@ -326,7 +326,7 @@ class LayoutEncoder(nn.Module):
         self.whole = nn.Linear(2 * width * 16, numbers)
 
     def forward(self, distance: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the layout (n, 8, 64, 64) and the numbers of the sensor (n, numbers).
+        """Return the layout (n, 8, 64, 64) and the sensor's vector (n, numbers).
 
         Args:
             distance: Signed distance of references (n, 1, 256, 256) [px].
@@ -339,12 +339,12 @@ class LayoutEncoder(nn.Module):
 
 
 class FieldMap(nn.Module):
-    """What a target shows of a deformation that a source shows.
+    """Maps a source's deformation to the target's.
 
-    It begins as the identity in millimetres. What it learns: where the source's contact lies in
-    the target's image (an affine placement, sample by sample: sensors are pressed on grids of
-    their own), and then what is to be added, growth of discs included. It is told of both sensors
-    by their references and scales alone, so one model serves all pairs of a group.
+    The untrained map is the identity in millimetres. It learns the place of the source's contact in
+    the target's image (an affine placement per sample, as each sensor is pressed on its own grid),
+    then a correction that includes growth of discs. Its only inputs about the sensors are their
+    references and scales, so one model serves all pairs of a group.
     """
 
     def __init__(self, widths: Sequence[int], numbers: int) -> None:
@@ -352,7 +352,7 @@ class FieldMap(nn.Module):
 
         Args:
             widths: Channels at 64, 32, 16, ... cells.
-            numbers: That each sensor is described by.
+            numbers: Length of the vector that describes a sensor.
         """
         super().__init__()
         condition = 2 * numbers + _SCALES
@@ -377,11 +377,11 @@ class FieldMap(nn.Module):
         """Return the target's deformation (n, 3, 64, 64) [px of its image].
 
         Args:
-            deformation: The source's (n, 3, 64, 64) [px of its image].
-            source_distance: Signed distance of the source's references (n, 1, 256, 256) [px].
-            target_distance: The same of the target's.
-            source_scale: Millimetres of a pixel (column, row) (n, 2).
-            target_scale: The same of the target.
+            deformation: The source's deformation (n, 3, 64, 64) [px of its image].
+            source_distance: Signed distance of the source references (n, 1, 256, 256) [px].
+            target_distance: Signed distance of the target references, likewise.
+            source_scale: Millimetres per pixel of the source (column, row) (n, 2).
+            target_scale: Millimetres per pixel of the target, likewise.
         """
         source_layout, source_numbers = self.source(source_distance)
         target_layout, target_numbers = self.target(target_distance)
@@ -403,16 +403,16 @@ class FieldMap(nn.Module):
         return placed + coarse_growth(UNIT_PX * change.float())
 
 
-# Signed distance of a marker image: what is warped instead of the image itself.
+# Signed distance of a marker image, which is warped instead of the image.
 #
-# Its zero is the edge of the markers, so a warped one is thresholded with sub-pixel edges; a
-# constant that is added to it makes every marker grow by as many pixels, as the discs of a uSkin do
-# under pressure; and a loss on it has a gradient however far a marker is from where it should be.
+# Its zero is the edge of the markers, so thresholding a warped one keeps sub-pixel edges. Adding a
+# constant grows every marker by as many pixels, as the discs of a uSkin do under pressure. A loss
+# on it has a gradient at any distance between a marker and its true position.
 
-# Distances are cut off here: a uSkin's disc grows from 12 to 54 px in radius.
+# Distances are clipped here: a uSkin's disc grows from 12 to 54 px in radius.
 REACH_PX = 64
 _BLUR_PX = 1.0
-_NEAR_PX = 1.0  # up to here the blur says where an edge is, and from 1 px farther on nothing of it
+_NEAR_PX = 1.0  # the blur locates edges up to here and has no weight from 1 px farther on
 _LEAST_PX = 0.01
 
 
@@ -420,20 +420,20 @@ def signed_distance(masks: Tensor, reach: int = REACH_PX) -> Tensor:
     """Return signed distances (n, 1, h, w) [px], positive on markers, float32.
 
     Far from an edge it is the distance to the nearest pixel of the other kind, less half a pixel.
-    Pixels tell the place of an edge to a third of a pixel that way, and always too far inside of
-    what is round; so near an edge it is what the mask, blurred by a Gaussian, says of a straight
-    edge, to a twentieth. An image without markers is -reach everywhere.
+    That locates edges to a third of a pixel, always too far inside round shapes. Near an edge it is
+    therefore inferred from the mask blurred by a Gaussian, for a straight edge, to a twentieth of a
+    pixel. An image without markers is -reach everywhere.
 
     Args:
         masks: True on markers, bool (n, h, w).
-        reach: Distances are cut off here [px].
+        reach: Distances are clipped here [px].
     """
     outside = _distance_to(masks, reach) - 0.5
     inside = _distance_to(~masks, reach) - 0.5
     far = torch.where(masks, inside, -outside)
     away = (far.abs() - _NEAR_PX).clamp(0.0, 1.0)
     distance = torch.lerp(_distance_by_blur(masks), far, away)
-    # A pixel keeps its kind, as little as a lone one differs from its surroundings.
+    # Every pixel keeps its sign, even an isolated one.
     kept = torch.where(masks, distance.clamp(min=_LEAST_PX), distance.clamp(max=-_LEAST_PX))
     return kept.unsqueeze(1)
 
@@ -447,14 +447,14 @@ def resampled(distance: Tensor, side: int) -> Tensor:
 
 
 def _distance_by_blur(masks: Tensor) -> Tensor:
-    """Return signed distances (n, h, w) [px] within 2 px of an edge, and something of like sign."""
+    """Return signed distances (n, h, w) [px] valid within 2 px of an edge; only signs elsewhere."""
     taps = torch.arange(-4, 5, device=masks.device, dtype=torch.float32)
     weights = torch.exp(-0.5 * (taps / _BLUR_PX).square())
     weights = weights / weights.sum()
     blurred: Tensor = functional.pad(masks.unsqueeze(1).float(), (4, 4, 4, 4), mode="replicate")
     blurred = functional.conv2d(blurred, weights.view(1, 1, 1, -1))
     blurred = functional.conv2d(blurred, weights.view(1, 1, -1, 1)).squeeze(1)
-    # A pixel averages the edge over itself, which widens the blur.
+    # Averaging of the edge over a pixel widens the blur.
     width = math.sqrt(_BLUR_PX**2 + 1 / 12)
     away: Tensor = torch.erfinv((2 * blurred - 1).clamp(-0.999, 0.999))
     return math.sqrt(2) * width * away
@@ -463,7 +463,8 @@ def _distance_by_blur(masks: Tensor) -> Tensor:
 def _distance_to(masks: Tensor, reach: int) -> Tensor:
     """Return the distance (n, h, w) to the nearest True, at most `reach` [px].
 
-    Along rows by running maxima; then, since squares add up, the least over all rows in reach.
+    Distances along rows come from running maxima. As squared distances add up, the result is then
+    the minimum over all rows in reach.
     """
     height, width = masks.shape[-2:]
     place = torch.arange(width, device=masks.device, dtype=torch.float32)

@@ -3,14 +3,14 @@
     python -m learning train-field ARCHIVE --split split.json --out RUN [--preset ours]
     torchrun --nproc-per-node 8 -m learning train-field ...
 
-The field net learns from every sensor's own frames: its reference, deformed as the net says, must
-show what the frame shows. Nothing else is needed for that, no label and no second sensor. Random
-patterns that move as the archive's fields do, or by random bumps, teach it patterns that no sensor
-has; and what is found in one random pattern must also be right for another.
+The field net learns from each sensor's own frames: the reference, deformed by the net's output,
+must match the frame. That requires neither labels nor a second sensor. Random patterns, deformed by
+the archive's fields or by random bumps, add patterns that no sensor has. The deformation found in
+one random pattern must also hold for another.
 
-The map learns from location pairs, with the field net as it is: the target's reference, deformed as
-the map says, must show what the target showed. Between random patterns it must change nothing, so
-that sensors it does not know are taken to differ in their patterns alone.
+The map learns from location pairs while the field net is frozen: the target's reference, deformed
+by the map's output, must match the target's frame. Between random patterns it must be the identity,
+so that unknown sensors are assumed to differ only in their patterns.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ if TYPE_CHECKING:
     from learning.training.run import RunFolder
 
 
-# How good a field model is on frames that it is not trained on.
+# Scores of a field model on held-out frames.
 
-# Frames that are worked on together.
+# Frames evaluated at once.
 AT_ONCE = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What the field net found in the sources of pairs; a frame is a source of many."""
+    """Deformations of the source frames of pairs; a frame is the source of many pairs."""
 
     deformation: Tensor
     """(k, 3, 64, 64) float16 [px]."""
     place: Tensor
-    """Row of `deformation` of each pair (m,) int64."""
+    """Row of `deformation` for each pair (m,) int64."""
 
     def of(self, pairs: Tensor) -> Tensor:
         """Return deformations of some pairs (n, 3, 64, 64) float32 [px]."""
@@ -67,17 +67,17 @@ class Found:
 
 @torch.no_grad()
 def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[str, float]:
-    """Return how well the field net explains frames of the sensors themselves.
+    """Score the field net on the sensors' own frames.
 
     Args:
-        model: In evaluation mode.
-        frames: What it is measured on.
-        most: So many of them at most, chosen by the seed.
-        seed: Of the choice.
+        model: Model in evaluation mode.
+        frames: Frames to evaluate on.
+        most: Largest number of frames, chosen by the seed.
+        seed: Seed of the choice.
 
     Returns:
-        `dice` of the deformed reference with the frame, `dice_still` of the reference as it is, and
-        where the archive keeps displacement `shift_error_px`, its mean.
+        `dice` of the deformed reference with the frame, `dice_still` of the unchanged reference,
+        and the mean `shift_error_px` if the archive has displacement fields.
     """
     rows = _chosen(len(frames), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_still": [], "shift_error_px": []}
@@ -97,18 +97,18 @@ def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[
 def map_scores(
     model: FieldModel, frames: Frames, found: Found, most: int, seed: int
 ) -> dict[str, float]:
-    """Return how well the map translates location pairs.
+    """Score the map on location pairs.
 
     Args:
-        model: In evaluation mode.
-        frames: What it is measured on.
-        found: What the field net found in the sources, see `found_in_sources`.
-        most: So many pairs at most, chosen by the seed.
-        seed: Of the choice.
+        model: Model in evaluation mode.
+        frames: Frames to evaluate on.
+        found: Deformations of the sources, see `found_in_sources`.
+        most: Largest number of pairs, chosen by the seed.
+        seed: Seed of the choice.
 
     Returns:
-        `dice` with the target's frame, `dice_carried` of the source's deformation as it is in
-        millimetres, `dice_still` of the target's reference as it is.
+        `dice` with the target's frame, `dice_carried` for the source's deformation unchanged in
+        millimetres, `dice_still` for the target's unchanged reference.
     """
     chosen = _chosen(len(frames.pairs), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_carried": [], "dice_still": []}
@@ -127,7 +127,7 @@ def map_scores(
 
 @torch.no_grad()
 def found_in_sources(model: FieldModel, frames: Frames) -> Found:
-    """Return what the field net finds in the source of each pair."""
+    """Return the field net's deformation of each pair's source."""
     every = torch.unique(frames.pairs[:, 0], return_inverse=True)
     sources, place = every[0], every[1]
     parts = [
@@ -150,9 +150,9 @@ def _means(scores: dict[str, list[Tensor]]) -> dict[str, float]:
     return {name: float(values.mean()) for name, values in joined.items() if len(values)}
 
 
-# What a look counts, of the next one: only the last is used, each begins where it ended.
+# Weight of a pass relative to the next one; only the last pass is used for translation.
 _EARLIER_LOOK = 0.5
-_OF_UNKNOWN = 4  # of so many pairs one is shown under random patterns as well
+_OF_UNKNOWN = 4  # one of this many pairs is also evaluated under random patterns
 _LOG_EVERY_STEPS = 20
 
 
@@ -166,20 +166,20 @@ def train_field(
     stopping: Callable[[], bool] = lambda: False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> FieldModel:
-    """Return a field model, in evaluation mode.
+    """Train a field model and return it in evaluation mode.
 
     Args:
-        training: Frames and pairs that are learned from, on the device of the training.
-        settings: Of model and training.
-        validation: Frames and pairs that it is measured on now and then; None: it is not.
-        run: Where checkpoints and logs go, and what an interrupted training goes on from; None
-            writes no file.
-        accelerator: What the training runs on; None: as the settings say.
-        stopping: Whether to save and end after the step in hand.
-        progress: Called with steps that are done and all there are.
+        training: Training frames and pairs, on the device of the training.
+        settings: Settings of model and training.
+        validation: Validation frames and pairs; None: no validation.
+        run: Folder for checkpoints and logs, from which an interrupted training resumes; None: no
+            files are written.
+        accelerator: Devices and precision; None: from the settings.
+        stopping: Returns True to save and stop after the current step.
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: No pairs for the map to learn from, or a loss that is not finite.
+        LearningError: The map has no pairs to learn from, or a loss is not finite.
     """
     runs_on = accelerator or launched(settings.launch)
     first_of_map = settings.field_stage.steps
@@ -208,7 +208,7 @@ def train_field(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """What both stages share."""
+    """State shared by both stages."""
 
     model: FieldModel
     settings: FieldSettings
@@ -223,7 +223,7 @@ class _Task:
 
 
 def _train_net(task: _Task, done: int) -> int:
-    """Train the field net from a step on; return the step it came to."""
+    """Train the field net from step `done`; return the step reached."""
     settings, frames, bank = task.settings, task.training, task.bank
 
     def loss(net: nn.Module, step: int) -> Tensor:
@@ -241,7 +241,7 @@ def _train_net(task: _Task, done: int) -> int:
 
 
 def _train_map(task: _Task, done: int) -> int:
-    """Train the map from a step on, the field net as it is; return the step it came to."""
+    """Train the map from step `done` with a frozen field net; return the step reached."""
     settings, frames, bank = task.settings, task.training, task.bank
     task.model.eval()
     found = found_in_sources(task.model, frames)
@@ -269,7 +269,7 @@ def _train_map(task: _Task, done: int) -> int:
 
 
 def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> Tensor:
-    """Return the loss of the field net's deformations, one (n, 3, 64, 64) a look."""
+    """Return the loss of the field net's deformations, one (n, 3, 64, 64) per pass."""
     total = torch.zeros((), device=examples.seen.device)
     for place, deformation in enumerate(reversed(looks)):
         level = render(examples.distance, deformation)
@@ -296,18 +296,18 @@ def map_loss(
 
     Args:
         mapping: The map.
-        frames: Of all sensors.
-        found: What the field net found in the sources.
-        pairs: Which of the frames' pairs (n,).
+        frames: Frames of all sensors.
+        found: Deformations of the sources.
+        pairs: Indices of the frames' pairs (n,).
         patterns: Signed distances (2, m, 1, 256, 256) [px] of two patterns on one gel, for the
-            first m pairs: from one to the other the deformation of their sources must not change.
-        weights: What each part counts.
+            first m pairs: between them the deformation of the source must not change.
+        weights: Weights of the parts.
     """
     source, target = frames.pairs[pairs].unbind(dim=1)
     seen, distance = found.of(pairs), frames.distance(target)
     scales = frames.scale(source), frames.scale(target)
     few = slice(patterns.shape[1])
-    # All at once: a GPU works on a pass for less time than it takes to order one.
+    # One batch, as a GPU takes longer to launch a pass than to compute it.
     mapped: Tensor = mapping(
         torch.cat([seen, seen[few]]),
         torch.cat([frames.distance(source), patterns[0]]),
@@ -339,17 +339,17 @@ def _descend(
     """Train one network over its stage: steps `first` to `first + stage.steps`.
 
     Args:
-        task: What both stages share.
-        name: Of the stage, in logs.
-        network: What is trained.
-        stage: Its settings.
-        first: The step at which the stage begins.
-        done: The step that was come to before, `first` or later.
-        loss_of: The loss of the network on a step.
-        scores: How good the model is now.
+        task: State shared by both stages.
+        name: Name of the stage in logs.
+        network: Network to train.
+        stage: Settings of the stage.
+        first: First step of the stage.
+        done: Step to start from, `first` or later.
+        loss_of: Returns the loss of the network on a step.
+        scores: Returns the current validation scores.
 
     Returns:
-        The step that was come to, less than the last if it was stopped.
+        Step reached, less than the last if training was stopped.
     """
     settings, run = task.settings, task.run
     schedule = Cosine(stage.learning_rate, stage.steps, min(stage.warm_up_steps, stage.steps - 1))
@@ -364,7 +364,7 @@ def _descend(
         prepared.train()
         set_rate(optimiser, schedule.at(step - first))
         loss = loss_of(prepared, step)
-        # Before it goes backward: a warp to places that are not numbers may crash there.
+        # Checked before the backward pass, which may crash for warps to non-finite positions.
         if not bool(loss.isfinite()):
             raise LearningError(
                 f"{name}_stage: found a loss of {loss.item()} on step {step}; allowed: finite (try "
@@ -392,6 +392,6 @@ def _descend(
                 run.save(done, {"model": task.model}, {"optimiser": optimiser}, score=score)
         if ends:
             break
-    # Without what mixed precision put around it: after a resume it is not there either.
+    # Remove the mixed-precision wrapper, which is not there after a resume either.
     task.runs_on.unwrap_model(prepared, keep_fp32_wrapper=False)
     return done

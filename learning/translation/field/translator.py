@@ -1,4 +1,4 @@
-"""The learned field translator: the target's reference, moved as the source's frame says."""
+"""The learned field translator: deforms the target's reference according to the source frame."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from learning.translation.field.settings import FieldSettings
 from learning.translation.translator import SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
 
-# Both networks of the field translator, as they are saved together.
+# Both networks of the field translator, which are saved together.
 
 
 class FieldModel(nn.Module):
-    """The field net and the map. Untrained, the map is the identity in millimetres."""
+    """The field net and the map. The untrained map is the identity in millimetres."""
 
     def __init__(self, settings: FieldSettings) -> None:
-        """Build both with weights drawn from the seed, the same on every machine."""
+        """Build both networks; the initial weights depend only on the seed."""
         super().__init__()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             self.net = FieldNet(settings.net.widths, settings.net.refinements)
             self.map = FieldMap(settings.map.widths, settings.map.numbers)
         self.usual_scale: Tensor
-        # Millimetres of a pixel (column, row) of most sensors trained on; a GelSight's until then.
+        # Millimetres per pixel (column, row): median of the training, a GelSight's before it.
         self.register_buffer("usual_scale", torch.tensor([0.0249, 0.0249]))
 
     def forward(
@@ -50,14 +50,14 @@ class FieldModel(nn.Module):
         source_scale: Tensor,
         target_scale: Tensor,
     ) -> Tensor:
-        """Return the target's deformation (n, 3, 64, 64) [px of its image] of a source's frames.
+        """Return the target's deformation (n, 3, 64, 64) [px of its image] for source frames.
 
         Args:
-            frames: Of the source, in 0..1 (n, 1, 256, 256).
-            source_distance: Signed distance of its references (n, 1, 256, 256) [px].
-            target_distance: The same of the target's.
-            source_scale: Millimetres of a pixel (column, row) (n, 2).
-            target_scale: The same of the target.
+            frames: Source frames, in 0..1 (n, 1, 256, 256).
+            source_distance: Signed distance of the source references (n, 1, 256, 256) [px].
+            target_distance: Signed distance of the target references, likewise.
+            source_scale: Millimetres per pixel of the source (column, row) (n, 2).
+            target_scale: Millimetres per pixel of the target, likewise.
         """
         deformation = self.net(frames, source_distance)[-1]
         mapped: Tensor = self.map(
@@ -67,28 +67,28 @@ class FieldModel(nn.Module):
 
 
 _AT_ONCE = 64
-_REFERENCES = 128  # distances that are kept, 1.2 MB each: a sensor that drifts has 90 references
+_REFERENCES = 128  # cached distances, 1.2 MB each: a drifting sensor has 90 references
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldTranslator:
     """Finds the source's deformation, maps it to the target's and deforms the target's reference.
 
-    A source without its reference cannot be read: markers are only known by where they were. In an
-    ordered press that is its first frame.
+    The source's reference is required, because motion is measured relative to it. In an ordered
+    press its first frame is the default.
     """
 
     name: str
-    """How it is called in reports."""
+    """Name in reports."""
     model: FieldModel
-    """In evaluation mode, on the device where it computes."""
+    """Model in evaluation mode, on its device."""
     source: SensorView | None = None
-    """What the source's frames show; None: as much as the target's."""
+    """View of the source; None: the usual scale of the training."""
     target: SensorView | None = None
-    """What the target's would show."""
+    """View of the target; None: likewise."""
 
     def between(self, source: SensorView, target: SensorView) -> FieldTranslator:
-        """Return the translator of two sensors whose pixels differ in size."""
+        """Return the translator for two sensors whose pixels differ in size."""
         return replace(self, source=source, target=target)
 
     @torch.no_grad()
@@ -103,15 +103,15 @@ class FieldTranslator:
         """Return the frames as the target would have shown them, bool (n, 480, 640).
 
         Args:
-            source: Masks of the source, bool (n, 480, 640), on any device; the result is on it too.
+            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
             target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640); None takes the first frame of
-                an ordered press for it.
-            ordered: The frames are one press in order of time, which begins untouched.
+            source_reference: The untouched source, bool (480, 640); None: the first frame of an
+                ordered press.
+            ordered: True if the frames are one press in time order that begins untouched.
 
         Raises:
-            LearningError: Wrong shapes or types, a reference that is needed and not there, or one
-                without markers.
+            LearningError: Wrong shapes or types, a required reference is missing, or a reference
+                has no markers.
         """
         require_masks(source, target_reference, source_reference)
         if not len(source):
@@ -140,7 +140,7 @@ class FieldTranslator:
         return translated
 
     def _scale(self, view: SensorView | None) -> Tensor:
-        """Return millimetres of a pixel (1, 2); of an unknown sensor, those of most trained on."""
+        """Return millimetres per pixel (1, 2); the usual scale if the sensor is unknown."""
         if view is None:
             return self.model.usual_scale.unsqueeze(0)
         scale = (view.mm_per_column, view.mm_per_row)
@@ -161,9 +161,9 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
     return signed_distance(mask.unsqueeze(0).to(device))
 
 
-# A trained field model from its folder, ready to translate.
+# Load a trained field model from its folder.
 
-# Of model, in `config.yaml`.
+# Kind of model in `config.yaml`.
 KIND = "field"
 
 
@@ -171,11 +171,11 @@ def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
     """Return the translator in the folder of a finished training run.
 
     Args:
-        folder: Of the run, or of one of its checkpoints.
-        device: Where it computes.
+        folder: Folder of the run or of one of its checkpoints.
+        device: Device to compute on.
 
     Raises:
-        LearningError: No model, one of another kind, or weights of another network.
+        LearningError: No model, a model of another kind, or weights that do not fit.
     """
     found = read_model_folder(Path(folder), KIND)
     model = FieldModel(found.settings(FieldSettings))

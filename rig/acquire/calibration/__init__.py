@@ -1,1 +1,1 @@
-"""Measures what a bench file can only claim: where the surface is, how late the camera is."""
+"""Measures the height of the surface and the latency of the camera, which bench files assume."""

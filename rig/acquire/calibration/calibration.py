@@ -1,4 +1,4 @@
-"""What was measured of a sensor on its bench, and how a session is recorded with it."""
+"""Calibration of a sensor on its bench, and its application to a session."""
 
 from __future__ import annotations
 
@@ -14,76 +14,76 @@ from rig.core.geometry import compose
 
 @dataclass(frozen=True, slots=True)
 class HomeCalibration:
-    """Where the untouched surface lies along z of the bench file's contact frame."""
+    """Height of the untouched surface along z of the bench file's contact frame."""
 
     date_utc: str
-    """When it was measured, ISO 8601."""
+    """Time of the measurement, ISO 8601."""
     method: str
-    """How."""
+    """Method of the measurement."""
     mock: bool
-    """Whether on a mock bench."""
+    """True if measured on a mock bench."""
     bench_sha256: str
-    """Of the bench's content as read."""
+    """Hash of the bench's content as read."""
     contact_frame: tuple[float, ...] = field(metadata={"pose": True})
-    """Contact frame (6,) it was measured in, base frame [m, rad]."""
+    """Contact frame (6,) during the measurement, base frame [m, rad]."""
     tcp: tuple[float, ...] = field(metadata={"pose": True})
-    """Tool centre point (6,) it was measured with [m, rad]."""
+    """Tool centre point (6,) during the measurement [m, rad]."""
     shift: float = field(metadata={"unit": "mm"})
-    """Surface above (positive) the origin of that frame [m]."""
+    """Height of the surface above the origin of that frame [m]."""
     interval: tuple[float, float] = field(metadata={"unit": "mm"})
     """95 % interval of the shift [m]."""
     contacts: tuple[float, ...] = field(metadata={"unit": "mm"})
-    """The single approaches [m]."""
+    """Contact heights of the single approaches [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class LatencyCalibration:
-    """How late a signal is."""
+    """Latency of a signal."""
 
     date_utc: str
-    """When it was measured, ISO 8601."""
+    """Time of the measurement, ISO 8601."""
     method: str
-    """How."""
+    """Method of the measurement."""
     mock: bool
-    """Whether on a mock bench."""
+    """True if measured on a mock bench."""
     bench_sha256: str
-    """Of the bench's content as read."""
+    """Hash of the bench's content as read."""
     stream: str
     """The signal: `camera` or `taxels`."""
     device: str
-    """Kind and address of the device it was measured on."""
+    """Kind and address of the measured device."""
     latency: float = field(metadata={"unit": "ms"})
-    """End of exposure to arrival: what alignment takes off [s]."""
+    """Time from the end of exposure to arrival, subtracted by the alignment [s]."""
     interval: tuple[float, float] = field(metadata={"unit": "ms"})
-    """95 % interval of it [s]."""
+    """95 % interval of the latency [s]."""
     exposure: float = field(metadata={"unit": "ms"})
-    """Exposure it was computed with, stored with it [s]."""
+    """Exposure assumed in the computation and stored with it [s]."""
     gel_lead: float = field(metadata={"unit": "ms"})
-    """How far the force ran ahead of the indentation, already taken out [s]."""
+    """Lead of the force over the indentation, already removed [s]."""
     ratio: float
-    """Highest over second highest peak of the correlation."""
+    """Ratio of the highest to the second highest correlation peak."""
     taps: int
-    """Taps it was measured from."""
+    """Number of taps in the measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What one session is recorded with."""
+    """Calibration that applies to one session."""
 
     home: HomeCalibration | None = None
     latency: LatencyCalibration | None = None
     file: str = ""
-    """Name of the file it came from."""
+    """Name of the file it was loaded from."""
 
     def applied(self, bench: Bench) -> Bench:
-        """The bench with its contact frame on the measured surface."""
+        """Return the bench with its contact frame moved to the measured surface."""
         if self.home is None:
             return bench
         frame = compose(bench.contact_frame, (0.0, 0.0, self.home.shift, 0.0, 0.0, 0.0))
         return dataclasses.replace(bench, contact_frame=tuple(np.asarray(frame).tolist()))
 
     def facts(self) -> dict[str, Any]:
-        """For the session's attribute `calibration`: SI, empty when there is none."""
+        """Return the session's attribute `calibration`: SI units, empty without a calibration."""
         facts: dict[str, Any] = {}
         for name, part in (("home", self.home), ("latency", self.latency)):
             if part is not None:
@@ -91,7 +91,7 @@ class Calibration:
         return facts
 
     def stream_attrs(self, name: str) -> dict[str, Any]:
-        """What the attributes of stream `name` gain: `latency`, `exposure` and where from."""
+        """Return the attributes to add to stream `name`: `latency`, `exposure` and their source."""
         found = self.latency
         if found is None or found.stream != name:
             return {}
@@ -106,7 +106,7 @@ class Calibration:
         }
 
     def lines(self) -> list[str]:
-        """What is printed before anything moves."""
+        """Return the lines printed before anything moves."""
         lines = []
         if self.home is not None:
             low, high = (1e3 * value for value in self.home.interval)
@@ -124,7 +124,7 @@ class Calibration:
 
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> Calibration:
-        """What `facts` wrote into a session: a resumed one goes on with what it began with."""
+        """Restore from the session attribute written by `facts`; a resumed session keeps it."""
         parts: dict[str, Any] = {}
         file = ""
         build_part: type[Any]

@@ -1,4 +1,4 @@
-"""Finds the surface: slow approaches, the onset of force in each, and what they say together."""
+"""Finds the surface from slow approaches: fits the onset of force in each and combines them."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from rig.core.geometry import invert, transform
 from trajectories import PHASES, Touch
 
 METHOD = "onset of force, k d^p (1 + c d), profile likelihood"
-# A wider interval is refused unless told otherwise [m].
+# Widest accepted interval, unless given [m].
 WIDTH_MAX = 50e-6
-# Of the approach [m/s].
+# Speed of the approach [m/s].
 SPEED = 1e-3
-# The approach ends here unless told otherwise [N].
+# Force that ends the approach, unless given [N].
 FORCE = 0.3
+# Noise above this fraction of the contact force would end approaches by itself.
 _NOISE_SHARE = 0.2
-# Noise above this part of the contact force would end approaches by itself.
+# Last part of an approach, in which the arm decelerates [m].
 _DECELERATING = 10e-6
-# The last bit of an approach, where the arm already slows down [m].
 
 
 @dataclass(frozen=True, slots=True)
 class Approaches:
-    """What a session of touches says."""
+    """Result of a session of touches."""
 
     surface: Surface
-    """At the first of its points, in the frame of the session."""
+    """Surface at the first of its points, in the frame of the session."""
     onsets: tuple[Onset, ...]
-    """Its approaches."""
+    """Onsets of the approaches at that point."""
     slopes: tuple[float, float] | None
     """Tilt along x and y of the contact frame [rad]; None unless three points were touched."""
 
 
 def touching_bench(bench: Bench, force: float) -> Bench:
-    """The bench for approaches: 1 mm/s, ended softly at `force` [N]; hard limits stay."""
+    """Return the bench for approaches: 1 mm/s, soft limit `force` [N], same hard limits."""
     limits = bench.limits
     rating = limits.force_rating[2]
     if not 0 < force < 0.5 * limits.soft_fraction * rating:
@@ -58,7 +58,7 @@ def touching_bench(bench: Bench, force: float) -> Bench:
         bench,
         arm=dataclasses.replace(bench.arm, speed=SPEED),
         limits=dataclasses.replace(limits, soft_fraction=force / rating),
-        # A spread that comes near the contact force is refused before anything moves down.
+        # A tare spread close to the contact force is rejected before anything moves down.
         preflight=dataclasses.replace(
             bench.preflight,
             tare_spread=min(bench.preflight.tare_spread, _NOISE_SHARE * force),
@@ -71,13 +71,13 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
     """Fit every approach of a recorded session of touches.
 
     Args:
-        session: Recorded along `plan`.
+        session: Session recorded along `plan`.
         plan: The touches.
-        width_max: Widest interval that is accepted [m].
+        width_max: Widest accepted interval [m].
 
     Raises:
-        SafetyStop: No contact within the travel, or an interval that is too wide: the bench is
-            not as its file says, and a person has to look.
+        SafetyStop: There was no contact within the travel, or the interval is too wide: the bench
+            differs from its file and must be inspected.
     """
     found: dict[int, list[Onset]] = {}
     for index, target in enumerate(plan.targets()):
@@ -85,7 +85,7 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
         if onset is None:
             raise SafetyStop(
                 f"home: no contact at point {target.point} down to {-1e3 * plan.travel:.2f} mm; "
-                "is the contact frame of the bench file right? --travel-mm allows more"
+                "is the contact frame of the bench file right? --travel-mm extends the travel"
             )
         found.setdefault(target.point, []).append(onset)
     surfaces = {point: combine(onsets) for point, onsets in found.items()}
@@ -105,7 +105,7 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
 
 
 def _approach(session: Session, index: int) -> Onset | None:
-    """The onset in the downward move of target `index`, in the session's contact frame."""
+    """Return the onset in target `index`'s downward move, in the session's contact frame."""
     segments = session.segments
     rows = np.flatnonzero(
         (np.asarray(segments["target"]) == index)
@@ -124,19 +124,19 @@ def _approach(session: Session, index: int) -> Onset | None:
     z, pressed = z[known], -np.asarray(force.array("value"))[inside][known, 2]
     if not len(z):
         return None
-    # While the arm slows down and stands the gel relaxes: that is no onset any more.
+    # The end is cut off: while the arm slows down and stands still, the gel relaxes.
     going = z > z.min() + _DECELERATING
     last = int(np.flatnonzero(going)[-1]) + 1 if going.any() else len(z)
     return find_onset(z[:last], pressed[:last])
 
 
 def calibration_from(found: Approaches, bench: Bench, content: dict[str, Any]) -> HomeCalibration:
-    """What is stored of it.
+    """Return the calibration to store.
 
     Args:
-        found: Of a session recorded in the bench file's own contact frame.
-        bench: As its file describes it.
-        content: The file as read.
+        found: Result of a session recorded in the bench file's own contact frame.
+        bench: The bench as described by its file.
+        content: Content of the file.
     """
     return HomeCalibration(
         date_utc=now_utc(),
@@ -152,7 +152,7 @@ def calibration_from(found: Approaches, bench: Bench, content: dict[str, Any]) -
 
 
 def lines_of(found: Approaches, bench: Bench) -> list[str]:
-    """What is printed of it; on a mock bench beside the World's truth."""
+    """Return the result as lines; on a mock bench with the World's truth."""
     surface = found.surface
     low, high = (1e3 * value for value in surface.interval)
     lines = [
@@ -185,10 +185,10 @@ def _origin(bench: Bench) -> np.ndarray:
 
 
 def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequence[int]) -> Touch:
-    """The touches for a bench: from 1 mm above its surface to `travel` below.
+    """Return the touches for a bench: from 1 mm above its surface to `travel` below.
 
     Raises:
-        ConfigError: More travel than the bench's deepest indentation, or no repeat.
+        ConfigError: `travel` exceeds the bench's deepest indentation, or there are no repeats.
     """
     most = bench.limits.depth_max
     depth = min(1e-3, most) if travel is None else travel
@@ -204,5 +204,5 @@ def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequen
 
 
 def default_path(sensor: str, stamp: str) -> Path:
-    """Where the session of a homing goes."""
+    """Return the default path of a homing session."""
     return Path("sessions") / f"{sensor}-home-{stamp}.zarr"

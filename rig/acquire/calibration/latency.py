@@ -1,4 +1,4 @@
-"""How late a camera (or a taxel pad) is: light taps, its motion against force and indentation."""
+"""Latency of a camera or taxel pad: its motion during light taps, against force and indentation."""
 
 from __future__ import annotations
 
@@ -15,48 +15,49 @@ from rig.core.geometry import invert, transform
 from rig.devices.camera.jpeg import frame_stamp
 from trajectories import Taps
 
-# How much later than the force something else shows the same tap: an image, the indentation.
+# Lag of a second signal (image, indentation) behind the force in the same taps.
 #
-# Coarse: the correlation of force and motion over lags, with its highest and second highest peak; a
-# regular rhythm has many, irregular taps have one. Fine: force at the times of the motion less the
-# lag, and its square, explain the motion best at one lag; least squares, and a parabola through the
-# residuals about it. Interval: bootstrap over taps. Pure functions.
+# Coarse: the lag of the highest correlation of force and motion, compared with the second highest
+# peak; a regular rhythm has many peaks, irregular taps have one. Fine: least squares fit of the
+# motion by the lagged force and its square; a parabola through the residuals gives the best lag.
+# Interval: bootstrap over taps. Pure functions.
 #
-# A viscoelastic gel's force runs ahead of its indentation, by some milliseconds for taps of this
-# length. Whoever wants the image against the indentation takes the difference of two lags.
+# The force of a viscoelastic gel leads its indentation, by some milliseconds for taps of this
+# length. The lag of the image behind the indentation is the difference of two lags.
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-# Force is brought to this raster [s].
+# Force is resampled to this interval [s].
 STEP = 1e-3
+# Force is averaged over this many steps: about a frame's exposure, which reduces noise.
 _SMOOTH = 17
-# Force is averaged over so many steps: a frame's exposure, and its noise is left behind.
+# The parabola extends this many steps to both sides of the least residual.
 _FIT = 8
-# The parabola goes through so many steps to both sides of the least residual.
+# A second peak must be farther than this from the first [s].
 _NEIGHBOURHOOD = 0.05
-# A second peak is one outside this distance from the first [s].
+# The fine search extends this far to both sides of the coarse lag [s].
 _REACH = 0.03
-# The fine search looks so far to both sides of the coarse one [s].
 _ROUNDS = 400
+# Student's t for 95 % from 0 to 13 taps (2.1 beyond), by which the bootstrap interval is widened:
+# with few taps it is too narrow.
 _T_95 = (12.71, 12.71, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18)
-# Student's t for 95 % from 0 to 13 taps; beyond, 2.1. A bootstrap of few taps is too narrow by it.
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """How late a motion is."""
+    """Lag of a motion behind the force."""
 
     value: float
-    """Motion after force [s]."""
+    """Lag of the motion [s]."""
     interval: tuple[float, float]
     """95 % interval, from bootstrap over taps [s]."""
     correlation: float
-    """Of force and motion at the coarse lag, -1 to 1."""
+    """Correlation of force and motion at the coarse lag, -1 to 1."""
     ratio: float
-    """Highest over second highest peak of the correlation; large is unambiguous."""
+    """Ratio of the highest to the second highest correlation peak; a large value is unambiguous."""
     taps: int
-    """Taps it was found from."""
+    """Number of taps in the data."""
 
     @property
     def width(self) -> float:
@@ -73,22 +74,22 @@ def find_lag(
     search: tuple[float, float] = (-0.05, 0.3),
     seed: int = 0,
 ) -> Lag:
-    """Find by how much `motion` lags behind `force`.
+    """Find the lag of `motion` behind `force`.
 
     Args:
         force_t_ns: Times of the force (n,) [ns], ascending.
-        force: Size of the force (n,) [N]; about zero without contact.
+        force: Magnitude of the force (n,) [N]; about zero without contact.
         motion_t_ns: Times of the motion (m,) [ns], ascending.
-        motion: How far each is from the untouched state (m,), any unit.
-        search: Smallest and largest lag looked for [s].
-        seed: Of the bootstrap.
+        motion: Distance from the untouched state (m,), any unit.
+        search: Smallest and largest lag to search [s].
+        seed: Seed of the bootstrap.
 
     Raises:
-        ValueError: Too few samples, no taps, or nothing that moves.
+        ValueError: There are too few samples or taps, or no motion.
     """
     grid, raster = _rastered(force_t_ns, force)
     seconds = (motion_t_ns - force_t_ns[0]) * 1e-9
-    # Samples whose force is known at every lag that is tried.
+    # Keep the samples whose force is known at every lag of the search.
     margin = _REACH + 2 * STEP
     kept = (seconds > grid[0] + search[1] + margin) & (seconds < grid[-1] + search[0] - margin)
     seconds, motion = seconds[kept], np.asarray(motion, np.float64)[kept]
@@ -125,7 +126,7 @@ def find_lag(
 
 
 def _rastered(t_ns: Times, force: Floats) -> tuple[Floats, Floats]:
-    """Force on a raster of `STEP` from its first sample on: times [s] and values."""
+    """Resample force at intervals of `STEP` from its first sample: times [s] and values."""
     if len(t_ns) < 1000:
         raise ValueError(f"force: found {len(t_ns)} samples; at least 1000")
     seconds = (t_ns - t_ns[0]) * 1e-9
@@ -136,7 +137,7 @@ def _rastered(t_ns: Times, force: Floats) -> tuple[Floats, Floats]:
 
 
 def _taps(grid: Floats, force: Floats) -> Floats:
-    """Middles of the stretches above a third of the tapping force (n,) [s]."""
+    """Return the midpoints of the intervals above a third of the tapping force (n,) [s]."""
     level = float(np.percentile(force, 98)) / 3
     above = np.concatenate([[False], force > max(level, 1e-12), [False]])
     edges = np.flatnonzero(np.diff(above.astype(np.int8))).reshape(-1, 2)
@@ -151,7 +152,7 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 
 def _peak_ratio(lags: Floats, curve: Floats) -> float:
-    """Highest value of the correlation over its highest local maximum elsewhere."""
+    """Return the ratio of the correlation's maximum to its highest local maximum elsewhere."""
     best = int(curve.argmax())
     inner = np.arange(1, len(curve) - 1)
     peaks = inner[(curve[inner] >= curve[inner - 1]) & (curve[inner] >= curve[inner + 1])]
@@ -169,7 +170,7 @@ def _squares(
     blocks: NDArray[np.intp],
     count: int,
 ) -> Floats:
-    """Products of [1, force, its square, motion] (lags, blocks, 4, 4)."""
+    """Return products of [1, force, its square, motion] (lags, blocks, 4, 4)."""
     scale = float(np.abs(force).max()) or 1.0
     level = force / scale
     columns = (level, level**2)
@@ -185,7 +186,7 @@ def _squares(
 
 
 def _best(lags: Floats, squares: Floats) -> Floats:
-    """Lag of the least residual (r,) for products (r, lags, k, k), between the raster's points."""
+    """Return the lag of the least residual (r,) for products (r, lags, k, k), interpolated."""
     inside = squares[..., :-1, :-1]
     ridge = 1e-9 * np.trace(inside, axis1=-2, axis2=-1)[..., None, None] * np.eye(inside.shape[-1])
     cross = squares[..., :-1, -1]
@@ -200,44 +201,44 @@ def _best(lags: Floats, squares: Floats) -> Floats:
 
 
 METHOD = "taps: motion against force and indentation, bootstrap over taps"
-# A wider 95 % interval is refused [s].
+# Widest accepted 95 % interval [s].
 WIDTH_MAX = 2e-3
-# A second peak nearer to the first than this is refused.
+# Least accepted ratio of the highest to the second highest peak.
 RATIO_MIN = 1.5
+# Force of a tap [N]; its depth follows from the bench file's stiffness ...
 _FORCE = 1.0
-# A tap is as deep as this force goes by the bench file's stiffness [N] ...
+# ... but is at most this [m], and at most half of the sensor's depth limit.
 _DEEPEST = 1e-3
-# ... but no deeper than this [m], and than half of what the sensor stands.
+# Images are compared as means of 8 x 8 pixels, which reduces noise but keeps motion.
 _BLOCK = 8
-# Images are compared as means of 8 x 8 pixels: noise is left behind, motion is not.
 _BATCH = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """What a session of taps says of its signal."""
+    """Latency of a signal, from a session of taps."""
 
     stream: str
-    """The signal."""
+    """Name of the signal."""
     image: Lag
-    """The signal after the force."""
+    """Lag of the signal behind the force."""
     gel: Lag
-    """The indentation (robot's pose) after the force: what the gel's relaxation makes of it."""
+    """Lag of the indentation (robot's pose) behind the force, from the gel's relaxation."""
     shown: Lag
-    """The signal after the indentation: free of that, and twice as sharp."""
+    """Lag of the signal behind the indentation: without relaxation, and twice as sharp."""
     exposure: float
-    """Exposure that alignment will use [s]."""
+    """Exposure used by the alignment [s]."""
 
     @property
     def lag(self) -> float:
-        """From the indentation to the arrival of the signal that shows it [s]."""
+        """Time from the indentation to the arrival of the signal that shows it [s]."""
         return self.shown.value
 
     @property
     def latency(self) -> float:
-        """From the end of the exposure to the arrival: what alignment takes off [s].
+        """Time from the end of exposure to arrival, subtracted by the alignment [s].
 
-        A picture shows the middle of its exposure, half an exposure before its end.
+        An image shows the middle of its exposure, half an exposure before its end.
         """
         return self.lag - self.exposure / 2
 
@@ -248,15 +249,15 @@ class Latency:
 
     @property
     def disagreement(self) -> float:
-        """Lag after the force, less the gel's, minus that after the indentation [s]."""
+        """Lag behind the force, minus the gel's lag, minus the lag behind the indentation [s]."""
         return self.image.value - self.gel.value - self.shown.value
 
 
 def plan_for(bench: Bench, *, depth: float | None, count: int) -> Taps:
-    """The taps for a bench: about 1 N, at most 1 mm.
+    """Return the taps for a bench: about 1 N, at most 1 mm deep.
 
     Raises:
-        ConfigError: Too deep for the sensor, or fewer than 4 taps.
+        ConfigError: The depth is too large for the sensor, or there are fewer than 4 taps.
     """
     limits = bench.limits
     most = limits.depth_max / 2
@@ -273,12 +274,12 @@ def plan_for(bench: Bench, *, depth: float | None, count: int) -> Taps:
 
 
 def signal_of(bench: Bench) -> str:
-    """The stream whose latency is measured: the camera, or else the taxels."""
+    """Return the stream whose latency is measured: the camera if there is one, else the taxels."""
     return "camera" if bench.camera is not None else "taxels"
 
 
 def exposure_of(bench: Bench, stream: str) -> float:
-    """The exposure that alignment uses for a stream [s]."""
+    """Return the exposure that the alignment uses for a stream [s]."""
     stated = bench.camera.exposure if stream == "camera" and bench.camera is not None else None
     return EXPOSURE if stated is None else float(stated)
 
@@ -287,12 +288,12 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
     """Find the lag of a stream in a recorded session of taps.
 
     Args:
-        session: Recorded along `Taps`.
+        session: Session recorded along `Taps`.
         stream: `camera` or `taxels`.
         exposure: See `exposure_of` [s].
 
     Raises:
-        SafetyStop: Nothing was felt or seen: the bench is not as its file says.
+        SafetyStop: Force or signal show no taps: the bench differs from its file.
     """
     force, pose = session.streams["force"], session.streams["pose"]
     pressed = -np.asarray(force.array("value"))[:, 2]
@@ -312,7 +313,7 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
 
 
 def refusal(found: Latency) -> str | None:
-    """Why a result must not be used, with the number, or None."""
+    """Return the reason, with its number, to reject a result, or None."""
     if 2 * found.half > WIDTH_MAX:
         return (
             f"the interval is {2e3 * found.half:.2f} ms wide; allowed: {1e3 * WIDTH_MAX:.1f} ms; "
@@ -325,17 +326,17 @@ def refusal(found: Latency) -> str | None:
         )
     if abs(found.disagreement) > WIDTH_MAX:
         return (
-            f"by the force it is {1e3 * found.disagreement:+.2f} ms later than by the robot's "
-            f"pose; allowed: {1e3 * WIDTH_MAX:.1f} ms; find the surface first (make home)"
+            f"measured by the force it is {1e3 * found.disagreement:+.2f} ms later than by the "
+            f"robot's pose; allowed: {1e3 * WIDTH_MAX:.1f} ms; find the surface first (make home)"
         )
     return None
 
 
 def motion_of(signal: Stream, start_ns: int) -> Floats:
-    """How far each sample is from the untouched ones before `start_ns` (n,), in its own unit.
+    """Return each sample's distance (n,) from the untouched ones before `start_ns`, in its unit.
 
     Raises:
-        ValueError: No sample before `start_ns`.
+        ValueError: There is no sample before `start_ns`.
     """
     before = np.flatnonzero(signal.t_ns < start_ns)
     if not before.size:
@@ -354,7 +355,7 @@ def motion_of(signal: Stream, start_ns: int) -> Floats:
 
 
 def _blocks(images: NDArray[np.uint8]) -> Floats:
-    """Means of blocks of pixels, colours together (n, blocks), of images (n, h, w, 3)."""
+    """Return means over blocks of pixels and colours (n, blocks) of images (n, h, w, 3)."""
     count, height, width = images.shape[:3]
     rows, columns = height // _BLOCK, width // _BLOCK
     cut = images[:, : rows * _BLOCK, : columns * _BLOCK].reshape(count, rows, _BLOCK, columns, -1)
@@ -362,9 +363,9 @@ def _blocks(images: NDArray[np.uint8]) -> Floats:
 
 
 def true_lag(session: Session) -> float | None:
-    """From the moment an emulated camera's images of taps show to their arrival, mean [s].
+    """Return the mean time from the state shown in an emulated camera's images to arrival [s].
 
-    Only those that show contact count: they take the emulator longer to draw.
+    Only images that show contact count; they take the emulator longer to draw.
     """
     camera, pose = session.streams["camera"], session.streams["pose"]
     frame = invert(session.attrs["contact_frame"])
@@ -381,7 +382,7 @@ def true_lag(session: Session) -> float | None:
 
 
 def lines_of(found: Latency, session: Session) -> list[str]:
-    """What is printed of it; on a mock bench beside what the emulator's stamps say."""
+    """Return the result as lines; on a mock bench with the emulator's timestamps."""
     low, high = (1e3 * (found.lag + sign * found.half) for sign in (-1, 1))
     lines = [
         f"{found.stream} lags the indentation by {1e3 * found.lag:.2f} ms (95 % {low:.2f} to "
@@ -391,14 +392,14 @@ def lines_of(found: Latency, session: Session) -> list[str]:
         f"{1e3 * found.gel.value:.2f} ms: the two ways differ by "
         f"{1e3 * found.disagreement:+.2f} ms",
         f"latency {1e3 * found.latency:.2f} ms from the end of a {1e3 * found.exposure:.1f} ms "
-        "exposure: what alignment takes off",
+        "exposure: subtracted by the alignment",
     ]
     truth = true_lag(session) if found.stream == "camera" and session.attrs["mock"] else None
     if truth is not None:
         lines.append(
-            f"the emulator's stamps say {1e3 * truth:.2f} ms: "
+            f"by the emulator's timestamps it is {1e3 * truth:.2f} ms: "
             f"difference {1e3 * (found.lag - truth):+.2f} ms"
         )
     if session.streams[found.stream].attrs.get("device_clock") == "monotonic":
-        lines.append("its driver stamps the capture itself: alignment uses that, not this")
+        lines.append("its driver timestamps captures itself: alignment uses those, not this")
     return lines

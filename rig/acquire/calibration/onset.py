@@ -1,8 +1,8 @@
-"""Where contact begins: a model fitted to the onset of force, not a threshold crossed.
+"""Onset of contact, found by fitting a model to the force instead of crossing a threshold.
 
 Above the surface the force is constant, below it grows as k d^p (1 + c d): p is 1 for a flat punch,
-1.5 for a sphere (Hertz), 2 for a cone (Johnson 1985, 4 and 5), and the correction c takes what a
-thin layer adds and relaxation takes away. A threshold would find a deeper place on a softer gel.
+1.5 for a sphere (Hertz), 2 for a cone (Johnson 1985, 4 and 5). The correction c accounts for a thin
+layer's stiffening and for relaxation. A threshold would be crossed deeper on a softer gel.
 Pure functions.
 """
 
@@ -17,42 +17,42 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _POWERS = np.arange(1.0, 2.01, 0.1)
+# Samples are averaged to about this many points: the fit is the same, but fast.
 _POINTS = 400
-# Samples are averaged to about so many points along the way: the fit is the same, and fast.
+# Number of heights tried along the whole approach, then around the best one.
 _COARSE, _FINE = 100, 81
-# Places tried along the whole way, then around the best one.
+# Forces and poses are matched in time to a few milliseconds; at 1 mm/s this is [m].
 _TIMING = 3e-6
-# Forces and poses are brought together to a few milliseconds, at 1 mm/s [m].
+# The 95 % interval holds the heights whose likelihood ratio is below this (Wilks, one parameter).
 _CHI2_95 = 3.841
-# A 95 % interval holds the places whose likelihood ratio stays below this (Wilks, one parameter).
-_T_95 = (np.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
 # Student's t for 95 % at 0 to 9 degrees of freedom; beyond, 2.
+_T_95 = (np.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
 
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """Where one approach met the surface."""
+    """Onset of contact in one approach."""
 
     z: float
     """Height of first contact in the frame of the input [m]."""
     interval: tuple[float, float]
-    """95 % profile-likelihood interval of it [m]."""
+    """95 % profile-likelihood interval of `z` [m]."""
     power: float
-    """Exponent of the force's growth."""
+    """Exponent of the force's increase."""
     force: float
-    """Largest force of the approach beyond its zero [N]."""
+    """Largest force of the approach above its zero [N]."""
     noise: float
     """Standard deviation of a force sample about the model [N]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What several approaches at one place say together."""
+    """Surface height from several approaches at one point."""
 
     z: float
     """Height of the surface [m]."""
     interval: tuple[float, float]
-    """95 % interval of it [m]."""
+    """95 % interval of `z` [m]."""
     spread: float
     """Standard deviation between approaches [m]; NaN for a single one."""
 
@@ -63,14 +63,14 @@ class Surface:
 
 
 def find_onset(z: Floats, force: Floats) -> Onset | None:
-    """Fit zero force, then a power of the depth; None when the force never rises out of its noise.
+    """Fit zero force, then a power of depth; return None if the force never exceeds its noise.
 
     Args:
         z: Height of the tip (n,) along one approach [m], from above downward.
         force: Compression (n,) at those heights [N], positive.
 
     Raises:
-        ValueError: Too few samples, or values that are not finite.
+        ValueError: There are too few samples, or values are not finite.
     """
     z, force = np.asarray(z, np.float64), np.asarray(force, np.float64)
     if z.shape != force.shape or len(z) < 50:
@@ -92,7 +92,7 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
     freedom = len(z) - 5
     variance = float(residual @ residual) / freedom
     flat = float(np.var(force)) * len(z)
-    # A flat line is as good when there was no contact: a rise must explain far more than noise.
+    # Without contact a flat line fits as well: a rise must explain far more than noise.
     gained = flat - float(cost[best])
     if not (gained > 50 * variance and rise > 3 * np.sqrt(variance)):
         return None
@@ -103,13 +103,13 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
 
 
 def combine(onsets: Sequence[Onset]) -> Surface:
-    """The surface from repeated approaches: their mean, with what they say and how they scatter.
+    """Combine repeated approaches: the mean of their heights, with an interval.
 
     The half-width is the larger of Student's t times the standard error between approaches, and
-    the mean half-width of the single intervals over the root of their number.
+    the root mean square half-width of the single intervals divided by the root of their number.
 
     Raises:
-        ValueError: No onset at all.
+        ValueError: There is no onset.
     """
     if not onsets:
         raise ValueError("onsets: found none; allowed: at least one")
@@ -127,14 +127,14 @@ def combine(onsets: Sequence[Onset]) -> Surface:
 
 
 def tilt(places: Floats, heights: Floats) -> tuple[float, float, float]:
-    """Plane through surface heights: slopes along x and y [rad], and the height at the origin [m].
+    """Fit a plane to surface heights; return slopes along x and y [rad] and height at origin [m].
 
     Args:
-        places: x and y of the places (n, 2) [m], three or more, not on one line.
-        heights: Surface there (n,) [m].
+        places: x and y of the points (n, 2) [m], three or more, not on one line.
+        heights: Surface height there (n,) [m].
 
     Raises:
-        ValueError: Places that do not span a plane.
+        ValueError: The points do not span a plane.
     """
     matrix = np.column_stack([places, np.ones(len(places))])
     if len(places) < 3 or np.linalg.matrix_rank(matrix, tol=1e-9) < 3:
@@ -146,13 +146,13 @@ def tilt(places: Floats, heights: Floats) -> tuple[float, float, float]:
 def _averaged(z: Floats, force: Floats) -> tuple[Floats, Floats]:
     step = max(len(z) // _POINTS, 1)
     whole = len(z) - len(z) % step
-    # The end of the approach counts most: what does not fill a group is left out at its start.
+    # The end of the approach counts most: an incomplete group is left out at its start.
     z, force = z[len(z) - whole :], force[len(force) - whole :]
     return z.reshape(-1, step).mean(axis=1), force.reshape(-1, step).mean(axis=1)
 
 
 def _profile(z: Floats, force: Floats, grid: Floats) -> tuple[Floats, Floats]:
-    """Least sum of squares at each place (m,) over the exponents, and the exponent of each."""
+    """Return the least sum of squares at each height (m,) over exponents, and its exponent."""
     depth = np.maximum(grid[:, None] - z[None, :], 0.0)
     depth /= max(float(depth.max()), 1e-12)
     centred = force - force.mean()
@@ -193,7 +193,7 @@ def _residual(z: Floats, force: Floats, place: float, power: float) -> tuple[Flo
 
 
 def _inflation(residual: Floats) -> float:
-    """How many times fewer independent samples there are than samples, from autocorrelation."""
+    """Return the ratio of samples to independent samples, from the autocorrelation."""
     centred = residual - residual.mean()
     power = float(centred @ centred)
     if power <= 0:
@@ -201,7 +201,7 @@ def _inflation(residual: Floats) -> float:
     total = 1.0
     for lag in range(1, len(centred) // 4):
         rho = float(centred[:-lag] @ centred[lag:]) / power
-        # Sums of noise would only add noise: stop where it begins (Geyer 1992).
+        # Further terms would only add noise (Geyer 1992).
         if rho < 2 / np.sqrt(len(centred)):
             break
         total += 2 * rho
@@ -211,7 +211,7 @@ def _inflation(residual: Floats) -> float:
 def _interval(
     z: Floats, force: Floats, place: float, limit: float, span: float
 ) -> tuple[float, float]:
-    """Outermost places on either side whose cost stays below `limit` [m]."""
+    """Return the outermost heights on either side whose cost is below `limit` [m]."""
     reach = span / 500
     while True:
         grid = np.linspace(place - reach, place + reach, 2 * _FINE + 1)

@@ -1,7 +1,7 @@
-"""Calibrations on disk: `calibrations/<sensor>.yaml`, mm and ms under keys that say so.
+"""Calibrations on disk: `calibrations/<sensor>.yaml`, mm and ms under keys with the unit.
 
 `home` holds the height of the surface for each indenter, `latency` the lag of a signal. A session
-is recorded with what is there, says so, and stores it; what belongs to another bench is refused.
+applies, prints and stores its calibration; one that belongs to another bench is rejected.
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from rig.core.clock import ClockAnchor
 from rig.core.config import build, from_si, key_of, read_yaml
 from rig.core.errors import ConfigError
 
-# Where they lie unless told otherwise.
+# Default folder.
 FOLDER = Path("calibrations")
-# Older than this a calibration is used with a warning.
+# An older calibration is used with a warning.
 STALE_DAYS = 7.0
 _NOTE = "# Measured, not written by hand: make home, make calibrate-latency.\n"
-_SAME_PLACE, _SAME_ANGLE = 1e-6, 1e-6
 # Frames that differ by less are the same [m, rad]: YAML keeps mm to nine digits.
+_SAME_PLACE, _SAME_ANGLE = 1e-6, 1e-6
 
 
 def bench_hash(content: dict[str, Any]) -> str:
-    """SHA-256 of a bench's content as read, whatever the order of its keys."""
+    """Return the SHA-256 of a bench's content as read, independent of the order of its keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def device_name(bench: Bench, stream: str) -> str:
-    """Kind and address of the device behind a signal."""
+    """Return the kind and address of the device behind a signal."""
     config: Any = bench.camera if stream == "camera" else bench.taxels
     return f"{config.KIND} {config.address}"
 
 
 def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[str]]:
-    """The calibration of a bench's sensor with an indenter, and warnings about it.
+    """Load the calibration of a bench's sensor with an indenter, and warnings about it.
 
     Args:
-        folder: Of the calibration files.
-        bench: As its file describes it, without a calibration.
+        folder: Folder of the calibration files.
+        bench: The bench as described by its file, without a calibration.
         indenter: Name of the indenter on the arm.
 
     Raises:
-        ConfigError: A file that cannot be read, or one of another sensor, bench or device.
+        ConfigError: The file cannot be read, or belongs to another sensor, bench or device.
     """
     path = folder / f"{bench.sensor}.yaml"
     if not path.exists():
@@ -108,10 +108,10 @@ def store(
     home: dict[str, HomeCalibration] | None = None,
     latency: LatencyCalibration | None = None,
 ) -> Path:
-    """Add to a sensor's calibration file, atomically; what is not given stays.
+    """Add to a sensor's calibration file, atomically; other entries stay.
 
     Raises:
-        ConfigError: The file that is there belongs to another sensor, or cannot be written.
+        ConfigError: The existing file belongs to another sensor, or cannot be written.
     """
     path = folder / f"{sensor}.yaml"
     content: dict[str, Any] = read_yaml(path) if path.exists() else {"sensor": sensor}
@@ -132,12 +132,12 @@ def store(
 
 
 def now_utc() -> str:
-    """UTC now, ISO 8601 to the second."""
+    """Return the current UTC, ISO 8601 to the second."""
     return f"{np.datetime64(ClockAnchor.take().utc_ns, 'ns').astype('datetime64[s]')}Z"
 
 
 def _plain(spec: Any) -> dict[str, Any]:
-    """A calibration as YAML writes it: mm, deg, ms under keys that say so."""
+    """Convert a calibration for YAML: mm, deg, ms under keys with the unit."""
     out: dict[str, Any] = {}
     for item in dataclasses.fields(spec):
         value, unit = getattr(spec, item.name), item.metadata.get("unit")

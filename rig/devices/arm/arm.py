@@ -1,7 +1,7 @@
-"""The arm as the recording process sees it: commands go to a supervised child, which may crash.
+"""The arm as seen by the recording process: commands run in a supervised child, which may crash.
 
-What leaves the arm usable is a `MoveResult`; what does not is DeviceLost (the arm, or data the
-guard needs, is gone) or SafetyStop (a hard limit, or a safety stop of the controller).
+An end that leaves the arm usable is returned as a `MoveResult`. Otherwise DeviceLost is raised (the
+arm, or data the guard needs, is gone) or SafetyStop (a hard limit, or a controller safety stop).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rig.devices.arm.supervisor import Child, HasFileno
 
 logger = logging.getLogger(__name__)
 
-# The child answers a move, or says how long it will take, within this [s].
+# Within this time the child answers a move or reports how long it will take [s].
 _ANSWER = 10.0
 # The same for a halt, which may have to wait for a move to end [s].
 _STOP_ANSWER = 5.0
@@ -32,16 +32,16 @@ _STOP_ANSWER = 5.0
 
 @dataclass(frozen=True, slots=True)
 class MoveResult:
-    """How a move ended that leaves the arm usable."""
+    """Result of a move that leaves the arm usable."""
 
     outcome: Literal["done", "force_limited", "stopped"]
-    """At the target; ended by the soft force limit; ended short of the target otherwise."""
+    """At the target; ended by the soft force limit; otherwise ended short of the target."""
     start_ns: int
-    """When the move was commanded [ns]."""
+    """Time of the command [ns]."""
     end_ns: int
-    """When the arm stood still [ns]."""
+    """Time at which the arm was at rest [ns]."""
     reason: str = ""
-    """Why it ended short of its target, for people."""
+    """Reason for ending short of the target, as text."""
 
 
 class Arm:
@@ -51,10 +51,10 @@ class Arm:
         config: Address, tool and speeds.
         contact_frame: Pose (6,) of the contact frame in the base frame [m, rad]; +z leaves the
             sensor.
-        limits: What the guard holds.
-        force_path: FORCE_LATEST record the force stream publishes; None: no F/T sensor.
-        pose_path: POSE_LATEST record the pose stream publishes; None: the child's own link.
-        clock: For time limits.
+        limits: Limits enforced by the guard.
+        force_path: FORCE_LATEST record published by the force stream; None: no F/T sensor.
+        pose_path: POSE_LATEST record published by the pose stream; None: the child's own link.
+        clock: Clock for time limits.
     """
 
     def __init__(
@@ -72,10 +72,11 @@ class Arm:
         self._child = Child(setup, clock or SystemClock())
 
     def start(self, timeout: float) -> None:
-        """Start the child and wait until the arm obeys, at most `timeout` [s].
+        """Start the child and wait at most `timeout` [s] until the arm accepts commands.
 
         Raises:
-            DeviceLost: The controller does not answer, is off, in local control, or refuses.
+            DeviceLost: The controller does not answer, is off, in local control, or rejects the
+                setup.
             SafetyStop: A safety stop is active.
         """
         if self._child.alive:
@@ -87,7 +88,7 @@ class Arm:
 
     @property
     def alive(self) -> bool:
-        """Whether the child runs; False after a crash, whatever the reason."""
+        """True while the child runs; False after any crash."""
         return self._child.alive
 
     def move(
@@ -100,16 +101,16 @@ class Arm:
         on_wait: Callable[[], None] | None = None,
         wake: HasFileno | None = None,
     ) -> MoveResult:
-        """Go straight to TCP pose (6,) in the base frame [m, rad] and wait until it has ended.
+        """Move straight to TCP pose (6,) in the base frame [m, rad] and wait for it to end.
 
         Args:
             pose: Target.
-            speed: [m/s]; default: the configuration's, for travel or near contact by `mode`.
+            speed: [m/s]; default: the configured speed, for travel or near contact by `mode`.
             acceleration: [m/s^2]; default likewise.
             mode: See `rig.core.guard.Guard`.
-            on_wait: Called about 20 times a second. What it raises (or Ctrl-C) leaves the arm
-                moving: call `halt`.
-            wake: When it can be read from, `on_wait` is called at once; that has to empty it.
+            on_wait: Called about 20 times a second. An exception it raises (or Ctrl-C) leaves the
+                arm moving: call `halt`.
+            wake: When it becomes readable, `on_wait` is called at once and must drain it.
 
         Raises:
             SafetyStop: A hard limit, the box, or a safety stop of the controller.
@@ -127,10 +128,10 @@ class Arm:
         return MoveResult(reply.outcome, reply.start_ns, reply.end_ns, reply.reason)
 
     def halt(self) -> None:
-        """Stop and wait for standstill; a `move` in another thread ends as "stopped".
+        """Stop and wait until the arm is at rest; a `move` in another thread ends as "stopped".
 
         Raises:
-            SafetyStop: The controller stands in a safety stop already.
+            SafetyStop: The controller is already in a safety stop.
             DeviceLost: Child or controller are gone; the controller's watchdog stops the arm.
         """
         reply = self._child.ask(Halt, _STOP_ANSWER)
@@ -138,9 +139,9 @@ class Arm:
             _raise_for(reply)
 
     def retract(self) -> bool:
-        """Halt, then leave along +z of the contact frame; False when the arm could not.
+        """Halt, then move away along +z of the contact frame; return False if the arm could not.
 
-        Raises nothing for the arm's sake: it is what one does on the way out.
+        Does not raise when the arm is lost, since it is called while shutting down.
         """
         try:
             reply = self._child.ask(Retract, _STOP_ANSWER)
@@ -152,10 +153,10 @@ class Arm:
         return reply.outcome == "done"
 
     def recover_and_retract(self, timeout: float = 20.0) -> bool:
-        """After the child was lost: a fresh one, whose first act is to retract.
+        """Start a new child after the last one was lost, and retract first.
 
-        False when the controller does not answer or stands in a safety stop, which a person has to
-        look at first.
+        Returns False when the controller does not answer or is in a safety stop, whose cause a
+        person must check first.
         """
         try:
             self.start(timeout)
@@ -165,7 +166,7 @@ class Arm:
         return self.retract()
 
     def check(self) -> None:
-        """See whether the guard found something while no command was running.
+        """Raise if the guard found a problem while no command was running.
 
         Raises:
             SafetyStop: A hard limit or a safety stop.
@@ -178,7 +179,7 @@ class Arm:
             raise (DeviceLost if lost else SafetyStop)(alarm.reason)
 
     def close(self) -> None:
-        """Stop the arm where it is and end the child; safe twice."""
+        """Stop the arm in place and end the child; may be called twice."""
         if self._child.alive:
             try:
                 self._child.ask(Close, _STOP_ANSWER)

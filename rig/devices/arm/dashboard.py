@@ -1,6 +1,6 @@
-"""Client of the dashboard server (port 29999): one line asked, one line answered.
+"""Client of the dashboard server (port 29999): one line per question and per answer.
 
-The client asks only; it never unlocks a protective stop, which a person does at the pendant.
+The client only asks; it never unlocks a protective stop, which a person does at the pendant.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ BANNER = "Connected: Universal Robots Dashboard Server\n"
 
 
 def ask(host: str, questions: list[str], timeout: float) -> list[str]:
-    """The dashboard's answers to `questions`, in order, over one connection.
+    """Return the dashboard's answers to `questions`, in order, over one connection.
 
     Raises:
         DeviceLost: No dashboard server at `host`, or it does not answer within `timeout` [s].

@@ -1,7 +1,7 @@
-"""The emulated arm itself: where the TCP is, and its movements as generators.
+"""Kinematics of the emulated arm: the TCP pose, and movements as generators.
 
 One `next()` of a movement is one controller cycle (2 ms). Movements run on the TCP pose; joint
-angles follow when somebody asks for them, since solving for them is what would cost the most.
+angles, the costliest part, are solved for on request only.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ROWS = (
     (0.0, 0.0996, 0.0),
 )
 
-# Elbow up, tool pointing down [rad]: where the emulated arm stands when not told otherwise.
+# Elbow up, tool pointing down [rad]: default posture of the emulated arm.
 POSTURE = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
 
 # Every UR5e joint turns at most this far either way [rad].
@@ -44,7 +44,7 @@ JOINT_LIMIT = 2 * math.pi
 
 
 def joint_frames(joints: Array) -> list[Array]:
-    """Matrices (4, 4) in the base frame: the base, then joint by joint; the last is the flange."""
+    """Return the base-frame matrices (4, 4) of base, then each joint; the last is the flange."""
     frame = np.eye(4)
     frames = [frame]
     for (a, d, alpha), angle in zip(_ROWS, joints, strict=True):
@@ -62,15 +62,15 @@ def joint_frames(joints: Array) -> list[Array]:
 
 
 def flange_pose(joints: Array) -> Array:
-    """Pose (6,) of the flange in the base frame [m, rad] at joint angles (6,) [rad]."""
+    """Return the flange pose (6,) in the base frame [m, rad] at joint angles (6,) [rad]."""
     flange = joint_frames(joints)[-1]
     return np.concatenate([flange[:3, 3], vector_from_matrix(flange[:3, :3])])
 
 
 def solve_joints(flange: Array, seed: Array, *, iterations: int = 100) -> Array | None:
-    """Joint angles (6,) [rad] near `seed` that put the flange at pose (6,), or None.
+    """Return joint angles (6,) [rad] near `seed` that put the flange at pose (6,), or None.
 
-    Damped least squares with a step limit: near `seed` it converges in two or three steps; None
+    Damped least squares with a step limit: near `seed` it converges in two or three steps. None
     means out of reach, too close to a singularity, or beyond the joint limits.
     """
     goal_turn = matrix_from_vector(flange[3:])
@@ -94,7 +94,7 @@ def solve_joints(flange: Array, seed: Array, *, iterations: int = 100) -> Array 
 
 
 def find_joints(flange: Array) -> Array | None:
-    """Joint angles (6,) [rad] for any flange pose, starting from POSTURE turned towards it."""
+    """Return joint angles (6,) [rad] for any flange pose, starting from POSTURE turned to it."""
     home = math.atan2(*flange_pose(np.array(POSTURE))[1::-1])
     bearing = math.atan2(flange[1], flange[0])
     for wrist in (0.0, math.pi / 2, -math.pi / 2, math.pi):
@@ -110,14 +110,14 @@ def find_joints(flange: Array) -> Array | None:
 # Controller cycle of the e-Series [s].
 CYCLE = 0.002
 
-# A turn of 1 rad takes as long as this many metres: UR ties both in one movel profile [m/rad].
+# Path length that takes as long as a turn of 1 rad: UR uses one movel profile for both [m/rad].
 _ARM_LENGTH = 0.2
 
 Movement = Iterator[None]
 
 
 class Robot:
-    """An arm that goes where it is told, exactly.
+    """Ideal arm that follows its commands exactly.
 
     Args:
         pose: TCP pose (6,) in the base frame at power on [m, rad].
@@ -151,7 +151,7 @@ class Robot:
 
     @property
     def joints(self) -> Array:
-        """Joint angles (6,) [rad] of the present pose."""
+        """Joint angles (6,) [rad] of the current pose."""
         if self._joints_pose is not self.pose:
             solved = self.solve(self.pose)
             if solved is not None:
@@ -160,7 +160,7 @@ class Robot:
         return self._joints
 
     def solve(self, pose: Array) -> Array | None:
-        """Joint angles (6,) [rad] near the present ones with the TCP at `pose`, or None."""
+        """Return joint angles (6,) [rad] near the current ones with the TCP at `pose`, or None."""
         return solve_joints(compose(pose, invert(self.tcp)), self._joints)
 
     def set_tcp(self, tcp: Array) -> None:
@@ -170,7 +170,7 @@ class Robot:
         self.pose = compose(flange, self.tcp)
 
     def move_linear(self, goal: Array, acceleration: float, speed: float) -> Movement:
-        """Straight to TCP pose `goal` (6,) with a trapezoidal speed profile [m/s^2, m/s]."""
+        """Move straight to TCP pose `goal` (6,), with trapezoidal speed [m/s^2, m/s]."""
         start = self.pose
         way = goal[:3] - start[:3]
         rotation = rotation_between(start, goal)
@@ -184,7 +184,7 @@ class Robot:
         yield
 
     def move_joints(self, goal: Array, acceleration: float, speed: float) -> Movement:
-        """All joints together to `goal` (6,) [rad], the slowest sets the pace [rad/s^2, rad/s]."""
+        """Move all joints to `goal` (6,) [rad], paced by the slowest [rad/s^2, rad/s]."""
         start = self.joints.copy()
         way = goal - start
         for fraction in self._profile(float(np.abs(way).max()), acceleration, speed):
@@ -198,11 +198,11 @@ class Robot:
         self._joints = joints
 
     def forward(self, joints: Array) -> Array:
-        """TCP pose (6,) [m, rad] at joint angles (6,) [rad]."""
+        """Return the TCP pose (6,) [m, rad] at joint angles (6,) [rad]."""
         return compose(flange_pose(joints), self.tcp)
 
     def _profile(self, length: float, acceleration: float, speed: float) -> Iterator[float]:
-        """Fractions of `length` travelled after each cycle, the speed slider included."""
+        """Yield the fraction of `length` travelled after each cycle, at the speed slider."""
         if length < 1e-9:
             return
         acceleration, speed = max(acceleration, 1e-6), max(speed, 1e-6)
@@ -221,7 +221,7 @@ class Robot:
             t += CYCLE * self.slider
 
     def stop(self, deceleration: float) -> Movement:
-        """Slow down along the present direction until at rest [m/s^2]."""
+        """Decelerate along the current direction until at rest [m/s^2]."""
         speed = self.speed
         full = self._magnitude(speed)
         left = full
@@ -232,7 +232,7 @@ class Robot:
         yield
 
     def run_at(self, goal: Array, acceleration: float) -> None:
-        """One cycle of speedl: towards TCP speed `goal` (6,) [m/s, rad/s] at `acceleration`."""
+        """Run one cycle of speedl: towards TCP speed `goal` (6,) [m/s, rad/s] at `acceleration`."""
         change = goal - self.speed
         size = self._magnitude(change)
         share = min(1.0, acceleration * CYCLE / size) if size > 0 else 1.0

@@ -1,7 +1,6 @@
 """The emulated UR controller: registers, program, safety, and the 2 ms cycle. No sockets here.
 
-Faults are methods: what a test or `make faults` injects through the fault port, a test in the same
-process may call.
+Faults are methods, called by the fault port (for `make faults`) or by a test in the same process.
 """
 
 from __future__ import annotations
@@ -20,43 +19,43 @@ from rig.devices.arm.emulated_arm import CYCLE, Movement, Robot
 
 logger = logging.getLogger(__name__)
 
-# The program that ur_rtde 1.6.5 uploads, re-implemented: one `next()` is one sync() of its script.
+# The program that ur_rtde 1.6.5 uploads, reimplemented: one `next()` is one sync() of its script.
 #
-# The uploaded text is not interpreted. What is here follows it in what a client can see: a command
-# runs once, register 0 says 2 (done) until the client writes command 0, then 1 (ready); real-time
-# commands run every cycle; register 2 is the asynchronous operation word.
+# The uploaded text is not interpreted. This code reproduces the behaviour visible to a client: a
+# command runs once, register 0 holds 2 (done) until the client writes command 0, then 1 (ready);
+# real-time commands run every cycle; register 2 is the asynchronous operation word.
 
 READY, DONE = 1, 2
 STOP_SCRIPT = 255
 _REAL_TIME = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
-# stopj is given in rad/s^2; the emulated arm turns it into TCP terms at this radius [m].
+# stopj takes rad/s^2; the emulated arm converts it to TCP acceleration at this radius [m].
 _STOPJ_REACH = 0.5
 
 
 class Registers(Protocol):
-    """What the script reads and writes on its controller."""
+    """Interface of the controller to the script."""
 
     robot: Robot
     payload: float
     payload_cog: tuple[float, float, float]
 
     def read_int(self, register: int) -> int:
-        """Input integer register."""
+        """Read an input integer register."""
 
     def read_double(self, register: int) -> float:
-        """Input double register."""
+        """Read an input double register."""
 
     def write_int(self, register: int, value: int) -> None:
-        """Output integer register."""
+        """Write an output integer register."""
 
     def write_doubles(self, values: Array) -> None:
-        """Output double registers from 0 on."""
+        """Write output double registers from 0 on."""
 
     def set_watchdog(self, min_frequency_hz: float) -> None:
-        """Stop the program when input_int_register_0 is written less often than this."""
+        """Stop the program if input_int_register_0 is written less often than this."""
 
     def protective_stop(self, reason: str) -> None:
-        """What the script function of that name does."""
+        """Run the script function of the same name."""
 
 
 class Program:
@@ -72,8 +71,8 @@ class Program:
         self._threads: dict[str, Movement] = {}
         self._writes = 0
         self._operation = 0
-        # 0 until the first asynchronous stop, then 1 for ever: a defect of the script that makes a
-        # synchronous stopL run stopj. Faithful, so that nobody relies on synchronous stops.
+        # 0 until the first asynchronous stop, then always 1: a defect of the script that makes a
+        # synchronous stopL run stopj. Reproduced so that nobody relies on synchronous stops.
         self._stop_type = 0
         self._speed_goal: tuple[Array, float] = (np.zeros(6), 1.0)
         self._main = self._loop()
@@ -102,7 +101,7 @@ class Program:
         }
 
     def step(self) -> bool:
-        """Run one cycle of the main thread, then of the others; False when the program ended."""
+        """Run one cycle of the main thread, then of the others; return False at program end."""
         if next(self._main, True):
             return False
         for name in list(self._threads):
@@ -154,7 +153,7 @@ class Program:
         return np.array([self._controller.read_double(start + k) for k in range(count)])
 
     def _signalled(self, movement: Movement) -> Movement:
-        """A movement in a thread of its own, its start and end told in the operation word."""
+        """Run a movement in its own thread, with start and end in the operation word."""
         self._signal(0)
         yield from movement
         self._signal(-1)
@@ -209,7 +208,7 @@ class Program:
             self._threads["speed"] = self._running()
 
     def _running(self) -> Iterator[None]:
-        # Like the script's `while True: speedl(...)`: it goes on when the client is gone.
+        # Like the script's `while True: speedl(...)`: it continues when the client is gone.
         while True:
             self._robot.run_at(*self._speed_goal)
             yield
@@ -235,7 +234,7 @@ class Program:
         self._controller.write_int(1, int(not self._robot.speed.any()))
 
 
-# PolyScope version answered everywhere: the newest whose ur_rtde recipes stay small.
+# PolyScope version reported everywhere: the newest whose ur_rtde recipes stay small.
 VERSION = (5, 12, 4, 1101661)
 
 # RTDE runtime_state.
@@ -247,12 +246,12 @@ RUNNING, POWER_OFF = 7, 3
 _NORMAL, _PROTECTIVE, _EMERGENCY = 0x1, 0x404, 0x4C0
 _SAFETY_MODES = {_NORMAL: 1, _PROTECTIVE: 3, _EMERGENCY: 7}
 _COMMAND = "input_int_register_0"
-# Deceleration when a program ends under way, whoever ended it [m/s^2].
+# Deceleration when a program ends during a move, for any reason [m/s^2].
 _BRAKING = 10.0
 
 
 class Controller:
-    """A UR5e controller of version 5.12 with the arm standing at `pose`.
+    """UR5e controller of version 5.12 with the arm at rest at `pose`.
 
     Args:
         pose: TCP pose (6,) in the base frame at start [m, rad].
@@ -269,16 +268,16 @@ class Controller:
         self.payload_cog = (0.0, 0.0, 0.0)
         self.force_limit = force_limit
         self.wrench = np.zeros(6)
-        """On the sensor, as the World says [N, N m]; reported as actual_TCP_force unrotated."""
+        """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
         self.tick = 0
         self.runtime_state = STOPPED
         self.safety_status = _NORMAL
         self.robot_mode = RUNNING
         self.remote_control = True
         self.uploads = 0
-        """Programs received since start."""
+        """Number of programs received since start."""
         self.reason = "never started"
-        """Why no program is running."""
+        """Reason why no program is running."""
         self._inputs: dict[str, rtde.Value] = {
             name: (0.0,) * 6 if kind == "VECTOR6D" else 0 for name, kind in rtde.INPUTS.items()
         }
@@ -290,31 +289,31 @@ class Controller:
         self._idle_cycles = 0
         self._sources = self._make_sources()
 
-    # Registers, as the script sees them.
+    # Registers, as accessed by the script.
 
     def read_int(self, register: int) -> int:
-        """Input integer register."""
+        """Read an input integer register."""
         return int(self._inputs[f"input_int_register_{register}"])  # type: ignore[arg-type]
 
     def read_double(self, register: int) -> float:
-        """Input double register."""
+        """Read an input double register."""
         return float(self._inputs[f"input_double_register_{register}"])  # type: ignore[arg-type]
 
     def write_int(self, register: int, value: int) -> None:
-        """Output integer register."""
+        """Write an output integer register."""
         self._ints[register] = value
 
     def write_doubles(self, values: Array) -> None:
-        """Output double registers from 0 on."""
+        """Write output double registers from 0 on."""
         self._doubles[: len(values)] = [float(value) for value in values]
 
     def set_watchdog(self, min_frequency_hz: float) -> None:
-        """Stop the program when the command register is written less often; gone with it."""
+        """Stop the program if the command register is written less often; ends with it."""
         self._watchdog_cycles = max(1, round(1 / (min_frequency_hz * CYCLE)))
         self._idle_cycles = 0
 
     def write_inputs(self, names: list[str], values: list[rtde.Value]) -> None:
-        """Take one data package from a client."""
+        """Accept one data package from a client."""
         self._inputs.update(zip(names, values, strict=True))
         if _COMMAND in names:
             self._idle_cycles = 0
@@ -324,7 +323,7 @@ class Controller:
     # Program and safety.
 
     def start_program(self, text: str) -> None:
-        """Run an uploaded program; refused while a safety stop is active."""
+        """Run an uploaded program; rejected while a safety stop is active."""
         self.uploads += 1
         name = re.search(r"^def (\w+)\(\)", text, re.MULTILINE)
         if self.safety_status != _NORMAL or self.robot_mode != RUNNING:
@@ -339,7 +338,7 @@ class Controller:
         self.runtime_state = PLAYING
 
     def stop_program(self, reason: str) -> None:
-        """End the program; an arm under way brakes."""
+        """End the program; a moving arm brakes."""
         if self._program is not None or self.safety_status != _NORMAL:
             self.reason = reason
         if self._program is not None:
@@ -350,24 +349,24 @@ class Controller:
         self.runtime_state = STOPPED
 
     def protective_stop(self, reason: str) -> None:
-        """Stop as on an unexpected force; stays until `reset_safety`."""
+        """Stop as on an unexpected force, until `reset_safety`."""
         if self.safety_status == _NORMAL:
             self.safety_status = _PROTECTIVE
             self.stop_program(f"protective stop: {reason}")
 
     def emergency_stop(self) -> None:
-        """As when somebody hits the red button: power off too."""
+        """Stop as if the emergency button was pressed: power off too."""
         self.safety_status = _EMERGENCY
         self.robot_mode = POWER_OFF
         self.stop_program("emergency stop")
 
     def reset_safety(self) -> None:
-        """What a person does at the pendant after looking: unlock, power on. Nothing starts."""
+        """Unlock and power on, as a person does at the pendant. Starts nothing."""
         self.safety_status = _NORMAL
         self.robot_mode = RUNNING
 
     def cycle(self) -> None:
-        """Two milliseconds of controller time."""
+        """Advance by one cycle, 2 ms of controller time."""
         self.tick += 1
         before = self.robot.pose
         if self._program is not None:
@@ -391,10 +390,10 @@ class Controller:
         except RuntimeError as error:
             self.stop_program(f"script exception: {error}")
 
-    # What RTDE reports.
+    # Variables that RTDE reports.
 
     def source(self, name: str) -> Callable[[], rtde.Value]:
-        """The function that gives output variable `name` its value now."""
+        """Return the function that reads output variable `name`."""
         return self._sources[name]
 
     def _make_sources(self) -> dict[str, Callable[[], rtde.Value]]:
@@ -436,7 +435,7 @@ _SAFETY = {1: "NORMAL", 3: "PROTECTIVE_STOP", 7: "ROBOT_EMERGENCY_STOP"}
 
 
 def dashboard_answer(controller: Controller, line: str) -> str:
-    """The emulated server's answer to `line`, both without line end."""
+    """Return the emulated server's answer to `line`, both without line end."""
     question = line.strip().lower()
     playing = controller.runtime_state == PLAYING
     safety = _SAFETY[int(controller.source("safety_mode")())]  # type: ignore[arg-type]

@@ -1,10 +1,10 @@
-"""A UR5e controller on a loopback address, for the unmodified ur_rtde and for our pose reader.
+"""Emulated UR5e controller on a loopback address, for the unmodified ur_rtde and our pose reader.
 
     python -m rig.devices.arm.emulator --host 127.0.0.5 --state run/arm --world run/world
 
-Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999) and on
+Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999), and on
 31000 for faults to inject: see rig.devices.arm.emulator_faults. ur_rtde's constructors hold the GIL
-while they wait for an answer, so this must not run in the process of a client that uses ur_rtde.
+while they wait for an answer, so do not run this in the process of a client that uses ur_rtde.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_a
 
 logger = logging.getLogger(__name__)
 
-# The connections of an emulated controller: RTDE, script upload, and lines of text.
+# Connections of an emulated controller: RTDE, script upload, and lines of text.
 #
-# Nothing blocks: each client keeps what has arrived and what could not be sent yet.
+# Nothing blocks: each client buffers the data received and the data not sent yet.
 
-# A client that lets this much pile up is dropped, as the controller does [bytes].
+# A client with this much unsent data is dropped, as the controller does [bytes].
 _UNSENT_LIMIT = 1 << 20
 
-# Sent in mm and thousandths of a radian by a controller with the wrong units.
+# Sent in mm and thousandths of a radian by the fault `wrong_units`.
 _POSES = ("actual_TCP_pose", "target_TCP_pose")
 
 _PROGRAM_END = re.compile(r"^end\s*\n", re.MULTILINE)
 
 
 class Client(Protocol):
-    """What the emulator's loop needs of a connection."""
+    """Interface of a connection, as the emulator's loop uses it."""
 
     peer: socket.socket
 
     def receive(self) -> bool:
-        """Take what has arrived; False when the connection is over."""
+        """Process the received data; return False when the connection is over."""
 
 
 def _take(peer: socket.socket) -> bytes | None:
-    """What has arrived, empty when nothing has, None when the connection is over."""
+    """Return the received data: empty if there is none, None when the connection is over."""
     try:
         return peer.recv(1 << 16) or None
     except BlockingIOError:
@@ -68,11 +68,11 @@ def _take(peer: socket.socket) -> bytes | None:
 
 
 class LineClient:
-    """A text protocol: each line received is answered by one line.
+    """Connection of a text protocol: each line received is answered by one line.
 
     Args:
         peer: The connection.
-        answer: Answers a line, both without line end.
+        answer: Returns the answer to a line, both without line end.
         banner: Sent on connecting.
     """
 
@@ -84,7 +84,7 @@ class LineClient:
             self.peer.send(banner.encode())
 
     def receive(self) -> bool:
-        """Take what has arrived; False when the connection is over."""
+        """Process the received data; return False when the connection is over."""
         received = _take(self.peer)
         if received is None:
             return False
@@ -98,7 +98,7 @@ class LineClient:
 
 
 class ScriptClient:
-    """Receives URScript; a program is complete at a line `end` that is not indented.
+    """Connection that receives URScript; an unindented line `end` completes a program.
 
     Args:
         peer: The connection.
@@ -111,7 +111,7 @@ class ScriptClient:
         self._text = ""
 
     def receive(self) -> bool:
-        """Take what has arrived; False when the connection is over."""
+        """Process the received data; return False when the connection is over."""
         received = _take(self.peer)
         if received is None:
             return False
@@ -127,9 +127,9 @@ class RtdeClient:
 
     Args:
         peer: The connection.
-        controller: Where values come from and go to.
-        owners: Which client may write an input; shared by all clients of a controller.
-        line: What is wrong with the line that its data packages take.
+        controller: Source of outputs, destination of inputs.
+        owners: Client that may write each input; shared by all clients of a controller.
+        line: Fault injector of its data packages.
     """
 
     def __init__(
@@ -150,11 +150,11 @@ class RtdeClient:
         self._every = 1
         self._output_types: tuple[str, ...] = ()
         self._sources: list[Callable[[], rtde.Value]] = []
-        # ur_rtde relies on input recipes being numbered 1, 2, 3... in the order it asks for them.
+        # ur_rtde relies on input recipes being numbered 1, 2, 3... in the order of its requests.
         self._inputs: list[tuple[list[str], tuple[str, ...]]] = []
 
     def receive(self) -> bool:
-        """Take what has arrived; False when the connection is over."""
+        """Process the received data; return False when the connection is over."""
         received = _take(self.peer)
         if received is None:
             return False
@@ -215,7 +215,7 @@ class RtdeClient:
             logger.warning("arm emulator: input recipe %d: %s", payload[0], error)
 
     def publish(self) -> None:
-        """Send this cycle's data package if the client's rate says so."""
+        """Send a data package if one is due in this cycle at the client's rate."""
         if self._started and self._controller.tick % self._every == 0:
             values = [source() for source in self._sources]
             if not self.line.on:
@@ -238,26 +238,26 @@ class RtdeClient:
         except BlockingIOError:
             pass
         except OSError:
-            # Reading finds the connection closed and takes the client off the list.
+            # Reading will find the connection closed and remove the client.
             self._started = False
 
 
 SCRIPT_PORTS = (30001, 30002, 30003)
 _CYCLE_NS = round(CYCLE * SECOND_NS)
+# Host delays of up to 50 ms are caught up, as packages of a real controller would arrive together.
+# For longer ones the emulated controller's clock stands still, which is counted in `missed`.
 _LATE_CYCLES = 25
-# Up to 50 ms of host delay is caught up, as packages of a real controller would arrive together;
-# beyond that the emulated controller's clock stands still for the time lost, and that is counted.
 
 
 class ArmEmulator:
-    """Serves a `Controller` at 500 Hz against absolute deadlines, in one thread of its own.
+    """Serves a `Controller` at 500 Hz against absolute deadlines, on a background thread.
 
     Args:
         host: Loopback address to listen on.
-        controller: What to serve.
+        controller: The controller to serve.
         clock: Paces the cycles.
-        state: ARM_TRUTH record to publish each cycle's pose in.
-        world: Where the contact force comes from.
+        state: ARM_TRUTH record for each cycle's pose.
+        world: Source of the contact force.
     """
 
     def __init__(
@@ -283,18 +283,18 @@ class ArmEmulator:
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._frozen_until_ns = 0
-        # Of the plug, and of clients to come; each client's packages have a line of their own.
+        # For the plug and for future clients; each client's packages have their own injector.
         self._line = Disturbance[bytes](clock, spoil=spoilt_bytes, on_change=self._on_plug)
         self.missed = 0
-        """Cycles of host time in which the emulated controller's clock stood still."""
+        """Cycles of host time for which the emulated controller's clock stood still."""
 
     @property
     def address(self) -> str:
-        """The host it listens on."""
+        """Host it listens on."""
         return self._host
 
     def start(self) -> None:
-        """Listen on all ports and run; returns when clients can connect.
+        """Listen on all ports and run; return when clients can connect.
 
         Raises:
             OSError: A port is taken.
@@ -312,7 +312,7 @@ class ArmEmulator:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop and close every connection; safe twice."""
+        """Stop and close every connection; may be called twice."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -364,7 +364,7 @@ class ArmEmulator:
         return client
 
     def _new_dashboard(self, peer: socket.socket) -> Client:
-        # The banner must come at once: ur_rtde waits 2 s for it and then gives up.
+        # The banner must come at once: ur_rtde waits 2 s for it, then fails.
         return LineClient(
             peer, lambda line: dashboard_answer(self._controller, line), dashboard.BANNER
         )
@@ -377,7 +377,7 @@ class ArmEmulator:
         _shut(client.peer for client in self._clients)
 
     def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Put a fault into the line of every RTDE client; see `rig.core.fault_injection`."""
+        """Inject a fault into every RTDE client's packages; see `rig.core.fault_injection`."""
         reply = self._line.inject(fault, **values)
         for client in self._clients:
             client.line.inject(fault, **values)
@@ -388,7 +388,7 @@ class ArmEmulator:
             _shut(self._peers)
 
     def freeze(self, seconds: float) -> None:
-        """Neither send nor read RTDE for so long [s]; connections stay, the arm goes on."""
+        """Suspend RTDE for `seconds` [s], both ways; connections stay, the arm keeps moving."""
         self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
 
     def _run(self) -> None:
@@ -414,7 +414,7 @@ class ArmEmulator:
 
     def _cycle(self, due_ns: int, now_ns: int) -> None:
         controller = self._controller
-        # The World answers at a few hundred Hz at most: looking every fifth cycle is enough.
+        # The World answers at a few hundred Hz at most: reading it every fifth cycle is enough.
         if self._world is not None and controller.tick % 5 == 0:
             count, state = self._world.state()
             if count != self._world_count:
@@ -437,14 +437,14 @@ def _shut(peers: Iterable[socket.socket]) -> None:
 
 
 def _plain(word: str) -> str:
-    """`word`; a negative exponent number written out, since argparse takes -1e-16 for an option."""
+    """Write out a negative number with an exponent: argparse takes -1e-16 for an option."""
     if not re.fullmatch(r"-[\d.]+[eE][-+]?\d+", word):
         return word
     return f"{float(word):.17f}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one emulated arm until told to end; returns the exit code."""
+    """Run one emulated arm until asked to end, and return the exit code."""
     parser = emulator_parser("python -m rig.devices.arm.emulator", __doc__)
     parser.add_argument("--state", type=Path, metavar="PATH", help="file to publish the pose in")
     parser.add_argument(
@@ -467,7 +467,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         type=float,
         default=150.0,
         metavar="N",
-        help="contact force that makes a protective stop [N] (%(default)s)",
+        help="contact force that triggers a protective stop [N] (%(default)s)",
     )
     return run_emulator(parser, _make, [_plain(word) for word in argv or sys.argv[1:]])
 

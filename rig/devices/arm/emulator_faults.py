@@ -1,15 +1,15 @@
-"""Faults to inject into a running arm emulator: `make faults`, and the tests.
+"""Faults to inject into a running arm emulator, used by `make faults` and the tests.
 
-The fault port (rig.core.emulation) knows those of the controller, and those of its line, which are
-in rig.core.fault_injection (freeze is the controller's own: it does not read either).
+The fault port (rig.core.emulation) accepts the faults of the controller below, and those of its
+line in rig.core.fault_injection (freeze is the controller's own: it stops reading too).
 
     protective_stop, emergency_stop, stop_program
-    reset_safety         what a person does at the pendant afterwards
+    reset_safety         release at the pendant, as a person does afterwards
     drop                 close every RTDE connection
-    freeze  seconds      RTDE mute for so long, connections stay; the arm goes on
+    freeze  seconds      suspend RTDE for so long; connections stay, the arm keeps moving
     slider  fraction     speed slider
     remote_control  on   false: the pendant is in local control
-    state                nothing; like every answer, it tells how the controller is
+    state                no fault; returns the controller's state, as every answer does
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ _OF_THE_LINE = (*(fault for fault in FAULTS if fault != "freeze"), "replug", "cl
 
 
 class Network(Protocol):
-    """What the emulator's connections can be made to do."""
+    """Interface to the faults of the emulator's connections."""
 
     def drop(self) -> None:
         """Close every RTDE connection."""
 
     def freeze(self, seconds: float) -> None:
-        """Neither send nor read RTDE for so long [s]."""
+        """Suspend RTDE for `seconds` [s], both ways."""
 
     def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
         """See `rig.core.fault_injection.Disturbance.inject`."""
 
 
 def apply(controller: Controller, network: Network, fault: str, **values: Any) -> dict[str, Any]:
-    """Inject one fault and tell how the controller is.
+    """Inject one fault and return the controller's state.
 
     Raises:
-        ValueError: No such fault.
-        KeyError: A value the fault needs is missing.
+        ValueError: Unknown fault.
+        KeyError: A value that the fault needs is missing.
     """
 
     def set_slider() -> None:
@@ -87,15 +87,15 @@ def apply(controller: Controller, network: Network, fault: str, **values: Any) -
 
 
 def answer(controller: Controller, network: Network, line: str) -> str:
-    """The fault port's answer to one line."""
+    """Return the fault port's answer to one line."""
     return emulation.answer(lambda **request: apply(controller, network, **request), line)
 
 
 def inject(host: str, fault: str, **values: Any) -> dict[str, Any]:
-    """Inject a fault into the emulator at `host` and return how its controller is.
+    """Inject a fault into the emulator at `host` and return the state of its controller.
 
     Raises:
         OSError: No emulator there.
-        ValueError: The emulator does not know the fault, or misses a value.
+        ValueError: The emulator does not know the fault, or a value is missing.
     """
     return emulation.inject(host, PORT, fault, **values)

@@ -1,7 +1,7 @@
-"""What goes through the pipe between the recording process and the process that moves the arm.
+"""Messages between the recording process and the process that moves the arm, sent over a pipe.
 
-Every command carries a number and is answered by a reply of that number; a reply to a command
-nobody waits for any more is dropped. `Started` comes in between, `Alarm` (number 0) unasked.
+Each command has a number, and its reply has the same number. A reply to a command that nobody waits
+for any more is dropped. `Started` may precede the reply; `Alarm` (number 0) is sent unprompted.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Literal
 from rig.core.guard import GuardLimits, Kind, Mode
 from rig.devices.arm.settings import ArmConfig
 
-# Number of the reply that says the child is ready, or why not: nobody has to ask for it.
+# Number of the unprompted reply that reports that the child is ready, or why it is not.
 START = 1
 
 Outcome = Literal["done", "force_limited", "stopped", "safety_stop", "device_lost"]
@@ -21,7 +21,7 @@ Outcome = Literal["done", "force_limited", "stopped", "safety_stop", "device_los
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Everything the child needs from the start."""
+    """Information the child needs at its start."""
 
     config: ArmConfig
     contact_frame: tuple[float, ...]
@@ -30,12 +30,12 @@ class Setup:
     force_path: Path | None
     """FORCE_LATEST record; None: a bench without F/T sensor."""
     pose_path: Path | None
-    """POSE_LATEST record; None: the child's own pose link stands in."""
+    """POSE_LATEST record; None: the child's own pose link is used."""
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Go straight to a TCP pose."""
+    """Move straight to a TCP pose."""
 
     number: int
     pose: tuple[float, ...]
@@ -49,21 +49,21 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """Stop and stand still."""
+    """Stop and come to rest."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Retract:
-    """Stop, then leave along +z of the contact frame."""
+    """Stop, then move away along +z of the contact frame."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Close:
-    """End the program on the controller and the child."""
+    """End the program on the controller, and the child."""
 
     number: int
 
@@ -73,16 +73,16 @@ Command = Move | Halt | Retract | Close
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A movement has begun."""
+    """Report that a movement has begun."""
 
     number: int
     limit: float
-    """It will have ended, one way or another, after this long [s]."""
+    """Longest time until it has ended, in any way [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """How a command ended."""
+    """Result of a command."""
 
     number: int
     outcome: Outcome
@@ -90,12 +90,12 @@ class Reply:
     end_ns: int
     reason: str = ""
     kind: Kind | None = None
-    """The guard's verdict, where it was one."""
+    """Kind of the guard's verdict, if a verdict ended the command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """The guard's verdict while no command was running."""
+    """Guard's verdict while no command was running."""
 
     kind: Kind
     reason: str

@@ -1,9 +1,9 @@
-"""The process that moves the arm: owns ur_rtde, watches the guard, obeys the pipe.
+"""The process that moves the arm: it owns ur_rtde, polls the guard and obeys the pipe.
 
 ur_rtde crashes its process when the connection drops (SIGSEGV), so it lives here, under the
-supervision of `rig.devices.arm.supervisor`. When the pipe closes, the one who recorded is gone: the
-arm halts, retracts and this process ends. After a protective or emergency stop nothing is
-commanded.
+supervision of `rig.devices.arm.supervisor`. A closed pipe means that the recording process is gone:
+the arm halts and retracts, and this process ends. After a protective or emergency stop no command
+is sent.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ from rig.devices.arm.vendor import UrControl, check_ready
 logger = logging.getLogger(__name__)
 
 _LINK_HZ = 250.0
-# For each connection, and for the first pose, at start [s].
+# Time limit for each connection, and for the first pose, at start [s].
 _CONNECT = 2.0
-# Without a parent: halted, retracted and ended by then, or ended by an alarm [s].
+# Without a parent, this process has halted, retracted and ended by then, or an alarm ends it [s].
 _LEAVING = 20
 
 
 class _ParentGoneError(Exception):
-    """The pipe is closed, or we were told to end: nobody will command this arm again."""
+    """The pipe is closed, or we were asked to end: nobody will command this arm again."""
 
 
 def run(setup: Setup, pipe: Connection) -> NoReturn:
-    """Entry of the child process: serve `pipe` until told to close, then leave without clean-up."""
+    """Run the child process: serve `pipe` until it is asked to close, then exit without cleanup."""
     threading.Thread(target=_outlive_briefly, name="parent", daemon=True).start()
-    # Ctrl-C in the terminal reaches the whole group; only the parent decides what it means.
+    # Ctrl-C in the terminal reaches the whole group; only the parent decides how to react.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # ur_rtde prints to stdout, which belongs to the parent's results.
+    # ur_rtde prints to stdout, which the parent uses for its results.
     os.dup2(2, 1)
     code = 1
     try:
@@ -70,10 +70,10 @@ def run(setup: Setup, pipe: Connection) -> NoReturn:
 
 
 def _outlive_briefly() -> None:
-    """See to it that this process does not outlive the one that started it for long.
+    """Ensure that this process does not outlive its parent for long.
 
-    A command sent to a controller that has gone as well hangs inside ur_rtde for up to 300 s, where
-    no Python code of ours gets a turn; the alarm's default action needs none.
+    A command sent to a controller that is gone too hangs inside ur_rtde for up to 300 s, during
+    which no Python code runs. The default action of the alarm needs none.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -100,13 +100,13 @@ def _serve(setup: Setup, pipe: Connection) -> int:
 
 
 class Motion:
-    """One connected arm and the pipe its commands come from.
+    """One connected arm and the pipe that brings its commands.
 
     Args:
-        setup: What to hold.
+        setup: Limits and configuration to enforce.
         pipe: Commands in, reports out.
         control: The running control program.
-        link: Pose stream of our own: tells standstill, safety status, and that the arm is there.
+        link: Our own pose stream: standstill, safety status, and proof that the arm is there.
         clock: Paces the loop and stamps the replies.
     """
 
@@ -121,14 +121,14 @@ class Motion:
         self._ending = False
 
     def end(self) -> None:
-        """Treat the parent as gone at the next look at the pipe (SIGTERM)."""
+        """Treat the parent as gone at the next poll of the pipe (for SIGTERM)."""
         self._ending = True
 
     def serve(self) -> int:
-        """Obey until closed; returns the exit code.
+        """Obey commands until closed, and return the exit code.
 
         Raises:
-            DeviceLost: The arm was lost while nobody was there to be told.
+            DeviceLost: The arm was lost while there was no parent to report it to.
         """
         number = START
         try:
@@ -148,7 +148,7 @@ class Motion:
             return 1
 
     def _leave(self) -> None:
-        """The last act without a parent: halt and retract, unless a safety stop forbids it."""
+        """Halt and retract after losing the parent, unless a safety stop forbids it."""
         self._ending = False
         if self._pipe is not None:
             self._pipe.close()
@@ -180,7 +180,7 @@ class Motion:
         self._send(self._mover.move(move, lambda limit: self._send(Started(move.number, limit))))
 
     def _next_command(self) -> Command:
-        """Wait for a command; what the guard finds meanwhile is told once."""
+        """Wait for a command, reporting each kind of guard verdict at most once meanwhile."""
         told: set[Kind] = {"force_soft", "box"}  # Resting in contact or outside is no alarm.
         while not self._command_waits():
             verdict = self._mover.step("guarded")
@@ -196,7 +196,7 @@ class Motion:
             raise _ParentGoneError from error
 
     def _command_waits(self) -> bool:
-        """Whether the pipe has something to read, its end included; it is left there."""
+        """Return True if the pipe has data to read or is closed; nothing is consumed."""
         if self._ending:
             raise _ParentGoneError
         try:
@@ -219,5 +219,5 @@ class Motion:
             if self._pipe is not None:
                 self._pipe.send(report)
         except OSError:
-            # The parent is gone: acted upon where commands are read.
+            # The parent is gone: handled where commands are read.
             self._ending = True

@@ -1,4 +1,4 @@
-"""What the arm's process sees: its own pose link, the shared force and pose, the guard."""
+"""Movements and inputs of the arm's process: own pose link, shared force and pose, guard."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from rig.devices.arm.messages import Move, Outcome, Reply, Setup
 from rig.devices.arm.reader import RtdeLink
 from rig.devices.arm.vendor import UrControl
 
-# A pose of our own link older than this: do not talk to ur_rtde, it may hang [s].
+# If the newest pose of our own link is older than this, ur_rtde may hang: do not call it [s].
 _FRESH = 0.1
-# At rest [m/s, rad/s]: above the noise of the controller's own speed estimate.
+# At rest below this speed [m/s, rad/s], which is above the noise of the controller's estimate.
 _STILL, _STILL_TURN = 1e-3, 1e-2
 
 
 class Watch:
-    """Everything the arm's process knows of the world, renewed by `look`.
+    """State of arm and sensors as known to the arm's process, updated by `look`.
 
     Args:
-        setup: Limits, contact frame, and where force and pose are shared.
+        setup: Limits, contact frame, and the paths of the shared force and pose.
         link: Open pose link.
-        clock: Tells the age of records.
+        clock: Determines the age of records.
     """
 
     def __init__(self, setup: Setup, link: RtdeLink, clock: Clock) -> None:
@@ -48,15 +48,15 @@ class Watch:
         self.speed_fraction = 1.0
         """Speed slider, 0..1."""
         self.armed = False
-        """Whether the streams were needed once: before, their absence is no news."""
+        """True once the streams have been needed; before that, missing streams are no alarm."""
 
     @property
     def pose(self) -> Array | None:
-        """TCP pose (6,) in the base frame, of our own link [m, rad]; None before the first."""
+        """TCP pose (6,) in the base frame, from our own link [m, rad]; None before the first."""
         return None if self._sample is None else np.array(self._sample["value"])
 
     def look(self, mode: Mode) -> Verdict | None:
-        """Take in what has arrived and ask the guard.
+        """Process the samples that have arrived and return the guard's verdict.
 
         Raises:
             DeviceLost: The controller closed the link or is silent.
@@ -72,7 +72,7 @@ class Watch:
         return self._guard.check(self._clock.now_ns(), self._force.read(), pose, mode)
 
     def look_again(self, timeout: float) -> Verdict | None:
-        """The safety status after waiting up to `timeout` [s] for it to change from normal."""
+        """Wait up to `timeout` [s] for an abnormal safety status; return its verdict or None."""
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while self._clock.now_ns() < deadline_ns:
             for sample in self._link.receive(0.01):
@@ -90,17 +90,17 @@ class Watch:
             self._moved_ns = sample["t_ns"]
 
     def fresh(self) -> bool:
-        """Whether the controller has been heard from just now."""
+        """Return True if the controller has just been heard from."""
         if self._sample is None:
             return False
         age_ns: int = self._clock.now_ns() - self._sample["t_ns"]
         return age_ns <= round(_FRESH * SECOND_NS)
 
     def require_fresh(self) -> None:
-        """See that it is safe to call ur_rtde.
+        """Ensure that it is safe to call ur_rtde.
 
         Raises:
-            DeviceLost: The controller has not been heard from just now.
+            DeviceLost: The controller has not been heard from recently.
         """
         if not self.fresh() and not self._heard_after_waiting():
             raise DeviceLost(
@@ -108,59 +108,59 @@ class Watch:
             )
 
     def _heard_after_waiting(self) -> bool:
-        # Our own process may have been held up: what waits in the socket counts.
+        # Our own process may have been delayed: samples waiting in the socket count.
         for sample in self._link.receive(_FRESH):
             self._take(sample)
         return self.fresh()
 
     def still(self) -> bool:
-        """Whether the TCP has been at rest for the settling time."""
+        """Return True if the TCP has been at rest for the settling time."""
         return self.fresh() and self._clock.now_ns() - self._moved_ns > self._settle_ns
 
     def distance(self, goal: Array) -> float:
-        """From the TCP to pose (6,) `goal` [m]."""
+        """Return the distance from the TCP to pose (6,) `goal` [m]."""
         pose = self.pose
         return 0.0 if pose is None else float(np.linalg.norm(goal[:3] - pose[:3]))
 
     def near(self, goal: Array, distance: float, angle: float) -> bool:
-        """Whether the TCP is at pose (6,) `goal` within `distance` [m] and `angle` [rad]."""
+        """Return True if the TCP is at pose (6,) `goal` within `distance` [m], `angle` [rad]."""
         pose = self.pose
         if pose is None or self.distance(goal) > distance:
             return False
         return float(np.linalg.norm(rotation_between(pose, goal))) <= angle
 
 
-# One command at a time, to its end: move, halt, retract, each under the guard's eyes.
+# One command at a time, to its end (move, halt, retract), each supervised by the guard.
 #
-# All movements are asynchronous, so that the watchdog is kicked and the guard asked while they
-# last. A move has ended when the controller's operation word says so, the TCP is at rest and at the
-# target; each of these waits is limited.
+# All movements are asynchronous, so that the watchdog is kicked and the guard polled while they
+# last. A move has ended when the controller's operation word reports its end and the TCP is at rest
+# at the target; each of these waits has a time limit.
 
 _LOOP_HZ = 250.0
-_KICK_TICKS = 10
 # 25 kicks a second: one may be late before a watchdog of 10 Hz stops the arm.
-# What counts as arrived [m, rad]: several times the arm's repeatability (0.03 mm).
+_KICK_TICKS = 10
+# Tolerance of arrival [m, rad]: several times the arm's repeatability (0.03 mm).
 _AT_TARGET, _AT_ANGLE = 2e-4, 2e-3
-# After the controller calls a move finished it has this long to be at rest at the target [s].
+# Time to come to rest at the target after the controller reports the move finished [s].
 _ARRIVING = 1.0
-# A stop takes at most this long [s]: from 50 mm/s at 2 m/s^2 it takes 25 ms.
+# Longest duration of a stop [s]: from 50 mm/s at 2 m/s^2 it takes 25 ms.
 _STOPPING = 3.0
-# A turn of 1 rad may take as long as this many metres [m/rad].
+# Path length that may take as long as a turn of 1 rad [m/rad].
 _STEEPEST = 0.5
 _SAFETY: tuple[Kind, ...] = ("protective_stop", "emergency_stop")
 _LOST: tuple[Kind, ...] = ("stale_force", "stale_pose")
 
 
 class Mover:
-    """A connected arm that carries out one command after the other.
+    """A connected arm that executes one command after the other.
 
     Args:
-        setup: What to hold.
+        setup: Limits and configuration to enforce.
         control: The running control program.
-        watch: What is known of the arm and the sensors.
+        watch: State of the arm and the sensors.
         clock: Paces the loop.
-        interrupted: Asked in every turn of a move: True ends it by a halt. What it raises is
-            passed on with the arm still moving.
+        interrupted: Called in every cycle of a move; True ends the move by a halt. An exception it
+            raises is passed on with the arm still moving.
     """
 
     def __init__(
@@ -180,13 +180,13 @@ class Mover:
         self._pacer = Pacer(clock, _LOOP_HZ)
         self._tick = 0
         self.latched: Verdict | None = None
-        """The safety stop after which nothing is commanded any more."""
+        """Safety stop after which no command is sent any more."""
 
     def wait_for_pose(self, timeout: float) -> None:
-        """Turn the loop until the first pose has arrived.
+        """Run the loop until the first pose has arrived.
 
         Raises:
-            DeviceLost: None within `timeout` [s].
+            DeviceLost: No pose arrived within `timeout` [s].
         """
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while self._watch.pose is None:
@@ -195,7 +195,7 @@ class Mover:
                 raise DeviceLost(f"arm at {self._config.host}: no pose for {timeout} s")
 
     def step(self, mode: Mode) -> Verdict | None:
-        """One turn of the loop: wait, look at poses and forces, kick the watchdog.
+        """Run one cycle of the loop: wait, check poses and forces, kick the watchdog.
 
         Raises:
             DeviceLost: The controller is silent, or no longer runs our program.
@@ -220,7 +220,7 @@ class Mover:
         return verdict
 
     def halt(self) -> None:
-        """Stop and wait for standstill; nothing after a safety stop, which stops by itself.
+        """Stop and wait until at rest; do nothing after a safety stop, which stops by itself.
 
         Raises:
             DeviceLost: The controller is silent, or the arm did not stop in time.
@@ -240,7 +240,7 @@ class Mover:
                 raise DeviceLost(f"arm at {self._config.host}: did not stop in {_STOPPING} s")
 
     def retract_command(self, number: int) -> Move:
-        """The move that leaves along +z of the contact frame, up to the top of the box."""
+        """Return the move away along +z of the contact frame, up to the top of the box."""
         config = self._config
         pose = self._watch.pose
         if pose is None:
@@ -253,11 +253,11 @@ class Mover:
         return Move(number, goal, config.travel_speed, config.travel_acceleration, "retreat")
 
     def move(self, command: Move, on_start: Callable[[float], None]) -> Reply:
-        """Carry out a move and say how it ended.
+        """Execute a move and return its result.
 
         Args:
             command: The move.
-            on_start: Called as it begins with the longest it can take [s].
+            on_start: Called at the start with the longest time the move can take [s].
 
         Raises:
             DeviceLost: The controller is silent, or no longer runs our program.
@@ -284,7 +284,7 @@ class Mover:
         return self._follow(command, goal, before, start_ns, limit)
 
     def _refused(self, command: Move, start_ns: int, what: str) -> Reply:
-        # A command also fails when a safety stop has just ended the program: then that is why.
+        # A command also fails when a safety stop has just ended the program: report that instead.
         verdict = self._watch.look_again(0.05) or self.step(command.mode)
         if verdict is not None:
             return self._judged(command, start_ns, verdict)
@@ -293,7 +293,7 @@ class Mover:
     def _follow(
         self, command: Move, goal: Array, before: int, start_ns: int, limit: float
     ) -> Reply:
-        """Watch a move that has begun until it has ended."""
+        """Supervise a move that has begun until it has ended."""
         deadline_ns = start_ns + round(limit * SECOND_NS)
         finished_ns: int | None = None
         while True:
@@ -306,7 +306,7 @@ class Mover:
                 return self._reply(command, "stopped", start_ns, "halted by the operator")
             now_ns = self._clock.now_ns()
             operation, running = self._control.operation()
-            # Only another number than before the call belongs to it: see UrControl.operation.
+            # Only a number other than before the call belongs to it: see UrControl.operation.
             if operation != before and not running:
                 finished_ns = finished_ns or now_ns
                 if self._watch.still() and self._watch.near(goal, _AT_TARGET, _AT_ANGLE):
@@ -344,7 +344,7 @@ class Mover:
         return Reply(command.number, outcome, start_ns, self._clock.now_ns(), reason, kind)
 
     def _time_limit(self, command: Move, goal: Array) -> float:
-        """Half as long again as the move should take at the present slider, plus 2 s [s]."""
+        """Return 1.5 times the expected duration at the present slider, plus 2 s [s]."""
         pose = self._watch.pose
         angle = 0.0 if pose is None else float(np.linalg.norm(rotation_between(pose, goal)))
         length = max(self._watch.distance(goal), angle * _STEEPEST)

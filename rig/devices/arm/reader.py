@@ -1,8 +1,8 @@
-"""The arm's pose stream: our own RTDE client on port 30004, beside ur_rtde's.
+"""The arm's pose stream: our own RTDE client on port 30004, separate from ur_rtde's.
 
-ur_rtde's receive interface hands out only the newest package, skips those that arrive together and
-repeats the last one for ever when the controller falls silent. This client keeps every package,
-counts the missing ones by the controller's own clock and says when the stream is over.
+ur_rtde's receive interface returns only the newest package, skips those that arrive together and
+repeats the last one forever when the controller falls silent. This client keeps every package,
+counts the missing ones by the controller's own clock and reports the end of the stream.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ VARIABLES = (
     "safety_status_bits",
     "robot_mode",
 )
-# Names of a sample's columns, in the order of VARIABLES; `t_ns` comes on top.
+# Names of a sample's columns, in the order of VARIABLES; `t_ns` is added.
 COLUMNS = (
     "device_t",
     "value",
@@ -43,18 +43,18 @@ COLUMNS = (
 # Without a package for this long the controller counts as lost [s].
 SILENCE = 1.0
 
-# A package older than the newest by less than this is late; by more: a restart [s].
+# A package older than the newest by less than this is late; by more, it means a restart [s].
 _LATE = 0.5
-# No UR arm reaches so far: a pose beyond is not in metres [m].
+# Out of reach of any UR arm: a pose beyond this is not in metres [m].
 _REACH = 3.0
-# No rotation vector is longer: a pose beyond is not in radians [rad].
+# Above the length of any rotation vector: a pose beyond this is not in radians [rad].
 _TURN = 4 * math.pi
 
 _CHECK = "is the controller on, its network cable in, and no firewall between?"
 
 
 class RtdeLink:
-    """One RTDE connection that streams poses; no thread of its own.
+    """One RTDE connection that streams poses; it has no thread.
 
     A sample is a dict: `t_ns` host arrival, `device_t` controller clock [s], `value` TCP pose (6,)
     in the base frame [m, rad], `speed` (6,) [m/s, rad/s], `speed_scaling` and `speed_fraction` (the
@@ -62,8 +62,8 @@ class RtdeLink:
 
     Args:
         host: Controller address.
-        rate_hz: Packages per second; the controller rounds to 500 Hz over a whole number.
-        clock: Stamps the arrivals.
+        rate_hz: Packages per second; the controller rounds to 500 Hz divided by an integer.
+        clock: Timestamps the arrivals.
     """
 
     def __init__(self, host: str, rate_hz: float, clock: Clock) -> None:
@@ -79,11 +79,11 @@ class RtdeLink:
         self._heard_ns = 0
         self._failure: DeviceLost | None = None
         self.dropped = 0
-        """Packages missing between two that came, by the controller's clock."""
+        """Packages missing between two received ones, by the controller's clock."""
         self.duplicates = 0
-        """Packages that came twice; only the first counts."""
+        """Packages received twice; only the first counts."""
         self.late = 0
-        """Packages that came after a later one; they are among `dropped`."""
+        """Packages received after a later one; they are among `dropped`."""
         self.version: tuple[int, ...] = ()
         """Controller software: major, minor, bugfix, build."""
 
@@ -92,10 +92,10 @@ class RtdeLink:
         return f"arm at {self._host}:{rtde.PORT} (RTDE)"
 
     def open(self, timeout: float) -> None:
-        """Connect, agree on the variables and start the stream within `timeout` [s].
+        """Connect, negotiate the variables and start the stream within `timeout` [s].
 
         Raises:
-            DeviceLost: Refused, mute, or not an RTDE server that knows our variables.
+            DeviceLost: Refused, silent, or not an RTDE server that knows our variables.
         """
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         try:
@@ -144,7 +144,7 @@ class RtdeLink:
             self._fill(wait)
 
     def _fill(self, timeout: float) -> bool:
-        """Add what has arrived to the buffer; False when nothing came in `timeout` [s]."""
+        """Read the data that has arrived into the buffer; return False if none in `timeout` [s]."""
         if self._socket is None:
             raise DeviceLost(f"{self._where}: not open")
         try:
@@ -159,11 +159,11 @@ class RtdeLink:
         return True
 
     def receive(self, timeout: float) -> list[dict[str, Any]]:
-        """Every sample that has arrived, waiting up to `timeout` [s] for one.
+        """Return every sample that has arrived, waiting up to `timeout` [s] for one.
 
         Raises:
-            DeviceLost: Closed, silent for SILENCE, garbage, or a controller that restarted; the
-                samples before it come out first.
+            DeviceLost: Closed, silent for SILENCE, invalid data, or a controller that restarted.
+                The samples before it are returned first.
         """
         if self._failure is not None:
             raise self._failure
@@ -188,7 +188,7 @@ class RtdeLink:
         return samples
 
     def _sample(self, t_ns: int, payload: bytes) -> dict[str, Any] | None:
-        """The sample of a package; None for one that came before or comes late."""
+        """Return the sample of a package; None if it is a duplicate or late."""
         if not payload or payload[0] != self._recipe:
             raise ValueError(f"RTDE package of a recipe that is not ours ({payload[:1].hex()})")
         sample = dict(zip(COLUMNS, rtde.unpack_values(self._types, payload[1:]), strict=True))
@@ -211,7 +211,7 @@ class RtdeLink:
         return {"t_ns": t_ns, **sample}
 
     def close(self) -> None:
-        """Close the connection; safe twice."""
+        """Close the connection; may be called twice."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -219,7 +219,7 @@ class RtdeLink:
 
 
 def _require_plausible(pose: tuple[float, ...]) -> None:
-    # Negated, so that what is not a number fails too.
+    # Negated, so that NaN fails too.
     far, turned = math.hypot(*pose[:3]), math.hypot(*pose[3:])
     if not (far <= _REACH and turned <= _TURN):
         raise ValueError(
@@ -229,13 +229,13 @@ def _require_plausible(pose: tuple[float, ...]) -> None:
 
 
 class RtdePoseDriver:
-    """The pose stream of a recording: `RtdeLink` received by a thread that does nothing else.
+    """Pose stream of a recording: an `RtdeLink` read by a dedicated thread.
 
     Args:
         host: Controller address.
         rate_hz: Packages per second.
-        clock: Stamps the arrivals.
-        capacity: Samples kept for a consumer that is late.
+        clock: Timestamps the arrivals.
+        capacity: Number of samples kept for a late consumer.
     """
 
     def __init__(self, host: str, rate_hz: float, clock: Clock, *, capacity: int = 10_000) -> None:
@@ -248,19 +248,19 @@ class RtdePoseDriver:
 
     @property
     def dropped(self) -> int:
-        """Packages missing by the controller's clock, and those nobody took in time."""
+        """Packages missing by the controller's clock, plus those not read in time."""
         return self._link.dropped + (self._inbox.overflowed if self._inbox else 0)
 
     @property
     def refused(self) -> dict[str, int]:
-        """Packages that came and were left out, by reason."""
+        """Rejected packages, by reason."""
         return {"repeated": self._link.duplicates, "late": self._link.late}
 
     def open(self, timeout: float) -> None:
         """Connect and start the stream within `timeout` [s].
 
         Raises:
-            DeviceLost: Refused, mute, or not an RTDE server that knows our variables.
+            DeviceLost: Refused, silent, or not an RTDE server that knows our variables.
         """
         self._link.open(timeout)
         inbox = self._inbox = self._new_inbox()
@@ -272,9 +272,9 @@ class RtdePoseDriver:
         self._receiver = Receiver(f"pose {self._host}", receive, inbox)
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Every sample since the last call, waiting up to `timeout` [s] for one.
+        """Return every sample since the last call, waiting up to `timeout` [s] for one.
 
-        Columns as in `RtdeLink`. Empty when none came in time.
+        Columns as in `RtdeLink`. Empty when none arrived in time.
 
         Raises:
             DeviceLost: The stream is over and everything received has been read.
@@ -284,7 +284,7 @@ class RtdePoseDriver:
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """What the controller said about itself when opened."""
+        """Return facts that the controller gave on opening."""
         return {
             "model": "UR e-Series, RTDE",
             "address": self._host,
@@ -293,7 +293,7 @@ class RtdePoseDriver:
         }
 
     def close(self) -> None:
-        """Stop receiving and close the connection; safe twice."""
+        """Stop receiving and close the connection; may be called twice."""
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None

@@ -1,8 +1,8 @@
-"""RTDE version 2 as it is on the wire: the pose reader and the emulator share it.
+"""Wire format of RTDE version 2, shared by the pose reader and the emulator.
 
 Every message is `uint16 size (these 3 bytes included) | uint8 type | payload`, big endian. A client
-sends V (version), v (which controller), O (outputs it wants), I (inputs it will write), S (start),
-then data packages U flow: `uint8 recipe | values in recipe order`. All functions are pure.
+sends V (version), v (which controller), O (outputs to read), I (inputs to write), S (start), then
+receives data packages U: `uint8 recipe | values in recipe order`. All functions are pure.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ _SCALARS = (
     "payload",
 )
 
-# What a controller of version 5.12 can report, and each variable's type.
+# Variables that a controller of version 5.12 can report, and their types.
 OUTPUTS: dict[str, str] = {
     **dict.fromkeys(_VECTOR6, "VECTOR6D"),
     **dict.fromkeys(_SCALARS, "DOUBLE"),
@@ -99,7 +99,7 @@ OUTPUTS: dict[str, str] = {
     **{f"output_double_register_{k}": "DOUBLE" for k in range(48)},
 }
 
-# What a client may write, and each variable's type.
+# Variables that a client may write, and their types.
 INPUTS: dict[str, str] = {
     "speed_slider_mask": "UINT32",
     "speed_slider_fraction": "DOUBLE",
@@ -124,15 +124,15 @@ INPUTS: dict[str, str] = {
 
 
 def pack_message(kind: int, payload: bytes = b"") -> bytes:
-    """One framed message."""
+    """Frame one message."""
     return struct.pack(">HB", len(payload) + 3, kind) + payload
 
 
 def split_messages(buffer: bytearray) -> list[tuple[int, bytes]]:
-    """Take every complete (type, payload) off the front of `buffer`; a partial one stays in it.
+    """Remove every complete (type, payload) from the front of `buffer`; keep a partial one in it.
 
     Raises:
-        ValueError: The size field is impossible, so what follows cannot be framed.
+        ValueError: The size field is impossible, so the following data cannot be framed.
     """
     messages = []
     start = 0
@@ -149,17 +149,17 @@ def split_messages(buffer: bytearray) -> list[tuple[int, bytes]]:
 
 
 def pack_output_request(rate_hz: float, names: Sequence[str]) -> bytes:
-    """Payload of O from the client: rate, then names with commas between."""
+    """Pack the payload of a client's O message: the rate, then names separated by commas."""
     return struct.pack(">d", rate_hz) + ",".join(names).encode()
 
 
 def unpack_output_request(payload: bytes) -> tuple[float, list[str]]:
-    """Rate [Hz] and names of an O request; ur_rtde ends the list with a comma, which is dropped."""
+    """Return rate [Hz] and names of an O request, dropping ur_rtde's comma at the end."""
     return struct.unpack_from(">d", payload)[0], unpack_names(payload[8:])
 
 
 def unpack_names(payload: bytes) -> list[str]:
-    """Names of an I request or types of a reply, empty ones dropped.
+    """Return the names of an I request or the types of a reply, empty ones dropped.
 
     Raises:
         ValueError: Not text.
@@ -168,12 +168,12 @@ def unpack_names(payload: bytes) -> list[str]:
 
 
 def pack_recipe(number: int, types: Sequence[str]) -> bytes:
-    """Payload of the controller's reply to O or I; number 0 says refused."""
+    """Pack the payload of the controller's reply to O or I; number 0 means rejected."""
     return bytes([number]) + ",".join(types).encode()
 
 
 def unpack_recipe(payload: bytes) -> tuple[int, list[str]]:
-    """Recipe number and types of the controller's reply to O or I.
+    """Return recipe number and types of the controller's reply to O or I.
 
     Raises:
         ValueError: Empty, or not text.
@@ -185,10 +185,10 @@ def unpack_recipe(payload: bytes) -> tuple[int, list[str]]:
 
 @cache
 def layout(types: tuple[str, ...]) -> struct.Struct:
-    """The packing of one recipe's values, recipe number not included.
+    """Return the packing of one recipe's values, without the recipe number.
 
     Raises:
-        ValueError: A type this module does not know (NOT_FOUND and IN_USE among them).
+        ValueError: A type is unknown to this module (such as NOT_FOUND and IN_USE).
     """
     unknown = [name for name in types if name not in _CODES]
     if unknown:
@@ -202,7 +202,7 @@ def _widths(types: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def pack_values(types: tuple[str, ...], values: Sequence[Value]) -> bytes:
-    """The values of one data package, in recipe order."""
+    """Pack the values of one data package, in recipe order."""
     flat: list[float | int] = []
     for width, value in zip(_widths(types), values, strict=True):
         if width:
@@ -213,10 +213,10 @@ def pack_values(types: tuple[str, ...], values: Sequence[Value]) -> bytes:
 
 
 def unpack_values(types: tuple[str, ...], data: bytes) -> list[Value]:
-    """The values of one data package, in recipe order; vectors as tuples.
+    """Return the values of one data package, in recipe order; vectors as tuples.
 
     Raises:
-        ValueError: The package's length is not the recipe's.
+        ValueError: The package's length differs from the recipe's.
     """
     packing = layout(types)
     if len(data) != packing.size:

@@ -1,4 +1,4 @@
-"""What the bench file says about the arm. No vendor library: a bench is checked without one."""
+"""Bench file settings of the arm. Imports no vendor library: a bench is checked without one."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import ClassVar
 
 @dataclass(frozen=True, slots=True)
 class ArmConfig:
-    """One UR e-Series arm, its tool and how it may move."""
+    """Settings of one UR e-Series arm: its tool and its limits of motion."""
 
     KIND: ClassVar[str] = "ur"
 
     host: str
     """IP address of the controller (or of its emulator). Ports are fixed by the controller."""
     rate_hz: float = 500.0
-    """RTDE pose rate; the controller divides 500 Hz by a whole number."""
+    """RTDE pose rate; the controller divides 500 Hz by an integer."""
     tcp: tuple[float, ...] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), metadata={"pose": True})
     """Tool centre point in the flange frame [m, rad] (UR rotation vector)."""
     payload: float = field(default=0.5, metadata={"unit": "kg"})
@@ -25,27 +25,27 @@ class ArmConfig:
     )
     """Its centre of gravity in the flange frame [m]."""
     speed: float = field(default=0.005, metadata={"unit": "mm_s"})
-    """Near contact [m/s]; above it the guard's stopping distance costs too much force."""
+    """Speed near contact [m/s]; if higher, the guard's stopping distance costs too much force."""
     acceleration: float = field(default=0.1, metadata={"unit": "mm_s2"})
-    """Near contact [m/s^2]."""
+    """Acceleration near contact [m/s^2]."""
     travel_speed: float = field(default=0.05, metadata={"unit": "mm_s"})
-    """Where no contact is expected, and while retracting [m/s]."""
+    """Speed where no contact is expected, and while retracting [m/s]."""
     travel_acceleration: float = field(default=0.5, metadata={"unit": "mm_s2"})
-    """As `travel_speed` [m/s^2]."""
+    """Acceleration at `travel_speed` [m/s^2]."""
     stop_deceleration: float = field(default=2.0, metadata={"unit": "mm_s2"})
-    """Of every halt [m/s^2]."""
+    """Deceleration of every halt [m/s^2]."""
     retract: float = field(default=0.02, metadata={"unit": "mm"})
     """Height of a retract along +z of the contact frame [m]."""
     watchdog_hz: float = 10.0
-    """The controller stops its program when commands come more slowly than this."""
+    """Lowest rate of commands; below it the controller stops its program."""
     settle: float = field(default=0.05, metadata={"unit": "ms"})
-    """The TCP must stand still this long before a move counts as done [s]."""
+    """Time for which the TCP must be at rest before a move counts as done [s]."""
 
     def __post_init__(self) -> None:
-        """Refuse what no bench can mean.
+        """Reject invalid values.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         positive = (
             "rate_hz",

@@ -1,7 +1,7 @@
-"""The child process from its parent's side: commands out, replies in, and its death made harmless.
+"""The child process from its parent's side: commands out, replies in, crashes contained.
 
 The child may crash (ur_rtde, SIGSEGV) or hang (a command to a controller that is gone: 300 s). Both
-come out here as DeviceLost within a bounded time, with no zombie left.
+are reported as DeviceLost within a bounded time, and leave no zombie.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from rig.core.errors import DeviceLost
 from rig.devices.arm import motion
 from rig.devices.arm.messages import START, Alarm, Command, Reply, Report, Setup, Started
 
-# How long `ask` waits between two calls of `on_wait` [s].
+# Interval between two calls of `on_wait` in `ask` [s].
 _SLICE = 0.05
-# A child that has said its last has this long to end before it is killed [s].
+# After its last report a child has this long to end before it is killed [s].
 _EXIT = 3.0
 
 
 class HasFileno(Protocol):
-    """What can be waited for: a socket, a connection."""
+    """Object that can be waited for: a socket, a connection."""
 
     def fileno(self) -> int:
-        """Of the open file."""
+        """Return the file descriptor."""
 
 
 class Child:
     """One child process at a time, and the pipe to it. Safe to use from several threads.
 
     Args:
-        setup: What the child needs.
-        clock: For time limits.
+        setup: Configuration of the child.
+        clock: Clock for time limits.
     """
 
     def __init__(self, setup: Setup, clock: Clock) -> None:
@@ -54,11 +54,11 @@ class Child:
         # Reentrant: a signal handler may halt while its own thread waits for a move.
         self._lock = threading.RLock()
         self.alarm: Alarm | None = None
-        """What the guard found last while no command was running."""
+        """Last alarm raised by the guard while no command was running."""
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs; False after a crash, whatever the reason."""
+        """True while the process runs; False after any crash."""
         with self._lock:
             return self._process is not None and self._process.is_alive()
 
@@ -68,10 +68,10 @@ class Child:
         return self._process.pid if self._process is not None else None
 
     def start(self, timeout: float) -> Reply:
-        """Start a fresh process and return its first word.
+        """Start a new process and return its first reply.
 
         Raises:
-            DeviceLost: It died, or said nothing within `timeout` [s] and was killed.
+            DeviceLost: It died, or sent no reply within `timeout` [s] and was killed.
         """
         self.discard()
         context = multiprocessing.get_context("spawn")
@@ -95,13 +95,13 @@ class Child:
         on_wait: Callable[[], None] | None = None,
         wake: HasFileno | None = None,
     ) -> Reply:
-        """Send the command that `make` makes of a number, and return the reply to it.
+        """Send the command that `make` builds from a number, and return the reply to it.
 
         Args:
             make: Called once.
-            timeout: For the reply, or for the word that it has begun and how long it can take [s].
-            on_wait: Called about 20 times a second; what it raises leaves the command running.
-            wake: When it can be read from, `on_wait` is called at once; that has to empty it.
+            timeout: For the reply, or for the report of its start and time limit [s].
+            on_wait: Called about 20 times a second; an exception leaves the command running.
+            wake: When it becomes readable, `on_wait` is called at once and must drain it.
 
         Raises:
             DeviceLost: No child, it died, or it did not answer in time and was killed.
@@ -110,13 +110,13 @@ class Child:
         command = make(number)
         with self._lock:
             pipe = self._require_pipe()
-            # A child that has just ended may have left the reason in the pipe: read on.
+            # A child that has just ended may have left the reason in the pipe: continue reading.
             with contextlib.suppress(OSError), _interrupts_held():
                 pipe.send(command)
         return self._answer(number, timeout, on_wait, wake)
 
     def poll(self) -> None:
-        """File what has arrived.
+        """File the reports that have arrived.
 
         Raises:
             DeviceLost: No child, or it died.
@@ -143,8 +143,8 @@ class Child:
                 deadline_ns = self._clock.now_ns() + round(report.limit * SECOND_NS)
             elif report is not None:
                 if report.outcome == "device_lost" and report.kind is None:
-                    # Its last word, kind None telling it from a verdict: let it end before anybody
-                    # asks whether it is alive.
+                    # The child's last report (a verdict has a kind): let it end before anybody
+                    # checks whether it is alive.
                     self.join()
                     self.discard(report.reason)
                 return report
@@ -159,7 +159,7 @@ class Child:
                 on_wait()
 
     def _pump(self, timeout: float, wake: HasFileno | None = None) -> None:
-        """Wait up to `timeout` [s] for a report and file it, or find the child dead."""
+        """Wait up to `timeout` [s] for a report and file it, or detect that the child is dead."""
         with self._lock:
             pipe, process = self._require_pipe(), self._process
             if process is None:
@@ -188,15 +188,15 @@ class Child:
             self.alarm = report
             return
         self._reports[report.number] = report
-        # Replies nobody waits for any more, after an interrupted move, must not pile up.
+        # Replies nobody waits for any more, after an interrupted move, must not accumulate.
         for number in sorted(self._reports)[:-8]:
             del self._reports[number]
 
     def discard(self, why: str | None = None) -> None:
-        """End what is left of the child: never waits for ever, leaves no zombie.
+        """End the child, if any, within bounded time and without leaving a zombie.
 
         Args:
-            why: What later calls are told.
+            why: Message of the error that later calls raise.
         """
         with self._lock:
             self._lost = why or f"{self._where}: not started"
@@ -214,14 +214,14 @@ class Child:
             self.alarm = None
 
     def join(self) -> None:
-        """Give a child that was told to end the time for it."""
+        """Wait for a child that was asked to end."""
         if self._process is not None:
             self._process.join(_EXIT)
 
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits outside: half a message, or a child born without its handler, is no use."""
+    """Defer Ctrl-C: half a message, or a child started without its handler, would be useless."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

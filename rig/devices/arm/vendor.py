@@ -1,6 +1,6 @@
-"""ur_rtde's control interface behind the few calls we make, its exceptions translated.
+"""Wrapper of ur_rtde's control interface: the few calls we make, with translated exceptions.
 
-Only the supervised child process may use this: the library crashes its process when the connection
+Only the supervised child process may use it: the library crashes its process when the connection
 drops, and holds the GIL while it connects.
 
 Every movement and stop is asynchronous. A synchronous stopL executes stopj until the first
@@ -20,13 +20,13 @@ from rig.devices.arm import dashboard, rtde
 from rig.devices.arm.settings import ArmConfig
 
 _PORTS = {rtde.PORT: "RTDE", 30003: "scripts", dashboard.PORT: "dashboard"}
-# Of ur_rtde's own package stream: half the default, since its thread costs more than ours.
+# Rate of ur_rtde's own package stream: half the default, since its thread costs more than ours.
 _RATE_HZ = 250.0
 _T = TypeVar("_T")
 
 
 def check_ready(host: str, timeout: float) -> None:
-    """See that the controller listens and may be moved, before ur_rtde is let near it.
+    """Check that the controller listens and may be moved, before ur_rtde connects to it.
 
     Raises:
         DeviceLost: A port does not answer; powered off; not in remote control.
@@ -54,13 +54,13 @@ def check_ready(host: str, timeout: float) -> None:
 
 
 class UrControl:
-    """The program of ur_rtde running on the controller, its watchdog armed.
+    """The program of ur_rtde running on the controller, with its watchdog armed.
 
     Args:
         config: Address, TCP, payload, watchdog.
 
     Raises:
-        DeviceLost: The controller does not run the program or refuses TCP or payload.
+        DeviceLost: The controller does not run the program, or rejects TCP or payload.
     """
 
     def __init__(self, config: ArmConfig) -> None:
@@ -82,23 +82,23 @@ class UrControl:
             raise DeviceLost(f"arm at {self._host}: the controller did not take the {what}")
 
     def kick(self) -> bool:
-        """Tell the watchdog we live; False when the program no longer runs."""
+        """Kick the watchdog; return False when the program no longer runs."""
         return bool(self._call(self._control.kickWatchdog))
 
     def reaches(self, pose: list[float]) -> bool:
-        """Whether the controller finds TCP pose (6,) reachable and within its safety planes."""
+        """Return True if TCP pose (6,) is reachable and within the controller's safety planes."""
         return bool(self._call(lambda: self._control.isPoseWithinSafetyLimits(pose)))
 
     def start_move(self, pose: list[float], speed: float, acceleration: float) -> bool:
-        """Begin to go straight to TCP pose (6,) [m, rad, m/s, m/s^2]; False when refused."""
+        """Start a straight move to TCP pose (6,) [m, rad, m/s, m/s^2]; return False if rejected."""
         return bool(self._call(lambda: self._control.moveL(pose, speed, acceleration, True)))
 
     def start_stop(self, deceleration: float) -> None:
-        """Begin to stop [m/s^2]."""
+        """Start to stop [m/s^2]."""
         self._call(lambda: self._control.stopL(deceleration, True))
 
     def operation(self) -> tuple[int, bool]:
-        """Number of the newest asynchronous operation (7 bits) and whether it runs.
+        """Return the number of the newest asynchronous operation (7 bits), and True if it runs.
 
         Only a number that differs from the one before the call belongs to the call: the word may
         still be the previous one when an asynchronous call returns.
@@ -107,11 +107,11 @@ class UrControl:
         return int(status.operationId()), bool(status.isAsyncOperationRunning())
 
     def connected(self) -> bool:
-        """Whether ur_rtde still has its connection; without, a command can hang for 300 s."""
+        """Return True if ur_rtde is connected; without a connection a command can hang 300 s."""
         return bool(self._call(self._control.isConnected))
 
     def close(self) -> None:
         """End the program on the controller; the connection ends with this process."""
-        # No disconnect(): it sleeps half a second, and the process leaves without destructors.
+        # No disconnect(): it sleeps half a second, and the process exits without destructors.
         if self.connected():
             self._call(self._control.stopScript)

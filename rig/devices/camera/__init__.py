@@ -1,1 +1,1 @@
-"""Tactile images: OpenCV cameras, their driver and an emulated network camera."""
+"""Tactile images: OpenCV camera driver and an emulated network camera."""

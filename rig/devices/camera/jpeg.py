@@ -1,8 +1,8 @@
-"""JPEG files as a camera sends them: their segments, without decoding a pixel.
+"""JPEG files as sent by a camera: their segments, without decoding a pixel.
 
 A file is SOI (FFD8), segments (FF, marker, uint16 length that counts itself, content), the last of
-them SOS followed by the coded picture, and EOI (FFD9). Some UVC cameras leave out the Huffman
-tables (DHT), as Motion JPEG may; decoders of still images then fail.
+them SOS followed by the coded picture, and EOI (FFD9). Some UVC cameras omit the Huffman tables
+(DHT), as Motion JPEG allows; decoders of still images then fail.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _BASELINE = frozenset({0xC0, 0xC1})
 _UNCODED = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 
-# ITU-T T.81, Annex K.3: the tables a stream without DHT means.
+# ITU-T T.81, Annex K.3: the tables implied by a stream without DHT.
 _DC_VALUES = "000102030405060708090a0b"
 _AC_TAIL_LUMA = (
     "434445464748494a535455565758595a636465666768696a737475767778797a838485868788898a92939495969798"
@@ -50,10 +50,10 @@ _STAMP = re.compile(rb"tactile-rig emulator seq=(\d+) state_t_ns=(-?\d+)")
 
 
 def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Marker, offset and content of each segment up to and with SOS.
+    """Yield marker, offset and content of each segment up to and including SOS.
 
     Raises:
-        ValueError: It is no JPEG, or it ends before SOS.
+        ValueError: The data is not a JPEG file, or ends before SOS.
     """
     if jpeg[:2] != SOI:
         raise ValueError("no SOI")
@@ -76,10 +76,10 @@ def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def jpeg_size(jpeg: bytes) -> tuple[int, int]:
-    """Width and height [px].
+    """Return width and height [px].
 
     Raises:
-        ValueError: The header is broken or has no SOF segment.
+        ValueError: The header is invalid or has no SOF segment.
     """
     for marker, _, content in segments(jpeg):
         if marker in _SOF and len(content) >= 5:
@@ -89,11 +89,11 @@ def jpeg_size(jpeg: bytes) -> tuple[int, int]:
 
 
 def is_whole(jpeg: bytes) -> bool:
-    """Whether it begins with SOI, has a readable header and ends with EOI.
+    """Return True if the file begins with SOI, has a readable header and ends with EOI.
 
-    Zeros after EOI are let pass: cameras pad their buffers. In a baseline file nothing but stuffed
-    zeros, restart markers and fill may follow an FF of the coded picture (ITU-T T.81, B.1.1.5), so
-    a torn one is told without decoding it.
+    Zeros after EOI are accepted: cameras pad their buffers. In a baseline file only stuffed zeros,
+    restart markers and fill bytes may follow an FF of the coded picture (ITU-T T.81, B.1.1.5), so a
+    torn one is detected without decoding it.
     """
     if not jpeg.endswith(EOI):
         jpeg = jpeg.rstrip(b"\0")
@@ -112,10 +112,10 @@ def is_whole(jpeg: bytes) -> bool:
 
 
 def with_huffman_tables(jpeg: bytes) -> bytes:
-    """The same file with the standard tables when it has none, else unchanged.
+    """Return the file with the standard tables added if it has none, else unchanged.
 
     Raises:
-        ValueError: The header is broken.
+        ValueError: The header is invalid.
     """
     for marker, at, _ in segments(jpeg):
         if marker == _DHT:
@@ -126,13 +126,13 @@ def with_huffman_tables(jpeg: bytes) -> bytes:
 
 
 def stamped(jpeg: bytes, seq: int, t_ns: int) -> bytes:
-    """The same file with a comment right after SOI: frame number and time of the World's state."""
+    """Return the file with frame number and time of the World's state in a comment after SOI."""
     text = b"tactile-rig emulator seq=%d state_t_ns=%d" % (seq, t_ns)
     return SOI + b"\xff\xfe" + struct.pack(">H", len(text) + 2) + text + jpeg[2:]
 
 
 def frame_stamp(jpeg: bytes) -> tuple[int, int] | None:
-    """Frame number and time of the World's state [ns], or None when no emulator wrote it."""
+    """Return frame number and time of the World's state [ns], or None without a stamp."""
     if jpeg[2:4] != b"\xff\xfe":
         return None
     length = int.from_bytes(jpeg[4:6], "big")
@@ -141,13 +141,13 @@ def frame_stamp(jpeg: bytes) -> tuple[int, int] | None:
 
 
 def without_stamp(jpeg: bytes) -> bytes:
-    """The file as it was before `stamped`."""
+    """Return the file as it was before `stamped`."""
     if frame_stamp(jpeg) is None:
         return jpeg
     return SOI + jpeg[4 + int.from_bytes(jpeg[4:6], "big") :]
 
 
 def torn(jpeg: bytes, rng: random.Random) -> bytes:
-    """A frame whose middle third is noise: it begins and ends as it should."""
+    """Return the frame with its middle third replaced by noise, beginning and end intact."""
     third = len(jpeg) // 3
     return jpeg[:third] + rng.randbytes(third) + jpeg[2 * third :]

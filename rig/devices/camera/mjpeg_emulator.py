@@ -1,12 +1,12 @@
 """Emulated network camera: MJPEG over HTTP, of the World, a folder of images, or a video.
 
-    python -m rig.devices.camera.mjpeg_emulator --host 127.0.0.7 --port 8090 --world PATH --view
-    FILE.json python -m rig.devices.camera.mjpeg_emulator --source images/ --motion moving --fps 60
+    python -m rig.devices.camera.mjpeg_emulator --host 127.0.0.7 --world PATH --view FILE.json
+    python -m rig.devices.camera.mjpeg_emulator --source images/ --motion moving --fps 60
 
-Each JPEG carries a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number,
-and the time of the World's state it shows (of the tick, when it shows no World). A slow client
-gets the newest frame when it is ready for one; the numbers in between are skipped, never queued.
-Faults come in through rig.core.fault_injection; `wrong_units` films at half the size.
+Each JPEG has a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number, and
+the time of the World's state it shows (of the tick, if it shows no World). A slow client gets the
+newest frame when it is ready for one; the numbers in between are skipped, never queued. Faults are
+injected through rig.core.fault_injection; `wrong_units` halves the frame size.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ from rig.core.fault_injection import Disturbance
 from rig.core.realtime import CAMERA_PRIORITY
 from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, torn
 
-# Where the emulated camera's pictures come from: the World, a folder of images, a video.
+# Sources of the emulated camera's pictures: the World, a folder of images, a video.
 
 Image = npt.NDArray[np.uint8]
 # Width and height of every picture [px].
 SIZE = (640, 480)
-# About what a webcam delivers.
+# JPEG quality, about that of a webcam.
 QUALITY_RENDERED = 92
 QUALITY_CONVERTED = 95
 _SUFFIXES_IMAGE = (".png", ".jpg", ".jpeg")
@@ -57,36 +57,36 @@ _MJPG = cv2.VideoWriter.fourcc(*"MJPG")
 
 
 class FrameSource(Protocol):
-    """One JPEG file per tick of the camera."""
+    """Source of one JPEG file per tick of the camera."""
 
     def jpeg(self, state: np.void) -> bytes:
-        """The picture of a WORLD_STATE record, `SIZE` large."""
+        """Return the picture of a WORLD_STATE record, of size `SIZE`."""
 
 
 class WorldSource:
-    """Pictures of the World.
+    """Source of pictures of the World.
 
     Args:
-        view: Gives the RGB picture (480, 640, 3) of a WORLD_STATE record.
+        view: Renders the RGB picture (480, 640, 3) of a WORLD_STATE record.
     """
 
     def __init__(self, view: Callable[[np.void], Image]) -> None:
         self._view = view
 
     def jpeg(self, state: np.void) -> bytes:
-        """The picture of `state`."""
+        """Return the picture of `state`."""
         return _encoded(cv2.cvtColor(self._view(state), cv2.COLOR_RGB2BGR), QUALITY_RENDERED)
 
 
 class LoopSource:
-    """Pictures of a folder or a video, over and over, whatever the World does.
+    """Source that loops over the pictures of a folder or a video, independent of the World.
 
     Args:
-        path: A folder of images, taken in natural order, or a video file.
-        hold: Ticks for which each picture stays.
+        path: A folder of images, shown in natural order, or a video file.
+        hold: Number of ticks for which each picture is shown.
 
     Raises:
-        ValueError: There is no picture in `path`.
+        ValueError: `path` has no picture.
     """
 
     def __init__(self, path: Path, *, hold: int = 1) -> None:
@@ -99,7 +99,7 @@ class LoopSource:
             raise ValueError(f"{path}: no images and no video") from None
 
     def jpeg(self, state: np.void) -> bytes:
-        """The picture of this tick; `state` plays no part."""
+        """Return the picture of this tick, ignoring `state`."""
         if self._left == 0:
             self._shown, self._left = next(self._frames), self._hold
         self._left -= 1
@@ -107,7 +107,7 @@ class LoopSource:
 
 
 def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The image scaled to fit `SIZE`, its proportions kept, black around it."""
+    """Return the image scaled to fit `SIZE`, proportions kept, with black borders."""
     height, width = image.shape[:2]
     if (width, height) == SIZE:
         return image
@@ -124,10 +124,10 @@ def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def halved(jpeg: bytes) -> bytes:
-    """The picture at half its width and height.
+    """Return the picture at half its width and height.
 
     Raises:
-        ValueError: It cannot be decoded.
+        ValueError: The picture cannot be decoded.
     """
     image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
@@ -161,7 +161,7 @@ def _folder(path: Path) -> Iterator[bytes]:
 
 @functools.lru_cache(maxsize=256)
 def _image(path: Path) -> bytes:
-    # Kept: converting takes 10 ms a picture, too long for every tick of a fast camera.
+    # Cached: a conversion takes 10 ms, too long for every tick of a fast camera.
     content = path.read_bytes()
     if _serves_as_it_is(content):
         return content
@@ -176,7 +176,7 @@ def _video(path: Path) -> Iterator[bytes]:
         return
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
-        # Motion JPEG is a row of JPEG files; anything else must be decoded.
+        # Motion JPEG is a sequence of JPEG files; other formats must be decoded.
         size = (capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         raw = int(capture.get(cv2.CAP_PROP_FOURCC)) == _MJPG and size == SIZE
         if raw:
@@ -200,30 +200,30 @@ def _serves_as_it_is(content: bytes) -> bool:
 logger = logging.getLogger(__name__)
 
 _BOUNDARY = "tactile-rig-frame"
-_STILL = 2.0
 # How long each image of a still source is shown [s].
+_STILL = 2.0
+# About two frames, so that a slow client does not find old ones waiting.
 _SEND_BUFFER = 1 << 17
-# About two frames: what a slow client finds waiting is not old.
 
 
 @dataclass(frozen=True, slots=True)
 class MjpegEmulatorConfig:
-    """Where the emulated camera listens and how fast it films."""
+    """Address and timing of the emulated camera."""
 
     host: str = "127.0.0.1"
     port: int = 8090
     rate_hz: float = 30.0
     delay: float = 0.0
-    """Between the moment a frame shows and its delivery [s]; 0: as soon as it is drawn."""
+    """Time between exposure of a frame and its delivery [s]; 0: as soon as it is rendered."""
 
 
 class MjpegEmulator:
-    """The emulated camera; one thread films, one per client sends the newest frame.
+    """Emulated camera: one thread produces frames, one per client sends the newest frame.
 
     Args:
         config: Address and rate.
-        source: Gives the picture of each tick.
-        world: Gives the state the picture shows; None: frames carry the time of their tick.
+        source: Source of the picture of each tick.
+        world: Source of the state to show; None: frames have the time of their tick.
         clock: Paces the frames.
     """
 
@@ -240,7 +240,7 @@ class MjpegEmulator:
         self._parts: tuple[bytes, ...] = ()
         self._number = 0
         self.missed = 0
-        """Frames not filmed because their time had passed."""
+        """Number of frames skipped as too late."""
         self.disturbance = Disturbance[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
@@ -250,14 +250,14 @@ class MjpegEmulator:
 
     @property
     def address(self) -> str:
-        """The stream's URL."""
+        """URL of the stream."""
         return f"http://{self._config.host}:{self._config.port}/"
 
     def start(self) -> None:
-        """Listen and serve.
+        """Start serving.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address is not available.
         """
         self._server = _Server((self._config.host, self._config.port), self)
         self._threads = [
@@ -271,7 +271,7 @@ class MjpegEmulator:
             thread.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         self._ending.set()
         with self._changed:
             self._changed.notify_all()
@@ -285,7 +285,7 @@ class MjpegEmulator:
         self._threads = []
 
     def parts(self, jpeg: bytes) -> Iterable[bytes]:
-        """The parts sent for one frame: where faults and tests spoil frames."""
+        """Return the parts sent for one frame; faults and tests corrupt frames here."""
         return tuple(_part(frame) for frame in self.disturbance.passed(jpeg))
 
     def _on_plug(self) -> None:
@@ -293,14 +293,14 @@ class MjpegEmulator:
             self._server.disconnect_all()
 
     def next_parts(self, sent: int) -> tuple[int, tuple[bytes, ...]] | None:
-        """Number and parts of the newest frame once it is newer than `sent`; None at the end."""
+        """Wait for a frame newer than `sent`; return its number and parts, None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
             return None if self._ending.is_set() else (self._number, self._parts)
 
     @property
     def number(self) -> int:
-        """Frames filmed so far."""
+        """Number of frames produced so far."""
         return self._number
 
     def _film(self) -> None:
@@ -340,7 +340,7 @@ def _part(jpeg: bytes) -> bytes:
 
 
 def _halved(jpeg: bytes) -> bytes:
-    """The frame at half the size, with its stamp."""
+    """Return the frame at half the size, with its stamp."""
     stamp = frame_stamp(jpeg)
     small = halved(jpeg)
     return small if stamp is None else stamped(small, *stamp)
@@ -356,7 +356,7 @@ class _Server(ThreadingHTTPServer, NamelessServer):
         super().__init__(address, _Handler)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Nobody gets through to a camera that is unplugged."""
+        """Reject every client while the camera is unplugged."""
         return not self.emulator.disturbance.unplugged
 
     def get_request(self) -> tuple[socket.socket, Any]:
@@ -369,7 +369,7 @@ class _Server(ThreadingHTTPServer, NamelessServer):
         return client, address
 
     def shutdown_request(self, request: Any) -> None:
-        """Forget a client that is done."""
+        """Forget a client that has finished."""
         with self._lock:
             self._clients.discard(request)
         super().shutdown_request(request)
@@ -384,7 +384,7 @@ class _Server(ThreadingHTTPServer, NamelessServer):
                     logger.debug("client already gone: %s", error)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that goes in the middle of a frame is no error."""
+        """Log at debug level: a client that leaves during a frame is no error."""
         logger.debug("client %s: %s", client_address, sys.exception())
 
 
@@ -404,24 +404,24 @@ class _Handler(BaseHTTPRequestHandler):
                 self.wfile.write(part)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: stdout belongs to the ready line."""
+        """Print nothing: stdout is reserved for the ready line."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.camera.mjpeg_emulator", __doc__)
     parser.add_argument("--port", type=int, default=8090, help="(%(default)s)")
     parser.add_argument("--fps", type=float, default=30.0, help="frames per second (%(default)s)")
     pictures = parser.add_mutually_exclusive_group(required=True)
     pictures.add_argument("--view", type=Path, help="JSON file of the view onto the World")
-    pictures.add_argument("--source", type=Path, help="folder of images or video, not the World")
+    pictures.add_argument("--source", type=Path, help="show this folder of images or video instead")
     parser.add_argument(
         "--motion", choices=("still", "moving"), default="moving",
         help="one source frame per tick, or each for 2 s (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--delay-ms", type=float, default=0.0,
-        help="deliver each frame so long after the moment it shows [ms] (%(default)s)",
+        help="delay between exposure and delivery of each frame [ms] (%(default)s)",
     )  # fmt: skip
     return run_emulator(parser, _make, argv)
 

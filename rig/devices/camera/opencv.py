@@ -1,9 +1,8 @@
-"""Camera driver by OpenCV: a V4L2 camera on USB, or a network camera that sends MJPEG over HTTP.
+"""OpenCV camera driver, for a V4L2 camera on USB or a network camera that sends MJPEG over HTTP.
 
-Where the camera sends JPEG, its own bytes are passed on, not decoded and encoded again. OpenCV
-claims success for settings a camera refused, so every setting is read back. Both kinds queue
-frames for a reader that is late (V4L2 four, a network camera seconds of them); the reader thread
-takes each as it comes.
+JPEG bytes sent by the camera are passed on unchanged, without decoding. OpenCV reports success for
+settings that a camera rejected, so every setting is read back. Both kinds queue frames for a late
+reader (V4L2 four, a network camera seconds of them); the reader thread takes each on arrival.
 """
 
 from __future__ import annotations
@@ -26,10 +25,11 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import is_whole, jpeg_size, with_huffman_tables
 from rig.devices.camera.settings import CameraConfig
 
-# Opening cameras with OpenCV so that no wait is long and no frame is queued.
+# Opening cameras with OpenCV without long waits or queued frames.
 #
-# Some of it can be said to OpenCV only through the environment.
+# Some options can only be passed to OpenCV through the environment.
 
+# No frame is held back to estimate the rate, none is queued for decoding.
 _OPTIONS = {
     "fflags": "nobuffer",
     "analyzeduration": "0",
@@ -37,38 +37,37 @@ _OPTIONS = {
     "fpsprobesize": "0",
     "threads": "1",
 }
-# No frame is held back to guess a rate from, none is queued for decoding.
 
 
 def open_stream(url: str, *, open_timeout: float, read_timeout: float) -> cv2.VideoCapture:
-    """A capture of the compressed frames of `url`; whether it is open, it tells itself.
+    """Return a capture of the compressed frames of `url`, which may have failed to open.
 
     Args:
         url: http://...
-        open_timeout: Until the first frame has come [s].
-        read_timeout: For each later frame; `read` is False after it [s].
+        open_timeout: Time limit for the first frame [s].
+        read_timeout: Time limit for each later frame, after which `read` returns False [s].
     """
     params = [cv2.CAP_PROP_FORMAT, -1, cv2.CAP_PROP_N_THREADS, 1]
     params += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, max(round(open_timeout * 1e3), 1)]
     params += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, max(round(read_timeout * 1e3), 1)]
     options = "|".join(f"{name};{value}" for name, value in _OPTIONS.items())
-    # A camera on the bench is never behind a proxy, whatever the environment says.
+    # A camera on the bench is never behind a proxy, even if the environment sets one.
     host = urlsplit(url).hostname or ""
     with _environment(OPENCV_FFMPEG_CAPTURE_OPTIONS=options, no_proxy=host):
         return cv2.VideoCapture(url, cv2.CAP_FFMPEG, params)
 
 
 def open_node(address: str, *, first_timeout: float) -> cv2.VideoCapture:
-    """A capture of a V4L2 camera; whether it is open, it tells itself.
+    """Return a capture of a V4L2 camera, which may have failed to open.
 
     Args:
         address: The device file, or its number.
-        first_timeout: For the first frame [s], rounded up to whole seconds; for later ones, wait
-            with `cv2.VideoCapture.waitAny`.
+        first_timeout: Time limit for the first frame [s], rounded up to whole seconds; for later
+            ones, wait with `cv2.VideoCapture.waitAny`.
     """
     target = int(address) if address.isdecimal() else address
     seconds = max(math.ceil(first_timeout), 1)
-    # Read by OpenCV once in a process, when it waits for the first frame: so it stays set.
+    # OpenCV reads it once per process, when it waits for the first frame: so it stays set.
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(seconds))
     return cv2.VideoCapture(target, cv2.CAP_V4L2)
 
@@ -92,14 +91,14 @@ logger = logging.getLogger(__name__)
 _CAPACITY = 120
 _CORRUPT_IN_A_ROW = 10
 _POLL_NS = SECOND_NS // 10
-_EXPOSURE_UNIT = 1e-4
 # V4L2_CID_EXPOSURE_ABSOLUTE counts 100 us.
-_MANUAL_EXPOSURE = 1
+_EXPOSURE_UNIT = 1e-4
 # V4L2_EXPOSURE_MANUAL.
+_MANUAL_EXPOSURE = 1
 
 
 class OpenCvDriver:
-    """The stream of one camera.
+    """Stream of one camera.
 
     Columns: value (JPEG bytes, or (height, width, 3) uint8 RGB from a camera that sends no JPEG),
     device_t float64 [s] (the V4L2 buffer's CLOCK_MONOTONIC time; NaN over HTTP), t_ns.
@@ -118,26 +117,26 @@ class OpenCvDriver:
         self._idle = 0
         self._newest: bytes | None = None
         self.corrupt = 0
-        """Frames that were no whole JPEG file, or of another size."""
+        """Number of frames that were not a complete JPEG file, or of another size."""
         self.duplicates = 0
-        """Frames that came twice; only the first counts."""
+        """Number of frames sent twice; only the first counts."""
 
     @property
     def dropped(self) -> int:
-        """Frames not taken in time: OpenCV shows no sequence numbers that would tell of others."""
+        """Frames not read in time; OpenCV gives no sequence numbers to detect other losses."""
         return self._inbox.overflowed
 
     @property
     def refused(self) -> dict[str, int]:
-        """Frames that came and were left out, by reason."""
+        """Rejected frames, by reason."""
         return {"repeated": self.duplicates, "spoilt": self.corrupt}
 
     def open(self, timeout: float) -> None:
-        """Open the camera, set it up, and check the first frame.
+        """Open the camera, apply its settings, and check the first frame.
 
         Raises:
             DeviceLost: No camera answers within `timeout` [s].
-            ConfigError: The camera refuses a setting.
+            ConfigError: The camera rejects a setting.
         """
         self.close()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
@@ -155,7 +154,7 @@ class OpenCvDriver:
             while not (samples := self._inbox.take(0.0)):
                 if self._clock.now_ns() >= deadline_ns:
                     raise DeviceLost(
-                        f"{self._config.address}: no whole frame within {timeout:g} s; check "
+                        f"{self._config.address}: no complete frame within {timeout:g} s; check "
                         "the camera's cable"
                     )
                 self._receive()
@@ -168,7 +167,7 @@ class OpenCvDriver:
         self._receiver = Receiver(f"camera-{self._config.address}", self._receive, self._inbox)
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Frames since the last call; see `rig.core.driver.Driver.read`.
+        """Return the frames since the last call; see `rig.core.driver.Driver.read`.
 
         Raises:
             DeviceLost: The camera was unplugged, disconnected, or fell silent.
@@ -178,13 +177,13 @@ class OpenCvDriver:
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """Backend, format, size, the rate the camera states, whether its JPEG bytes are kept."""
+        """Return backend, format, size, the stated frame rate, and if JPEG bytes are kept."""
         if self._facts is None:
             raise DeviceLost(f"{self._config.address}: not open")
         return dict(self._facts)
 
     def close(self) -> None:
-        """Stop and release the camera; safe twice."""
+        """Stop and release the camera; may be called twice."""
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
@@ -252,7 +251,7 @@ class OpenCvDriver:
             texts = [_fourcc_text(v) if name == "fourcc" else f"{v:g}" for v in (asked, got)]
             raise ConfigError(
                 f"{self._config.address}: {name}: asked {texts[0]}, got {texts[1]}; "
-                "allowed: what the camera offers (v4l2-ctl --list-formats-ext, --list-ctrls)"
+                "allowed: values the camera offers (v4l2-ctl --list-formats-ext, --list-ctrls)"
             )
 
     def _checked_facts(self, capture: cv2.VideoCapture, first: Any) -> dict[str, Any]:
@@ -267,7 +266,7 @@ class OpenCvDriver:
             "address": c.address,
             "backend": capture.getBackendName(),
             "fourcc": _fourcc_text(capture.get(cv2.CAP_PROP_FOURCC)),
-            # Over HTTP OpenCV states a rate that nobody told it.
+            # Over HTTP, OpenCV reports a rate that the camera never sent.
             "rate_hz": None if self._network else float(capture.get(cv2.CAP_PROP_FPS)),
             "width": size[0],
             "height": size[1],
@@ -307,7 +306,7 @@ class OpenCvDriver:
     def _next_frame(self, capture: cv2.VideoCapture) -> Any:
         lost = f"{self._config.address}: no frame; unplugged or disconnected"
         if not self._network:
-            # V4L2's own wait in `read` is 10 s long and cannot be set.
+            # V4L2's own wait in `read` lasts 10 s and cannot be changed.
             try:
                 ready, _ = cv2.VideoCapture.waitAny([capture], timeoutNs=_POLL_NS)
             except cv2.error as error:
@@ -328,7 +327,7 @@ class OpenCvDriver:
         return frame
 
     def _came_before(self, jpeg: bytes) -> bool:
-        """Whether a network camera sent the frame before once more; V4L2 does not."""
+        """Return True if a network camera sent the previous frame again; V4L2 does not."""
         if not self._network or self._config.repeats:
             return False
         same = jpeg == self._newest

@@ -1,1 +1,1 @@
-"""Force and torque: the ATI Net F/T box, its driver and its emulator."""
+"""Force and torque: drivers and emulators of ATI sensors on Net F/T, NI DAQ and RS-232."""

@@ -1,8 +1,8 @@
-"""ATI stand-alone F/T controller on RS-232 (wire format: rig/devices/force/ati_serial_wire.py).
+"""Driver of an ATI stand-alone F/T controller on RS-232.
 
-The controller has no clock and no count of its own: `seq` counts records as they come, with a gap
-for each that is known to be lost, and a record's time is the host's when its last byte came. Its
-own bias is left alone; tare on the host.
+The wire format is described in rig/devices/force/ati_serial_wire.py. The controller has no clock
+and no counter: `seq` counts records as they arrive, with a gap for each known loss, and a record's
+time is that of its last byte on the host. The controller's own bias is not used; tare on the host.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from rig.devices.force.settings import RECORD_BYTES, AtiSerialConfig
 
 logger = logging.getLogger(__name__)
 
+# A prompt ends a reply after this silence: 38 bytes' time at 38400 baud [s].
 _POLL = 0.01
-# A prompt with nothing after it for so long ends a reply: 38 bytes' time at 38400 baud [s].
+# Without a prompt, this silence does: USB adapters hold bytes back for 16 ms [s].
 _QUIET = 0.05
-# Without a prompt, so long: USB adapters hold bytes back for 16 ms [s].
 _WRITE_TIMEOUT = 1.0
 _CAPACITY = 10_000
-_N_PER_N_MM = 0.1
 # A jump of 1 N comes with one of 10 N mm: the levers on a Nano17 are some 10 mm.
+_N_PER_N_MM = 0.1
+# Restarts in a row that bring no second record: more cannot be explained by lost bytes.
 _DOUBTS_MAX = 20
-# New starts in a row that bring no second record: no lost byte explains that.
 
 
 class AtiSerialDriver:
-    """The stream of an ATI stand-alone controller.
+    """Stream of an ATI stand-alone controller.
 
     Columns: value (6,) float64 [N, N m] in the transducer's frame, seq int64 (host's count), status
     int64 (the controller's error number, and rig/devices/force/sample_clock.py), t_ns.
@@ -58,24 +58,24 @@ class AtiSerialDriver:
         self._interrupted = False
         self._replies: dict[str, str] = {}
         self.corrupt = 0
-        """Records that were damaged, or doubted."""
+        """Number of records that were damaged or doubtful."""
 
     @property
     def dropped(self) -> int:
-        """Records known to be damaged on the line, or not taken in time."""
+        """Records known to be damaged on the line, or not read in time."""
         return self.corrupt + self._inbox.overflowed
 
     @property
     def refused(self) -> dict[str, int]:
-        """Records that came and were left out, by reason."""
+        """Rejected records, by reason."""
         return {"spoilt": self.corrupt}
 
     def open(self, timeout: float) -> None:
-        """Stop whatever it sends, set the form of records, check it on one, start the stream.
+        """Stop any stream, set the record format, check it on one record, start the stream.
 
         Raises:
             DeviceLost: No such port, or no controller answers within `timeout` [s].
-            ConfigError: Its records are not of the form that was asked for.
+            ConfigError: Its records are not in the requested format.
         """
         self.close()
         self._inbox = Inbox(self._clock, _CAPACITY)
@@ -103,7 +103,7 @@ class AtiSerialDriver:
         self._receiver = Receiver(f"ati-{config.address}", self._receive, self._inbox)
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Records since the last call; see `rig.core.driver.Driver.read`.
+        """Return the records since the last call; see `rig.core.driver.Driver.read`.
 
         Raises:
             DeviceLost: The port is gone, or silent for longer than `AtiSerialConfig.silence`.
@@ -113,7 +113,7 @@ class AtiSerialDriver:
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """The settings, and what the controller answered to them."""
+        """Return the settings, and the controller's replies to them."""
         if self._port is None:
             raise DeviceLost(f"{self._config.address}: not open")
         config = self._config
@@ -131,7 +131,7 @@ class AtiSerialDriver:
         }
 
     def close(self) -> None:
-        """Stop the stream and give the port back; safe twice."""
+        """Stop the stream and release the port; may be called twice."""
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
@@ -144,7 +144,7 @@ class AtiSerialDriver:
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
-        """Errors of pyserial and of the system, as ours."""
+        """Translate errors of pyserial and of the system."""
         try:
             yield
         except (OSError, termios.error) as error:
@@ -171,7 +171,7 @@ class AtiSerialDriver:
                 return
 
     def _reply(self, deadline_ns: int, asked: str) -> bytes:
-        """What comes until the line is quiet."""
+        """Return the bytes received until the line is quiet."""
         port, content, quiet = self._open_port(), b"", 0.0
         while not content or quiet < (_POLL if content.endswith(PROMPT) else _QUIET):
             if self._clock.now_ns() >= deadline_ns:
@@ -185,7 +185,7 @@ class AtiSerialDriver:
         return content
 
     def _command(self, text: str, deadline_ns: int) -> bytes:
-        """What the controller answers, without its echo and its prompt."""
+        """Return the controller's answer, without echo and prompt."""
         echo = text.encode() + b"\r\n"
         self._open_port().write(text.encode() + b"\r")
         reply = self._reply(deadline_ns, text)
@@ -201,15 +201,15 @@ class AtiSerialDriver:
         for text in (form, "CD R", f"SA {self._config.average}"):
             reply = self._command(text, deadline_ns).decode("ascii", "replace").strip()
             if reply:
-                # Manuals differ in what a setting answers; it is kept for the session's record.
+                # Manuals differ on the answer to a setting; it is kept for the session's record.
                 logger.warning("%s: %s: %s", self._config.address, text, reply)
                 self._replies[text] = reply
 
     def _check_form(self, deadline_ns: int) -> None:
-        """Settings cannot be asked for, but a record shows them.
+        """Check the format on one record, since settings cannot be queried.
 
         Raises:
-            ConfigError: It is of another form.
+            ConfigError: The record has another format.
         """
         form = self._config.records
         reply = self._command("QR", deadline_ns)
@@ -242,8 +242,8 @@ class AtiSerialDriver:
             content = port.read(max(RECORD_BYTES[self._config.records], port.in_waiting))
         now_ns = self._clock.now_ns()
         if not content:
-            # Counted waits rather than the clock: what waits in the port after this process itself
-            # was suspended is received before anything counts as silence.
+            # Counts waits instead of using the clock: after a suspension of this process, bytes
+            # waiting in the port are received before anything counts as silence.
             self._idle += 1
             if self._idle * _POLL >= self._config.silence:
                 raise DeviceLost(
@@ -259,7 +259,7 @@ class AtiSerialDriver:
             self._start_anew()
         elif self._fruitless * 10 / self._config.baud >= self._config.silence:
             raise DeviceLost(
-                f"{self._config.address}: {self._fruitless} bytes without one whole record; check "
+                f"{self._config.address}: {self._fruitless} bytes without a complete record; check "
                 f"the cable, and the baud rate against {self._config.baud}"
             )
 
@@ -272,20 +272,20 @@ class AtiSerialDriver:
             status |= LOST_BEFORE
             self._interrupted = False
         value = np.array(found.record.counts, np.float64) * self._scale
-        # The bytes behind it came later: ten bits each on the line.
+        # The bytes after it arrived later, at ten bits each on the line.
         t_ns = now_ns - found.behind * 10 * SECOND_NS // self._config.baud
         self._inbox.put({"value": value, "seq": self._sequence, "status": status}, t_ns)
 
     def _start_anew(self) -> None:
-        """After a doubt: stop and start, so that it is known again where a record begins."""
+        """Stop and start after a doubtful record, to find again where a record begins."""
         self.corrupt += 1
         self._sequence += 1
         self._interrupted = True
         self._in_vain += 1
         if self._in_vain >= _DOUBTS_MAX:
             raise DeviceLost(
-                f"{self._config.address}: {_DOUBTS_MAX} new starts in a row and no two records "
-                "that fit; check the cable, the baud rate, and `jump_n`, or use `records: ascii`"
+                f"{self._config.address}: {_DOUBTS_MAX} restarts in a row without two consistent "
+                "records; check the cable, the baud rate, and `jump_n`, or use `records: ascii`"
             )
         deadline_ns = self._clock.now_ns() + round(self._config.silence * SECOND_NS)
         with self._errors():

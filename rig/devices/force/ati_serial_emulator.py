@@ -2,9 +2,9 @@
 
     python -m rig.devices.force.ati_serial_emulator --link /tmp/force --world PATH
 
-A pty knows no baud rate: the emulator sends no faster than the line would carry. As on a line
-without handshake, what nobody takes in time is lost, in the middle of a record if need be. Faults
-come in through rig.core.fault_injection; `unplug` is the RS-232 cable: the port stays, and is
+A pty has no baud rate: the emulator sends no faster than the line would. As on a line without
+handshake, data that nobody reads in time is lost, possibly in the middle of a record. Faults are
+injected through rig.core.fault_injection; `unplug` is the RS-232 cable: the port stays, and is
 silent.
 """
 
@@ -33,34 +33,34 @@ from rig.devices.force.settings import RECORD_BYTES
 logger = logging.getLogger(__name__)
 
 _NOISE_ROWS = 8192
-_TORQUE_NOISE = 0.005
 # N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
+_TORQUE_NOISE = 0.005
 _COUNTS_MAX = 32767
+# Error field when a count is at its limit.
 _SATURATED = 1
-# What the error field says when a count is at its end.
 _LINE_MAX = 80
 _FORMS = {"CD A": "ascii", "CD B": "binary"}
 
 
 @dataclass(frozen=True, slots=True)
 class AtiSerialEmulatorConfig:
-    """Where the emulated controller is found and how it counts."""
+    """Port and scale of the emulated controller."""
 
     link: Path
-    """Made: a link to the pty."""
+    """Link to the pty, which the emulator creates."""
     counts_per_n: float = 1280.0
-    """A Nano17's, roughly: 17 N stay within 16 bits."""
+    """Roughly that of a Nano17: 17 N stay within 16 bits."""
     counts_per_n_mm: float = 256.0
     baud: int = 38400
     rate_hz: float = 200.0
-    """Records per second, if the line carries them."""
+    """Records per second, if the line is fast enough."""
     noise: float = 0.0
     """Standard deviation of the force components [N]."""
     seed: int = 0
 
 
 class AtiSerialEmulator:
-    """The emulated controller; one thread takes commands and sends records."""
+    """Emulated controller: one thread receives commands and sends records."""
 
     def __init__(self, config: AtiSerialEmulatorConfig, world: World, clock: Clock) -> None:
         self._config = config
@@ -73,7 +73,7 @@ class AtiSerialEmulator:
         self._scale, self._noise = scale, noise * scale
         self._row = 0
         self.missed = 0
-        """Records not sent because their time had passed."""
+        """Number of records skipped as too late."""
         self._form = "ascii"
         self._typed = b""
         self._streaming = False
@@ -83,22 +83,22 @@ class AtiSerialEmulator:
 
     @property
     def address(self) -> str:
-        """The link a driver opens."""
+        """Link for a driver to open."""
         return str(self._config.link)
 
     @property
     def rate_hz(self) -> float:
-        """Records per second in the form that is set: no more than the line carries."""
+        """Records per second in the current format, limited by the line."""
         carried = self._config.baud / 10 / RECORD_BYTES[self._form]
         return min(self._config.rate_hz, carried)
 
     def start(self) -> None:
-        """Make the pty and the link to it, and serve.
+        """Create the pty and the link to it, and serve.
 
         Raises:
-            OSError: No pty can be had, or the link cannot be made.
+            OSError: No pty is available, or the link cannot be created.
         """
-        # The other end stays open here too, so that a client may come and go.
+        # The other end stays open here too, so that clients may come and go.
         self._ours, self._theirs = os.openpty()
         for end in (self._ours, self._theirs):
             tty.setraw(end)
@@ -115,7 +115,7 @@ class AtiSerialEmulator:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving, as if unplugged; safe twice."""
+        """Stop serving, as if unplugged; may be called twice."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -130,11 +130,11 @@ class AtiSerialEmulator:
         self._ours = self._theirs = -1
 
     def records(self, content: bytes) -> Iterable[bytes]:
-        """What leaves for one record of a stream: where faults and tests lose and spoil bytes."""
+        """Return the content sent for one record; faults and tests lose or corrupt bytes here."""
         return self.disturbance.passed(content)
 
     def answer(self, command: str) -> bytes:
-        """What a command is answered, between its echo and the prompt: where tests refuse."""
+        """Return the answer to a command, between echo and prompt; tests reject commands here."""
         if command in _FORMS:
             self._form = _FORMS[command]
         elif command == "QR":
@@ -176,7 +176,7 @@ class AtiSerialEmulator:
         for line in lines:
             command = line.decode("ascii", "replace").strip()
             if self._streaming:
-                # Any CR ends the stream; what stands before it is not looked at.
+                # Any CR ends the stream; the text before it is ignored.
                 self._streaming = False
                 self._send(PROMPT)
             elif command == "QS":
@@ -189,15 +189,15 @@ class AtiSerialEmulator:
         try:
             os.write(self._ours, content)
         except BlockingIOError:
-            # Nobody takes it: the line has no handshake, the bytes are gone.
+            # Nobody reads it: the line has no handshake, the bytes are lost.
             logger.debug("%d bytes lost: nobody reads", len(content))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.force.ati_serial_emulator", __doc__)
     defaults = AtiSerialEmulatorConfig(Path())
-    parser.add_argument("--link", type=Path, required=True, help="link to the pty, to be made")
+    parser.add_argument("--link", type=Path, required=True, help="link to create to the pty")
     parser.add_argument(
         "--counts-per-n", type=float, default=defaults.counts_per_n, help="(%(default)s)"
     )

@@ -1,16 +1,16 @@
-"""Wire format of ATI's stand-alone F/T controller on RS-232: commands, and records in two forms.
+"""Wire format of ATI's stand-alone F/T controller on RS-232: commands, records in two formats.
 
-A command ends with CR; the controller repeats it, answers, and ends with CR LF `>`:
+A command ends with CR; the controller echoes it, answers, and ends with CR LF `>`:
 
     CD A, CD B   records as text, or binary       CD R   force and torque, not gauges
     SA n         moving average over n samples    QR     one record
-    QS           records without end; any CR ends them
+    QS           endless records; any CR ends them
 
     text    45 bytes   `0,  -102,   -99,  -225,   -20,    39,   -39` CR LF
     binary  13 bytes   uint8 error | int16 Fx Fy Fz Tx Ty Tz, big-endian
 
-The first field is an error number, 0 for none. Counts become units by the calibration sheet. A lost
-byte shortens a line of text, which is seen; binary records have no mark where one begins.
+The first field is an error number, 0 for none. The calibration sheet gives the counts per unit. A
+lost byte shortens a line of text, which is detected; binary records have no start marker.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ class Record(NamedTuple):
     """One record."""
 
     error: int
-    """What the controller finds wrong; 0: nothing."""
+    """Error number of the controller; 0: none."""
     counts: tuple[int, ...]
     """Fx Fy Fz Tx Ty Tz."""
 
 
 def emit(record: Record, form: str) -> bytes:
-    """The bytes of a record, as text (`ascii`) or `binary`."""
+    """Return the bytes of a record, as text (`ascii`) or `binary`."""
     if form == "binary":
         return BINARY.pack(record.error, *record.counts)
     return _TEXT_EMITTED % (record.error, *record.counts)
 
 
 def parse(content: bytes, form: str) -> Record | None:
-    """The record that `content` is from its first byte to its last, or None."""
+    """Return the record if `content` is exactly one record, else None."""
     if len(content) != RECORD_BYTES[form]:
         return None
     if form == "binary":
@@ -62,29 +62,29 @@ def parse(content: bytes, form: str) -> Record | None:
 
 
 class Found(NamedTuple):
-    """A record and where it ended."""
+    """A record found in a stream."""
 
     record: Record
     behind: int
-    """Bytes that had come after it."""
+    """Number of bytes received after it."""
     lost: int
-    """Records known to be lost just before it."""
+    """Number of records known to be lost just before it."""
 
 
 class TextFramer:
-    """Finds the records in a stream of text: a damaged line counts as one lost record."""
+    """Finds records in a stream of text; a damaged line counts as one lost record."""
 
     doubtful = False
-    """A line is whole or it is not."""
+    """Always False: a line is either complete or damaged."""
 
     def __init__(self) -> None:
         self._rest = b""
         self._lost = 0
 
     def feed(self, content: bytes) -> list[Found]:
-        """The records that are complete with `content`."""
+        """Return the records that `content` completes."""
         *lines, self._rest = (self._rest + content).split(b"\n")
-        # Noise without a line's end must not pile up.
+        # Noise without a line end must not accumulate.
         self._rest = self._rest[-4 * RECORD_BYTES["ascii"] :]
         behind = sum(len(line) + 1 for line in lines) + len(self._rest)
         found = []
@@ -101,23 +101,23 @@ class TextFramer:
 
 @dataclass(slots=True)
 class BinaryFramer:
-    """Cuts a stream of binary records, and doubts where a lost byte would show.
+    """Splits a stream into binary records, and detects likely losses of bytes.
 
-    After one lost byte every later record is put together of parts of two. That shows as an error
-    number where none was, or as a jump: the low byte of one number is the high byte of the next.
-    A new start tells where records begin; its first record counts once the second one fits it.
+    After a lost byte every later record is composed of parts of two. This shows as an error number
+    where none was, or as a jump: the low byte of one number is the high byte of the next. A restart
+    reveals where records begin; its first record counts once the second is consistent with it.
     """
 
     jumps: tuple[float, ...]
     """Largest change of each axis (6,) from one record to the next [counts]."""
     doubtful: bool = False
-    """A record did not fit the one before: only a new start tells where records begin."""
+    """True if a record did not fit the previous one: only a restart shows where records begin."""
     _rest: bytes = b""
     _before: Record | None = None
     _confirmed: bool = False
 
     def feed(self, content: bytes) -> list[Found]:
-        """The records that are complete with `content`, up to the first that is doubted."""
+        """Return the records that `content` completes, up to the first doubtful one."""
         self._rest += content
         found = []
         while len(self._rest) >= BINARY.size and not self.doubtful:

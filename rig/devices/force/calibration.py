@@ -1,10 +1,10 @@
-"""What turns the gauge voltages of an ATI transducer into its wrench, in SI, and back.
+"""Conversion between the gauge voltages of an ATI transducer and its wrench in SI units.
 
 The map is linear, so
 
     wrench = matrix @ (volts - bias volts) = matrix @ volts - bias wrench
 
-and a tare in newton is the same as one in volts.
+and a tare in newton is equivalent to one in volts.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What turns the voltages of one transducer into its wrench."""
+    """Calibration of one transducer, which converts its voltages to a wrench."""
 
     serial: str
     """Serial number of the transducer, FT and five digits."""
     part: str
-    """Which of its calibrations: SI-12-0.12 and the like."""
+    """Name of the calibration, such as SI-12-0.12."""
     matrix: Array
     """(6, 6): N per V in the upper rows, N m per V in the lower."""
     rated: tuple[float, ...]
-    """Rated range of each axis (6,) [N, N m]: beyond it, accuracy is not promised."""
+    """Rated range of each axis (6,) [N, N m]: beyond it, accuracy is not guaranteed."""
     volts_range: tuple[float, float] = (-10.0, 10.0)
-    """What the gauges' amplifier can put out [V]."""
+    """Output range of the gauges' amplifier [V]."""
 
     def wrench(self, volts: npt.ArrayLike) -> Array:
-        """Force and torque (..., 6) [N, N m] in the transducer's frame, from volts (..., 6)."""
+        """Return the wrench (..., 6) [N, N m] in the transducer's frame at volts (..., 6)."""
         found: Array = np.asarray(volts, np.float64) @ self.matrix.T
         return found
 
     def volts(self, wrench: npt.ArrayLike) -> Array:
-        """Gauge voltages (..., 6) [V] that a wrench (..., 6) [N, N m] would give, unclipped."""
+        """Return the gauge voltages (..., 6) [V] of a wrench (..., 6) [N, N m], unclipped."""
         found: Array = np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
         return found
 
     def saturated(self, volts: npt.ArrayLike, fraction: float = 0.999) -> npt.NDArray[np.bool_]:
-        """Whether any gauge of volts (..., 6) is at the end of its output: the wrench is wrong.
+        """Return True where any gauge of volts (..., 6) is saturated, so the wrench is wrong.
 
         Args:
             volts: Gauge voltages [V].
-            fraction: Of the output range, from where a gauge counts as being at its end.
+            fraction: Fraction of the output range from which a gauge counts as saturated.
         """
         low, high = self.volts_range
         middle, half = (high + low) / 2, (high - low) / 2
@@ -61,15 +61,15 @@ class Calibration:
         return np.asarray(ends.any(axis=-1))
 
     def beyond_rating(self, wrench: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Whether any axis of a wrench (..., 6) [N, N m] is beyond its rated range."""
+        """Return True where any axis of a wrench (..., 6) [N, N m] is beyond its rated range."""
         beyond = np.abs(np.asarray(wrench, np.float64)) > np.array(self.rated)
         return np.asarray(beyond.any(axis=-1))
 
     def moved(self, tool: ToolTransform) -> Calibration:
-        """The same transducer read in a tool's frame.
+        """Return the calibration of the same transducer in a tool's frame.
 
-        The tool's origin is d from the transducer's, in the transducer's axes; the axes are then
-        turned: F' = R F, T' = R (T - d x F). The rated ranges stay those of the transducer.
+        The tool's origin is at d from the transducer's, in the transducer's axes; the axes are then
+        rotated: F' = R F, T' = R (T - d x F). The rated ranges stay those of the transducer.
         """
         x, y, z = tool.displacement
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -80,7 +80,7 @@ class Calibration:
 
 
 def _turn(rotation: tuple[float, float, float]) -> Array:
-    """Coordinates in axes turned about x, then y, then z of the axes as turned so far [rad]."""
+    """Return the rotation to axes turned about x, then the new y, then the new z [rad]."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(rotation), np.sin(rotation)
     about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
     about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
@@ -91,7 +91,7 @@ def _turn(rotation: tuple[float, float, float]) -> Array:
 
 # An ATI calibration file (`.cal`): XML, one `FTSensor` with one `Calibration` in it.
 #
-# As the file's own header says, the matrix to use is the `UserAxis` rows, in `ForceUnits` and
+# According to the file's own header, the matrix to use is the `UserAxis` rows, in `ForceUnits` and
 # `TorqueUnits` per volt, with the rated range of each axis in `max`; the `Axis` rows are the
 # factory's, before its own transform.
 
@@ -125,18 +125,18 @@ _TORQUE_UNITS = {
 # Newton metre per unit, by the names ATI uses.
 TORQUE_UNITS = {name: value for names, value in _TORQUE_UNITS.items() for name in names}
 
+# Output span [V] if a file gives none: an ATI DAQ F/T outputs -10 V to +10 V.
 _OUTPUT_RANGE = "20"
-# Volts from end to end where a file does not say: an ATI DAQ F/T puts out -10 V to +10 V.
 _BYTES_MAX = 1 << 20
+# Limit for the matrix in rated loads per volt. A real one has a few tens; a repeated row, infinity.
 _CONDITION_MAX = 1e6
-# Of the matrix in rated loads per volt. A real one has a few tens; a row written twice, infinity.
 
 
 def read_calibration(path: Path) -> Calibration:
-    """The calibration in a `.cal` file.
+    """Read the calibration in a `.cal` file.
 
     Raises:
-        ConfigError: No such file, or see `parse_calibration`.
+        ConfigError: The file is missing, or see `parse_calibration`.
     """
     try:
         with path.open("rb") as file:
@@ -150,16 +150,16 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def parse_calibration(content: bytes, where: str) -> Calibration:
-    """The calibration that the content of a `.cal` file holds.
+    """Parse the content of a `.cal` file.
 
     Args:
-        content: The file.
-        where: Its name, for errors.
+        content: Content of the file.
+        where: Name of the file, for errors.
 
     Raises:
-        ConfigError: No XML or no FTSensor, more than 1 MB, a document type (nothing is expanded
-            or fetched), other than one calibration of six gauges, an axis missing, twice or without
-            its six finite values, a unit that is not in the tables, or a matrix without inverse.
+        ConfigError: Not XML or no FTSensor, more than 1 MB, a document type (nothing is expanded
+            or fetched), not exactly one calibration of six gauges, an axis missing, repeated or
+            without six finite values, an unknown unit, or a matrix without inverse.
     """
     root = _root(content, where)
     gauges = _attribute(root, "NumGages", f"{where}.FTSensor")
@@ -210,14 +210,14 @@ def emit_calibration(
     torque_unit: str = "N-mm",
     comment: str = "",
 ) -> bytes:
-    """A `.cal` file that says `calibration`: `parse_calibration` gives it back.
+    """Return a `.cal` file of `calibration`, as `parse_calibration` reads it.
 
     Args:
-        calibration: With a bipolar output.
+        calibration: Calibration with a bipolar output.
         body: Model of the transducer.
         force_unit: A key of `FORCE_UNITS`.
         torque_unit: A key of `TORQUE_UNITS`.
-        comment: Put at the top of the file.
+        comment: Comment at the top of the file.
     """
     scale = np.repeat([FORCE_UNITS[force_unit], TORQUE_UNITS[torque_unit]], 3)
     matrix = calibration.matrix / scale[:, np.newaxis]
@@ -250,7 +250,7 @@ def emit_calibration(
 
 
 class _NoDoctype(ET.TreeBuilder):
-    """A document type is where entities are declared: without one none is expanded or fetched."""
+    """Builder that rejects document types: only they declare entities to expand or fetch."""
 
     def doctype(self, name: str, pubid: str, system: str) -> None:
         raise ConfigError(f"has a document type ({name})")
@@ -267,14 +267,14 @@ def _root(content: bytes, where: str) -> ET.Element:
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}; {allowed}, which has none") from None
     except (ET.ParseError, LookupError, ValueError) as error:
-        raise ConfigError(f"{where}: no XML: {error}; {allowed}") from None
+        raise ConfigError(f"{where}: not XML: {error}; {allowed}") from None
     if root.tag != "FTSensor":
         raise ConfigError(f"{where}: found <{root.tag}>; allowed: <FTSensor>")
     return root
 
 
 def _rows(element: ET.Element, where: str) -> dict[str, tuple[list[float], float]]:
-    """Values and rated range of each axis, in the file's units."""
+    """Return the values and rated range of each axis, in the file's units."""
     found: dict[str, tuple[list[float], float]] = {}
     for row in element.findall("UserAxis"):
         name = _attribute(row, "Name", f"{where}.UserAxis")
@@ -283,7 +283,7 @@ def _rows(element: ET.Element, where: str) -> dict[str, tuple[list[float], float
             raise ConfigError(f"{place}: found {name!r}; allowed: each of {', '.join(AXES)} once")
         words = _attribute(row, "values", place).split()
         if len(words) != 6:
-            raise ConfigError(f"{place}.values: found {len(words)}; allowed: 6, one a gauge")
+            raise ConfigError(f"{place}.values: found {len(words)}; allowed: 6, one per gauge")
         values = [_number(word, f"{place}.values") for word in words]
         most = _number(_attribute(row, "max", place), f"{place}.max")
         if most <= 0:

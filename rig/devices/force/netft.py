@@ -1,9 +1,10 @@
 """ATI Net F/T driver: settings by HTTP, records by UDP.
 
-The wire format is rig/devices/force/netft_wire.py.
+The wire format is described in rig/devices/force/netft_wire.py.
 
-The box streams to one client: whoever starts a stream last gets it, and the client before sees
-silence. The box's own bias is volatile and global, so it is left alone; tare on the host.
+The box streams to one client only: the last one to start a stream gets it, and the previous client
+receives nothing more. The box's own bias is volatile and global, so it is not used; tare on the
+host.
 """
 
 from __future__ import annotations
@@ -37,27 +38,27 @@ from rig.devices.force.settings import NetFtConfig
 
 logger = logging.getLogger(__name__)
 
-# When a UDP packet arrived, told by the kernel.
+# Arrival times of UDP packets, from the kernel.
 #
-# A thread that waits for the interpreter's lock takes a packet some milliseconds after it came (in
-# a busy process 7 ms in the median, 37 ms at worst, measured at 1 kHz). The kernel stamps each
-# packet as it comes, on the UTC clock; that is carried over to the monotonic clock here.
+# A thread that waits for the interpreter lock gets a packet some milliseconds after its arrival (in
+# a busy process 7 ms in the median, 37 ms at worst, measured at 1 kHz). The kernel timestamps each
+# packet on arrival, on the UTC clock; here the time is converted to the monotonic clock.
 
+# Linux's number; the socket module does not name it before Python 3.14.
 _SO_TIMESTAMPNS = 35
-# Linux' number; the socket module does not name it before Python 3.14.
 _TIMESPEC = struct.Struct("@ll")
 _ANCHOR_NS = SECOND_NS // 10
-# UTC is stepped and slewed: the tie between the clocks is never older than this.
+# UTC is stepped and slewed: the conversion between the clocks is never older than this.
 _AGE_MAX_NS = 10 * SECOND_NS
 
 
 class StampedSocket:
-    """A UDP socket whose packets come with their time of arrival.
+    """A UDP socket that returns packets with their time of arrival.
 
     Args:
-        udp: The socket; its time-out holds.
-        clock: Gives the time of a packet that the kernel did not stamp, or whose stamp lies ahead
-            or more than 10 s behind because UTC was set.
+        udp: The socket; its timeout is kept.
+        clock: Clock for packets that the kernel did not timestamp, or whose timestamp is ahead or
+            more than 10 s behind because UTC was set.
     """
 
     def __init__(self, udp: socket.socket, clock: Clock) -> None:
@@ -69,10 +70,10 @@ class StampedSocket:
                 udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
 
     def receive(self, size: int) -> tuple[bytes, int]:
-        """The next packet and its arrival [ns].
+        """Return the next packet and its arrival [ns].
 
         Raises:
-            OSError: As `socket.recv`, TimeoutError included.
+            OSError: Like `socket.recv`, including TimeoutError.
         """
         packet, ancillary, _, _ = self._udp.recvmsg(size, 64)
         now_ns = self._clock.now_ns()
@@ -88,25 +89,24 @@ class StampedSocket:
         return packet, now_ns
 
 
-# Watches that a Net F/T box keeps the settings its stream was opened with.
+# Detection of changed settings on a Net F/T box while it streams.
 #
-# Nothing in an RDT record says its units. Whoever changes them on the box's web page while it
-# streams changes the meaning of every count from then on, so the page is read again about once a
-# second.
+# An RDT record does not contain its units. Changing them on the box's web page during a stream
+# changes the meaning of every later count, so the page is read again about once a second.
 
+# The box's web server is slow, and shares the processor that produces the records [s].
 _PERIOD = 1.0
-# The box's web server is slow, and shares the processor that makes the records [s].
 
 
 class PageWatch:
-    """A thread that reads the page until it is closed or the settings differ.
+    """Thread that reads the page until it is closed or the settings differ.
 
     Args:
         opened: The settings the stream was opened with.
-        read: Reads the page; DeviceLost when it cannot be had, ConfigError when its units are
+        read: Reads the page; raises DeviceLost if it is unavailable, ConfigError if its units are
             unknown.
-        changed: Called once with what is different.
-        clock: Tells when the settings were last seen as they were.
+        changed: Called once with the difference.
+        clock: Clock for the time at which the settings were last seen unchanged.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class PageWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop after the reading in progress; safe twice."""
+        """Stop after the current reading; may be called twice."""
         self._stopping.set()
         self._thread.join()
 
@@ -136,7 +136,7 @@ class PageWatch:
             except ConfigError as error:
                 difference = str(error)
             except DeviceLost as error:
-                # The records tell whether the box lives; a busy web server is no reason to stop.
+                # The records show if the box is alive; a busy web server is no reason to stop.
                 if reachable:
                     logger.warning("settings not read again: %s", error)
                 reachable = False
@@ -144,7 +144,7 @@ class PageWatch:
             if difference:
                 self._changed(
                     f"its settings were changed while it streamed ({difference}); values after "
-                    f"t_ns = {seen_ns} are not to be trusted; set the box right, then resume"
+                    f"t_ns = {seen_ns} must not be trusted; restore its settings, then resume"
                 )
                 return
             seen_ns = asked_ns
@@ -161,16 +161,16 @@ def _difference(opened: Page, found: Page) -> str:
 
 _POLL = 0.1
 _CAPACITY = 60_000
+# A packet this many places late is not reordered: the box has begun a new stream.
 _RESTART = 1000
-# A packet this many places late is no reordering: the box has begun a new stream.
+# A packet this far ahead is not of this stream: silence would have ended it long before [s].
 _AHEAD = 10.0
-# A packet this far ahead is none of this stream: silence ends it long before [s].
 _STRANGE_IN_A_ROW = 10
 _PAGE_TIMEOUT = 1.0
 
 
 class NetFtDriver:
-    """The stream of a Net F/T box.
+    """Stream of a Net F/T box.
 
     Columns: value (6,) float64 [N, N m], seq int64 (rdt_sequence, unwrapped), status int64, t_ns.
     """
@@ -189,21 +189,21 @@ class NetFtDriver:
         self._idle = 0
         self._gaps = 0
         self.late = 0
-        """Packets that came after a later one; they are among `dropped`."""
+        """Number of packets received after a later one; they are among `dropped`."""
         self.duplicates = 0
-        """Packets that came twice; only the first counts."""
+        """Number of packets received twice; only the first counts."""
         self.corrupt = 0
-        """Packets of the wrong length, or with a number that is none of this stream."""
+        """Number of packets of the wrong length, or with a number not of this stream."""
         self._strange_in_a_row = 0
 
     @property
     def dropped(self) -> int:
-        """Records that never reached `read`: lost on the way, late, or not taken in time."""
+        """Records that never reached `read`: lost on the way, late, or not read in time."""
         return self._gaps + self._inbox.overflowed
 
     @property
     def refused(self) -> dict[str, int]:
-        """Packets that came and were left out, by reason."""
+        """Rejected packets, by reason."""
         return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
 
     def open(self, timeout: float) -> None:
@@ -211,7 +211,7 @@ class NetFtDriver:
 
         Raises:
             DeviceLost: No answer within `timeout` [s], or the box reports an error.
-            ConfigError: The box has units that are not known, or refuses the rate.
+            ConfigError: The box has unknown units, or rejects the rate.
         """
         self.close()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
@@ -246,7 +246,7 @@ class NetFtDriver:
         )
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Records since the last call; see `rig.core.driver.Driver.read`.
+        """Return the records since the last call; see `rig.core.driver.Driver.read`.
 
         Raises:
             DeviceLost: The box has been silent for longer than `NetFtConfig.silence`.
@@ -256,7 +256,7 @@ class NetFtDriver:
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """Units, counts per unit, rate and product as the box states them."""
+        """Return units, counts per unit, rate and product as stated by the box."""
         if self._page is None:
             raise DeviceLost(f"{self._address()}: not open")
         return {
@@ -273,7 +273,7 @@ class NetFtDriver:
         }
 
     def close(self) -> None:
-        """Stop the stream and let go of the socket; safe twice."""
+        """Stop the stream and close the socket; may be called twice."""
         if self._page_watch is not None:
             self._page_watch.close()
             self._page_watch = None
@@ -296,7 +296,7 @@ class NetFtDriver:
 
     def _get(self, path: str, deadline_ns: int) -> bytes:
         url = f"http://{self._config.host}:{self._config.http_port}/{path}"
-        # A box on the bench is never behind a proxy, whatever the environment says.
+        # A box on the bench is never behind a proxy, even if the environment sets one.
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
             with opener.open(url, timeout=self._left(deadline_ns)) as response:
@@ -334,7 +334,7 @@ class NetFtDriver:
         if abs(page.rate_hz - self._config.rate_hz) > 0.01 * self._config.rate_hz:
             raise ConfigError(
                 f"{self._config.host}: comrdtrate: asked {self._config.rate_hz:g} Hz, got "
-                f"{page.rate_hz} Hz; allowed: what the box's Communications page accepts"
+                f"{page.rate_hz} Hz; allowed: rates that the box's Communications page accepts"
             )
         return page
 
@@ -344,8 +344,8 @@ class NetFtDriver:
         try:
             packet, t_ns = self._stamped.receive(64)
         except TimeoutError:
-            # Counted waits rather than the clock: after this process itself was suspended, what
-            # waits in the socket is received before anything counts as silence.
+            # Counts waits instead of using the clock: after a suspension of this process, packets
+            # waiting in the socket are received before anything counts as silence.
             self._idle += 1
             if self._idle * _POLL >= self._config.silence:
                 raise DeviceLost(
@@ -388,7 +388,7 @@ class NetFtDriver:
         self._inbox.put({"value": value, "seq": self._sequence, "status": status}, t_ns)
 
     def _strange(self, why: str) -> None:
-        """Leave out a packet that is none of this stream; too many in a row end it."""
+        """Reject a packet that is not of this stream; raise after too many in a row."""
         self.corrupt += 1
         self._strange_in_a_row += 1
         if self._strange_in_a_row >= _STRANGE_IN_A_ROW:

@@ -1,9 +1,9 @@
-"""Emulated ATI Net F/T box: RDT by UDP and the settings pages by HTTP, serving the World's wrench.
+"""Emulated ATI Net F/T box: RDT by UDP and settings pages by HTTP, serving the World's wrench.
 
     python -m rig.devices.force.netft_emulator --host 127.0.0.5 --http-port 8080 --world PATH
 
-As the box does, it streams only to the client that asked last. Its bias (0x42) lasts until the
-process ends. `wrong_units` of rig.core.fault_injection: somebody sets pound-force on its web page.
+Like the box, it streams only to the last client that requested a stream. Its bias (0x42) lasts
+until the process ends. `wrong_units` of rig.core.fault_injection sets pound-force as its unit.
 """
 
 from __future__ import annotations
@@ -46,28 +46,28 @@ from rig.devices.force.netft_wire import (
 logger = logging.getLogger(__name__)
 
 _NOISE_ROWS = 8192
-_TORQUE_NOISE = 0.005
 # N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
+_TORQUE_NOISE = 0.005
 _INTERNAL_HZ = 7000
 _WRONG_UNITS = ("lbf", "lbf-in")
 
 
 @dataclass(frozen=True, slots=True)
 class NetFtEmulatorConfig:
-    """Where the emulated box listens and what its settings are."""
+    """Address and settings of the emulated box."""
 
     host: str = "127.0.0.1"
     http_port: int = 8080
     udp_port: int = 49152
     page: Page = field(default_factory=lambda: Page(product="Net F/T emulator", serial="FT00000"))
-    """What netftapi2.xml says; its rate changes by comm.cgi."""
+    """Content of netftapi2.xml; comm.cgi changes its rate."""
     noise: float = 0.0
     """Standard deviation of the force components [N]."""
     seed: int = 0
 
 
 class NetFtEmulator:
-    """The emulated box; one thread paces records and takes commands, others answer HTTP."""
+    """Emulated box: one thread sends records and receives commands, others answer HTTP."""
 
     def __init__(self, config: NetFtEmulatorConfig, world: World, clock: Clock) -> None:
         self.page = config.page
@@ -88,7 +88,7 @@ class NetFtEmulator:
         self._rdt_sequence = 0
         self._ft_sequence = 0
         self.missed = 0
-        """Records not sent because their time had passed."""
+        """Number of records skipped as too late."""
         self._bias = np.zeros(6)
 
     @property
@@ -98,10 +98,10 @@ class NetFtEmulator:
         return f"{c.host}:{c.udp_port} http://{c.host}:{c.http_port}"
 
     def start(self) -> None:
-        """Listen and serve.
+        """Start serving.
 
         Raises:
-            OSError: The address or a port cannot be had.
+            OSError: The address or a port is not available.
         """
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -121,7 +121,7 @@ class NetFtEmulator:
             thread.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         self._ending.set()
         if self._http is not None:
             self._http.shutdown()
@@ -135,7 +135,7 @@ class NetFtEmulator:
             self._udp = None
 
     def packets(self, packet: bytes) -> Iterable[bytes]:
-        """What leaves the box for one record: where faults and tests spoil packets."""
+        """Return the packets sent for one record; faults and tests corrupt packets here."""
         return self.disturbance.passed(packet)
 
     def _on_disturbance(self) -> None:
@@ -145,7 +145,7 @@ class NetFtEmulator:
         self._scale = np.repeat(self.page.scale(), 3)
 
     def set_rate(self, rate_hz: int) -> None:
-        """What comm.cgi?comrdtrate= does: rates the box does not know leave it as it was."""
+        """Set the rate as comm.cgi?comrdtrate= does; unsupported rates change nothing."""
         if 1 <= rate_hz <= _INTERNAL_HZ:
             self.page = replace(self.page, rate_hz=rate_hz)
 
@@ -184,7 +184,7 @@ class NetFtEmulator:
                 try:
                     udp.sendto(sent, self._peer)
                 except OSError:
-                    # The client has gone; like the box, go on sending to nobody.
+                    # The client has gone; like the box, continue to send to nobody.
                     continue
             self._left -= 1
             if self._left == 0:
@@ -213,7 +213,7 @@ class NetFtEmulator:
 
 
 class _HttpServer(ThreadingHTTPServer, NamelessServer):
-    """The box's web server: netftapi2.xml and comm.cgi."""
+    """The box's web server, for netftapi2.xml and comm.cgi."""
 
     daemon_threads = True
 
@@ -222,11 +222,11 @@ class _HttpServer(ThreadingHTTPServer, NamelessServer):
         super().__init__(address, _Handler)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Nobody gets through to a box that is unplugged."""
+        """Reject every client while the box is unplugged."""
         return not self.emulator.disturbance.unplugged
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that goes before it is answered is no error."""
+        """Log at debug level: a client that leaves before its answer is no error."""
         logger.debug("client %s: %s", client_address, sys.exception())
 
 
@@ -254,11 +254,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: stdout belongs to the ready line."""
+        """Print nothing: stdout is reserved for the ready line."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.force.netft_emulator", __doc__)
     parser.add_argument("--http-port", type=int, default=8080, help="(%(default)s)")
     parser.add_argument("--udp-port", type=int, default=49152, help="(%(default)s)")

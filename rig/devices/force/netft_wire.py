@@ -6,9 +6,9 @@ A request is 8 bytes, a record 36, both big-endian:
     record   uint32 rdt_sequence | uint32 ft_sequence | uint32 status | int32 Fx Fy Fz Tx Ty Tz
 
 `rdt_sequence` numbers the records of a stream and wraps at 2**32: its gaps are lost packets.
-`ft_sequence` is the number of the box's internal sample; `status` see `status_text`.
+`ft_sequence` is the number of the box's internal sample; for `status`, see `status_text`.
 
-Counts become units through `cfgcpf` and `cfgcpt` (counts per unit) and `scfgfu` and `scfgtu`
+Counts are converted by `cfgcpf` and `cfgcpt` (counts per unit) and `scfgfu` and `scfgtu`
 (names of the units) of `http://host/netftapi2.xml`.
 """
 
@@ -83,19 +83,19 @@ _STATUS_BITS = {
     1: "HTTP error",
 }
 
-# A gauge or the converter is at its end: the load is beyond what can be measured.
+# A gauge or the converter is at its limit: the load is too large to be measured.
 SATURATION_MASK = 1 << 17
 
-# Not among the errors: 31 only says that another bit is set, 16 is a user's threshold, and the
-# field buses and the web server have no part in an RDT record.
+# Not errors: 31 only means that another bit is set, 16 is a user's threshold, and the field buses
+# and the web server do not affect an RDT record.
 _NO_ERROR_BITS = (31, 22, 21, 19, 18, 17, 16, 1)
-# Bits with which a record's wrench must not be trusted.
+# Bits that make a record's wrench untrusted.
 ERROR_MASK = sum(1 << bit for bit in _STATUS_BITS if bit not in _NO_ERROR_BITS)
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What of netftapi2.xml a client needs."""
+    """Fields of netftapi2.xml that a client needs."""
 
     product: str = "Net F/T"
     """prodname"""
@@ -115,7 +115,7 @@ class Page:
     """comrdtrate: records per second."""
 
     def scale(self) -> tuple[float, float]:
-        """Newton per count and newton metre per count.
+        """Return newton per count and newton metre per count.
 
         Raises:
             ConfigError: A unit is not in the tables, or counts per unit are not positive.
@@ -136,12 +136,12 @@ class Page:
 
 
 def emit_request(command: int, samples: int = 0) -> bytes:
-    """The packet that asks for `command`."""
+    """Return the request packet of `command`."""
     return REQUEST.pack(HEADER, command, samples)
 
 
 def parse_request(packet: bytes) -> tuple[int, int] | None:
-    """Command and number of samples, or None when the packet is no request."""
+    """Return command and number of samples, or None if the packet is not a request."""
     if len(packet) != REQUEST.size:
         return None
     header, command, samples = REQUEST.unpack(packet)
@@ -162,7 +162,7 @@ _OPTIONAL = ("prodname", "calsn")
 
 
 def emit_page(page: Page) -> bytes:
-    """The XML page that says `page`."""
+    """Return the XML page with the fields of `page`."""
     root = ET.Element("netFTApi")
     for tag, name in _TAGS.items():
         value = getattr(page, name)
@@ -183,15 +183,15 @@ def emit_page(page: Page) -> bytes:
 
 
 def parse_page(content: bytes) -> Page:
-    """What netftapi2.xml says.
+    """Parse netftapi2.xml.
 
     Raises:
-        ValueError: It is no such page: no XML, a tag missing, or not a number where one belongs.
+        ValueError: Not such a page: not XML, a tag missing, or not a number where one is required.
     """
     try:
         root = ET.fromstring(content)
     except ET.ParseError as error:
-        raise ValueError(f"no XML: {error}") from error
+        raise ValueError(f"not XML: {error}") from error
     found = {tag: (root.findtext(f".//{tag}") or "").strip() for tag in _TAGS}
     missing = [tag for tag, text in found.items() if not text and tag not in _OPTIONAL]
     if missing:
@@ -209,7 +209,7 @@ def parse_page(content: bytes) -> Page:
 
 
 def status_text(status: int) -> str:
-    """What the bits of a status word say, in words; "ok" when none is set."""
+    """Return the meaning of a status word's bits as text; "ok" when none is set."""
     status &= 0xFFFFFFFF
     texts = [text for bit, text in _STATUS_BITS.items() if status >> bit & 1]
     known = sum(1 << bit for bit in _STATUS_BITS) | 1 << 31

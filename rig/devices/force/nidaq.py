@@ -1,7 +1,7 @@
-"""ATI DAQ F/T on an NI card: six gauge voltages by NI-DAQmx, the wrench by the `.cal` file.
+"""ATI DAQ F/T driver for an NI card: gauge voltages by NI-DAQmx, the wrench by the `.cal` file.
 
-The card's own clock takes the samples, so sample k was taken at k / rate of the card's time; when
-that was on the host's clock, rig/devices/force/sample_clock.py says. The bias is the rig's tare, in
+The card's own clock paces the samples, so sample k was taken at k / rate of the card's time;
+rig/devices/force/sample_clock.py converts it to the host's clock. The bias is the rig's tare, in
 newton: the map is linear, so that is the bias of the volts (rig/devices/force/calibration.py).
 """
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+# Rate of reading the card: a block is 10 ms long, well inside the guard's 50 ms.
 _POLL_HZ = 100.0
-# How often the card is asked what it has: a block is 10 ms long, well inside the guard's 50 ms.
 _CAPACITY = 60_000
 _BLOCK_MAX = 2000
+# Without a new sample for this long, or five periods of a slow clock, the clock has stopped [s].
 _STANDSTILL = 0.1
-# Without a new sample for so long, or for five periods of a slow clock, the clock stood still [s].
 
 
 class NidaqDriver:
-    """The stream of an ATI DAQ F/T transducer on an NI card.
+    """Stream of an ATI DAQ F/T transducer on an NI card.
 
-    Columns: value (6,) float64 [N, N m] untared, seq int64 (sample of the card's clock; what was
-    lost leaves a gap), status int64 (rig/devices/force/sample_clock.py), t_ns.
+    Columns: value (6,) float64 [N, N m] untared, seq int64 (number of the sample; lost samples
+    leave a gap), status int64 (rig/devices/force/sample_clock.py), t_ns.
     """
 
     def __init__(self, config: NidaqConfig, clock: Clock) -> None:
@@ -57,19 +57,19 @@ class NidaqDriver:
         self._broken_off_ns: int | None = None
         self._gaps = 0
         self.overruns = 0
-        """How often the card's buffer was full before it was read."""
+        """Number of times the card's buffer overflowed before it was read."""
 
     @property
     def dropped(self) -> int:
-        """Samples that the clock was due to take and that never reached `read`."""
+        """Samples that the clock should have produced but that never reached `read`."""
         return self._gaps + self._inbox.overflowed
 
     def open(self, timeout: float) -> None:
-        """Read the calibration, set the card up, read its settings back, wait for a first sample.
+        """Read the calibration, set up the card, verify its settings, wait for a first sample.
 
         Raises:
             ConfigError: The calibration file, the library or the driver is missing or wrong, or the
-                card refuses a setting.
+                card rejects a setting.
             DeviceLost: No such card, or nothing answers within `timeout` [s].
         """
         self.close()
@@ -113,7 +113,7 @@ class NidaqDriver:
         self._receiver = Receiver(f"nidaq-{config.device}", self._receive, self._inbox)
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Samples since the last call; see `rig.core.driver.Driver.read`.
+        """Return the samples since the last call; see `rig.core.driver.Driver.read`.
 
         Raises:
             DeviceLost: The card is gone, or has been silent for `NidaqConfig.silence`.
@@ -123,7 +123,7 @@ class NidaqDriver:
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """Card, range and rate as read back, and the calibration in use."""
+        """Return card, range and rate as read back, and the calibration in use."""
         if self._task is None or self._calibration is None:
             raise DeviceLost(f"{self._config.address}: not open")
         return {
@@ -142,7 +142,7 @@ class NidaqDriver:
         }
 
     def close(self) -> None:
-        """Stop the task and give the card back; safe twice."""
+        """Stop the task and release the card; may be called twice."""
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
@@ -177,8 +177,8 @@ class NidaqDriver:
             self._taken = 0
 
     def _wait(self) -> None:
-        # Counted polls rather than the clock: after this process itself was suspended, what waits
-        # in the card's buffer is read before anything counts as silence.
+        # Counts polls instead of using the clock: after a suspension of this process, samples in
+        # the card's buffer are read before anything counts as silence.
         self._idle += 1
         silent = self._idle / _POLL_HZ
         if silent >= self._config.silence:
@@ -190,7 +190,7 @@ class NidaqDriver:
             self._break_off()
 
     def _break_off(self) -> None:
-        """From here on the sample count says nothing of the time that passes."""
+        """Note that from here on the sample count does not measure the time that passes."""
         if self._broken_off_ns is None and self._taken:
             self._broken_off_ns = self._timeline.time_ns(self._taken)
 

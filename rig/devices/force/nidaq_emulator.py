@@ -1,11 +1,11 @@
-"""Emulated NI card with an ATI DAQ F/T on it: NI-DAQmx by gRPC, the World's wrench as volts.
+"""Emulated NI card with an ATI DAQ F/T: NI-DAQmx over gRPC, the World's wrench as volts.
 
     python -m rig.devices.force.nidaq_emulator --calibration benches/mock-nano17.cal --world PATH
 
-It answers what a client needs for one task of analog inputs, as the NI gRPC Device Server would:
-errors as status UNKNOWN with the code in the trailing metadata `ni-error`. Voltages are the World's
-wrench through the inverse of the calibration, cut off at the range and rounded to 16 bits. Faults
-come in through rig.core.fault_injection: on the way from the converter into the card's buffer.
+It answers the calls of one task of analog inputs, as the NI gRPC Device Server would: errors as
+status UNKNOWN with the code in the trailing metadata `ni-error`. Voltages are the World's wrench
+through the inverse of the calibration, clipped to the range and rounded to 16 bits. Faults of
+rig.core.fault_injection act between the converter and the card's buffer.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rig.core.fault_injection import Disturbance
 from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import Calibration, read_calibration
 
-# The inputs of an emulated task of an NI card, and the buffer its sample clock fills.
+# Inputs of an emulated task of an NI card, and the buffer filled by its sample clock.
 
 Array = npt.NDArray[np.float64]
 
@@ -45,15 +45,15 @@ class Channel:
 
     name: str
     number: int
-    """Which gauge hangs on it."""
+    """Gauge connected to the input."""
     low: float
-    """Lower end of the range [V]."""
+    """Lower limit of the range [V]."""
     high: float
-    """Upper end [V]."""
+    """Upper limit of the range [V]."""
 
 
 class Buffer:
-    """What the sample clock fills and a client empties."""
+    """Sample buffer, filled by the sample clock and emptied by a client."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -65,7 +65,7 @@ class Buffer:
         self.overrun = False
 
     def put(self, rows: Array) -> None:
-        """Add (n, channels); a client that is too late finds an error from then on."""
+        """Add (n, channels); if the client is too late, every later `take` returns None."""
         with self._changed:
             self.acquired += len(rows)
             self.overrun = self.overrun or self.acquired - self.taken > self.capacity
@@ -74,7 +74,7 @@ class Buffer:
             self._changed.notify_all()
 
     def take(self, count: int, timeout: float) -> Array | None:
-        """The next (count, channels), fewer after `timeout` [s]; None after an overrun."""
+        """Return the next (count, channels), fewer after `timeout` [s]; None after an overrun."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self.acquired - self.taken >= count or self.stopped.is_set(), timeout
@@ -89,13 +89,13 @@ class Buffer:
             return rows[:count]
 
     def stop(self) -> None:
-        """End the clock that fills it."""
+        """Stop the clock that fills the buffer."""
         self.stopped.set()
         with self._changed:
             self._changed.notify_all()
 
 
-# The NI-DAQmx calls the emulated card answers: tasks of analog inputs, their settings, reading.
+# NI-DAQmx calls answered by the emulated card: tasks of analog inputs, their settings, reading.
 #
 # Attribute numbers and values are NI-DAQmx's own (NIDAQmx.h); the messages come with the library.
 
@@ -112,14 +112,14 @@ _TEXTS = {
     _NO_TASK: "Task specified is invalid or does not exist.",
 }
 _INPUTS = 16
-_DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
 # Major, minor and update number.
+_DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
 _CHANNELS = re.compile(r"(?P<device>[^/]+)/ai(?P<first>\d+)(?::(?:ai)?(?P<last>\d+))?")
 
 
 @dataclass(slots=True)
 class _Task:
-    """What a client has set up."""
+    """Task set up by a client."""
 
     channels: list[Channel] = field(default_factory=list)
     rate_hz: float = 0.0
@@ -135,23 +135,23 @@ class _Task:
 
 
 class Card(Protocol):
-    """What the service needs of the emulated card."""
+    """Interface of the emulated card to the service."""
 
     config: Any
 
     @property
     def unplugged(self) -> bool:
-        """Whether it is out of the computer."""
+        """True if the card is out of the computer."""
 
     def converted(self, channels: list[Channel]) -> Array:
-        """The voltages of now, (1, channels)."""
+        """Return the current voltages, (1, channels)."""
 
     def run_clock(self, rate_hz: float, channels: list[Channel], buffer: Buffer) -> None:
         """Fill the buffer until it is stopped."""
 
 
 class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
-    """The calls; each takes a request of its name, and the call's context."""
+    """Implementation of the calls; each takes its request and the call's context."""
 
     def __init__(self, card: Card) -> None:
         self._card = card
@@ -164,7 +164,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         stubs.add_NiDAQmxServicer_to_server(self, server)
 
     def close(self) -> None:
-        """Stop every task; safe twice."""
+        """Stop every task; may be called twice."""
         with self._lock:
             tasks, self._tasks = list(self._tasks.values()), {}
         for task in tasks:
@@ -234,7 +234,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         task = self._task(request, context)
         count, status = request.num_samps_per_chan, 0
         if task.buffer is None:
-            # A task without a sample clock takes one sample when it is asked: software timed.
+            # A task without a sample clock takes one sample per call: software timed.
             rows = self._card.converted(task.channels)
         else:
             taken = task.buffer.take(count, request.timeout)
@@ -339,23 +339,23 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
 
 
 def _fail(context: Any, code: int) -> NoReturn:
-    """End the call as the device server does: the error's number in the trailing metadata."""
+    """End the call like the device server, with the error's number in the trailing metadata."""
     context.set_trailing_metadata((("ni-error", str(code)),))
     context.abort(grpc.StatusCode.UNKNOWN, _TEXTS[code])
-    raise RuntimeError("a call that was aborted goes on")
+    raise RuntimeError("an aborted call continued")
 
 
 logger = logging.getLogger(__name__)
 
 _NOISE_ROWS = 8192
-_TORQUE_NOISE = 0.005
 # N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
+_TORQUE_NOISE = 0.005
 _BITS = 16
 
 
 @dataclass(frozen=True, slots=True)
 class NidaqEmulatorConfig:
-    """Where the emulated card is reached and what hangs on it."""
+    """Address of the emulated card, and the transducer connected to it."""
 
     calibration: Calibration
     host: str = "127.0.0.1"
@@ -363,16 +363,16 @@ class NidaqEmulatorConfig:
     device: str = "Dev1"
     """Name of the card."""
     offset: tuple[float, ...] = (0.0,) * 6
-    """Voltages of the gauges without a load [V]."""
+    """Gauge voltages without a load [V]."""
     noise: float = 0.0
     """Standard deviation of the force components [N]."""
     seed: int = 0
     rate_max_hz: float = 250_000.0
-    """Highest rate the card has."""
+    """Highest rate of the card."""
 
 
 class NidaqEmulator:
-    """The emulated card: a thread of its own is its sample clock, others answer calls."""
+    """Emulated card: one thread is its sample clock, others answer calls."""
 
     def __init__(self, config: NidaqEmulatorConfig, world: World, clock: Clock) -> None:
         self.config = config
@@ -380,7 +380,7 @@ class NidaqEmulator:
         self._world = world
         self._clock = clock
         self.missed = 0
-        """Ticks of the sample clock at which this thread was late; the sample was repeated."""
+        """Clock ticks at which this thread was late; the sample was repeated."""
         self._server: grpc.Server | None = None
         self._pool: ThreadPoolExecutor | None = None
         rng = np.random.default_rng(config.seed)
@@ -393,21 +393,21 @@ class NidaqEmulator:
 
     @property
     def address(self) -> str:
-        """What a client connects to."""
+        """Address for clients."""
         return f"{self.config.host}:{self.config.port}"
 
     @property
     def unplugged(self) -> bool:
-        """Whether the card is out of the computer that serves it."""
+        """True if the card is out of the computer that serves it."""
         return self.disturbance.unplugged
 
     def start(self) -> None:
-        """Listen and serve.
+        """Start serving.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address is not available.
         """
-        # A few threads: a client that waits for samples holds one.
+        # Several threads: a client that waits for samples occupies one.
         self._pool = ThreadPoolExecutor(4, "nidaq-emulator")
         self._server = grpc.server(self._pool, options=(("grpc.so_reuseport", 0),))
         self._service.add_to(self._server)
@@ -419,7 +419,7 @@ class NidaqEmulator:
         self._server.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         self._service.close()
         if self._server is not None:
             self._server.stop(0.1).wait()
@@ -429,15 +429,15 @@ class NidaqEmulator:
             self._pool = None
 
     def samples(self, volts: Array) -> Array:
-        """What the converter puts into the buffer at one tick: (n, 6) [V]; n is 1 mostly.
+        """Return the rows that one tick puts into the buffer: (n, 6) [V], mostly one.
 
-        Where faults and tests stop the sample clock (no row) and spoil voltages.
+        Faults and tests stop the sample clock (no row) and corrupt voltages here.
         """
         passed = self.disturbance.passed(volts)
         return np.concatenate(passed) if passed else volts[:0]
 
     def converted(self, channels: Sequence[Channel]) -> Array:
-        """The voltages of now, (1, channels): noise, the channels' ranges, 16 bits."""
+        """Return the current voltages (1, channels), with noise, range limits and 16 bits."""
         number, state = self._world.state()
         if number != self._newest:
             calibration = self.config.calibration
@@ -454,27 +454,27 @@ class NidaqEmulator:
         return converted
 
     def run_clock(self, rate_hz: float, channels: Sequence[Channel], buffer: Buffer) -> None:
-        """The sample clock of one running task: fills `buffer` until it is stopped."""
+        """Run the sample clock of one task: fill `buffer` until it is stopped."""
         pacer = Pacer(self._clock, rate_hz)
         missed = 0
         while not buffer.stopped.is_set():
             pacer.wait()
             late, missed = pacer.missed - missed, pacer.missed
             self.missed += late
-            # The card's clock never stands still: what came too late is there all the same.
+            # The card's clock never stands still: late samples are added all the same.
             rows = self.samples(np.repeat(self.converted(channels), 1 + late, axis=0))
             if len(rows):
                 buffer.put(rows)
 
 
 def _spoilt(volts: Array, rng: random.Random) -> Array:
-    """As many voltages, all of them random."""
+    """Return random voltages of the same shape."""
     low, high = -10.0, 10.0
     return np.array([[rng.uniform(low, high) for _ in row] for row in volts])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.force.nidaq_emulator", __doc__)
     parser.add_argument("--port", type=int, default=31763, help="(%(default)s)")
     parser.add_argument(

@@ -1,8 +1,8 @@
-"""The one module that talks to NI-DAQmx: six hardware-timed voltages, and vendor errors made ours.
+"""Access to NI-DAQmx, in this module only: six hardware-timed voltages, errors translated.
 
-With a local driver the library is called directly; with `grpc`, an NI gRPC Device Server is, which
-may be another computer or the emulator. Every call to a server has a deadline: the library itself
-waits for ever.
+With a local driver the library is called directly; with `grpc`, it calls an NI gRPC Device Server,
+which may be another computer or the emulator. Every call to a server has a deadline: the library
+itself would wait forever.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from rig.core.errors import ConfigError, DeviceLost
 _GAUGES = 6
 _BUFFER_SECONDS = 10.0
 _BUFFER_MIN = 10_000
+# A card may use a range wider than requested by this fraction: some cover 10 V with 10.5 V.
 _RANGE_TOLERANCE = 0.1
-# A card may use a range up to this part wider than asked: some cover 10 V with 10.5 V.
 _RATE_TOLERANCE = 0.01
+# Only samples already counted are requested, so at most they are still in transit [s].
 _READ_TIMEOUT = 0.1
-# Only what was counted is asked for, so that it is on its way at the most [s].
 
 _OVERRUN_CODES = (
     DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE.value,
@@ -48,24 +48,24 @@ _LOST_CODES = {
 
 
 class Overrun(Exception):
-    """The buffer was full before it was read: samples are lost and the task must start anew."""
+    """The buffer overflowed before it was read: samples are lost, the task must be restarted."""
 
 
 class AnalogTask:
-    """Six differential voltages at the card's own sample clock, set up and read back.
+    """Six differential voltages at the card's own sample clock, with settings read back.
 
     Args:
-        device: The card.
-        channels: Its six inputs, as NI writes them (`ai0:5`).
+        device: Name of the card.
+        channels: Its six inputs, in NI's notation (`ai0:5`).
         rate_hz: Samples per second.
         volts_range: Lowest and highest voltage [V].
         server: host:port of an NI gRPC Device Server, or None.
-        clock: For `timeout`.
-        timeout: How long the device server may take to answer any call [s].
+        clock: Clock for `timeout`.
+        timeout: Time limit for each answer of the device server [s].
 
     Raises:
-        DeviceLost: No such card or server, or it does not answer.
-        ConfigError: No driver on this computer, or the card refuses a setting.
+        DeviceLost: The card or server is missing or does not answer.
+        ConfigError: No driver on this computer, or the card rejects a setting.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class AnalogTask:
         self._check(rate_hz, volts_range)
 
     def _connect(self, address: str, clock: Clock, timeout: float) -> Any:
-        # A card on the bench is never behind a proxy, whatever the environment says.
+        # A card on the bench is never behind a proxy, even if the environment sets one.
         channel = grpc.insecure_channel(address, options=(("grpc.enable_http_proxy", 0),))
         self._exits.callback(channel.close)
         start_ns = clock.now_ns()
@@ -129,9 +129,9 @@ class AnalogTask:
         stream = self._task.in_stream
         self._count = int(stream.num_chans)
         self.rate_hz = float(self._task.timing.samp_clk_rate)
-        """Samples per second, as the card says."""
+        """Samples per second, as stated by the card."""
         self.buffer = int(stream.input_buf_size)
-        """Samples a channel that are kept for a late reader."""
+        """Number of samples per channel buffered for a late reader."""
         self._found = [
             (str(each.name), float(each.ai_min), float(each.ai_max), each.ai_term_cfg)
             for each in self._task.ai_channels
@@ -140,16 +140,16 @@ class AnalogTask:
         self._reader.verify_array_shape = False
 
     def _check(self, rate_hz: float, volts_range: tuple[float, float]) -> None:
-        """What was read back must be what was asked.
+        """Check the settings read back against the requested ones.
 
         Raises:
-            ConfigError: It is not.
+            ConfigError: They differ.
         """
         problem = ""
         low, high = volts_range
         slack = _RANGE_TOLERANCE * (high - low)
         if self._count != _GAUGES:
-            problem = f"channels: found {self._count}; allowed: {_GAUGES}, one a gauge"
+            problem = f"channels: found {self._count}; allowed: {_GAUGES}, one per gauge"
         elif abs(self.rate_hz - rate_hz) > _RATE_TOLERANCE * rate_hz:
             problem = f"rate_hz: asked {rate_hz:g} Hz, got {self.rate_hz:g} Hz"
         for name, least, most, terminals in self._found:
@@ -174,7 +174,7 @@ class AnalogTask:
             self._task.start()
 
     def restart(self) -> None:
-        """After an overrun: stop and start; the count begins at 0 again.
+        """Stop and start after an overrun; the count begins at 0 again.
 
         Raises:
             DeviceLost: The card is gone.
@@ -184,25 +184,25 @@ class AnalogTask:
         self.start()
 
     def answer_within(self, seconds: float) -> None:
-        """From now on, a device server that takes longer for a call [s] is lost."""
+        """Treat the device server as lost if a call takes longer than `seconds` [s] from now on."""
         self._deadline.seconds = seconds
 
     def acquired(self) -> int:
-        """Samples a channel taken since the start.
+        """Return the number of samples per channel since the start.
 
         Raises:
             DeviceLost: The card is gone.
-            Overrun: See there.
+            Overrun: The buffer overflowed.
         """
         with self._errors("reading"):
             return int(self._task.in_stream.total_samp_per_chan_acquired)
 
     def read(self, count: int) -> npt.NDArray[np.float64]:
-        """The next `count` samples (count, 6) [V]; ask for no more than are there.
+        """Return the next `count` samples (count, 6) [V], which must already be acquired.
 
         Raises:
             DeviceLost: The card is gone.
-            Overrun: See there.
+            Overrun: The buffer overflowed.
         """
         volts = np.empty((_GAUGES, count))
         with self._errors("reading"):
@@ -210,12 +210,12 @@ class AnalogTask:
         return np.ascontiguousarray(volts.T)
 
     def close(self) -> None:
-        """Give the card back; safe twice."""
+        """Release the card; may be called twice."""
         self._deadline.seconds = min(self._deadline.seconds, 1.0)
         self._exits.close()
 
     def _clear(self) -> None:
-        # Whoever is gone already needs no clearing.
+        # A task on a card or server that is gone needs no clearing.
         with contextlib.suppress(Error):
             self._task.close()
 
@@ -245,7 +245,7 @@ class AnalogTask:
 
 
 class _CallDetails(NamedTuple):
-    """What gRPC wants to know of a call."""
+    """Details of a call, as required by gRPC."""
 
     method: str
     timeout: float | None
@@ -256,13 +256,13 @@ class _CallDetails(NamedTuple):
 
 
 class _Deadline(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc]
-    """Gives every call `seconds` [s] to be answered."""
+    """Interceptor that limits every call to `seconds` [s]."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
 
     def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
-        """Make the call, with its deadline; see gRPC."""
+        """Make the call with its deadline; see gRPC."""
         timed = _CallDetails(
             details.method,
             self.seconds,

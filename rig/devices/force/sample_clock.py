@@ -1,4 +1,4 @@
-"""When each sample of a device with a sample clock was taken, on the host's clock."""
+"""Times of samples on the host's clock, for a device with a sample clock."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy.typing as npt
 
 from rig.core.clock import SECOND_NS
 
+# Number of seconds over which the smallest delay counts: long enough to contain a quick answer even
+# on a busy machine, short enough to follow a card whose clock drifts (100 ppm are 0.4 ms in 4 s).
 _BUCKETS = 4
-# Seconds of which the smallest delay counts: long enough to hold a quick answer even on a busy
-# machine, short enough to follow a card whose clock drifts (100 ppm are 0.4 ms in 4 s).
 
 
 class SampleTimeline:
-    """Ties sample numbers to host time by the lower envelope of what was seen.
+    """Maps sample numbers to host time by the lower envelope of the observations.
 
-    The host asks now and then how many samples there are. Sample k cannot have been taken later
-    than the host learnt of it, and the quickest answer is the closest: with period p, the smallest
-    of (host time - k p) over the last seconds is where sample 0 lies. So samples of one block do
-    not all carry the time at which the block was read, and a late read moves nothing.
+    The host regularly reads the number of samples. Sample k cannot have been taken after the host
+    learnt of it, and the quickest answer is the closest: with period p, sample 0 is at the smallest
+    (host time - k p) of the last seconds. So the samples of one block do not all have the time at
+    which the block was read, and a late read changes nothing.
 
     Args:
-        rate_hz: Of the sample clock, as the device states it.
+        rate_hz: Rate of the sample clock, as the device states it.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -32,7 +32,7 @@ class SampleTimeline:
         self._last_ns = -1
 
     def observe(self, newest: int, now_ns: int) -> None:
-        """Sample number `newest` existed at `now_ns`."""
+        """Record that sample number `newest` existed at `now_ns`."""
         delay_ns = now_ns - round(newest * self._period_ns)
         second = now_ns // SECOND_NS
         if self._least and self._least[-1][0] == second:
@@ -40,33 +40,33 @@ class SampleTimeline:
         self._least.append((second, delay_ns))
 
     def time_ns(self, number: int) -> int:
-        """When sample `number` was taken, as far as is known by now [ns].
+        """Return the best current estimate of the time of sample `number` [ns].
 
         Raises:
-            ValueError: Nothing was observed yet.
+            ValueError: No observation yet.
         """
         return min(delay_ns for _, delay_ns in self._least) + round(number * self._period_ns)
 
     def take(self, first: int, count: int) -> npt.NDArray[np.int64]:
-        """Times (count,) [ns] of samples from `first` on, each after all that were taken before."""
+        """Return times (count,) [ns] of samples from `first` on, later than all returned before."""
         numbers = np.arange(count, dtype=np.int64)
         regular = self.time_ns(first) + np.rint(numbers * self._period_ns).astype(np.int64)
-        # A quicker answer than ever moves the envelope back: never before what is out already.
+        # A new quickest answer moves the envelope back, but not before times already returned.
         times: npt.NDArray[np.int64] = np.maximum(regular, self._last_ns + 1 + numbers)
         self._last_ns = int(times[-1])
         return times
 
 
-# Status words of the F/T sensors whose wire has none: what is wrong with one sample.
+# Status words of F/T sensors that transmit none: the problems of one sample.
 #
-# Where the Net F/T box has a bit for the same thing, the number is the same
+# Where the Net F/T box has a bit for the same problem, the number is the same
 # (rig/devices/force/netft_wire.py).
 
-# A gauge is at the end of its output: the wrench is wrong.
+# A gauge is at the limit of its output: the wrench is wrong.
 SATURATED = 1 << 17
 # An axis is beyond its rated range, before the tare: a warning; the bench's limits decide.
 BEYOND_RATING = 1 << 16
-# Samples between this one and the one before were lost.
+# Samples between this one and the previous one were lost.
 LOST_BEFORE = 1 << 15
-# The error byte of an RS-232 record: not 0 when the controller says its values are wrong.
+# The error byte of an RS-232 record: not 0 when the controller reports its values as wrong.
 RECORD_ERROR_MASK = 0xFF

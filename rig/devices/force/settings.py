@@ -1,4 +1,4 @@
-"""What the bench file says about the F/T sensor. No vendor library here."""
+"""Bench file settings of the F/T sensor. Imports no vendor library."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
 
 @dataclass(frozen=True, slots=True)
 class NetFtConfig:
-    """An ATI Net F/T box: where it is and how fast it shall send."""
+    """Settings of an ATI Net F/T box: its address and its rate."""
 
     KIND: ClassVar[str] = "netft"
     UNTRUSTED_MASK: ClassVar[int] = ERROR_MASK | SATURATION_MASK
-    """Status bits with which a wrench must not be trusted."""
+    """Status bits that make a wrench untrusted."""
 
     host: str = "192.168.1.1"
     """Address of the box."""
@@ -24,57 +24,57 @@ class NetFtConfig:
     udp_port: int = 49152
     """Port of its data (RDT)."""
     rate_hz: float = 1000.0
-    """Records per second; the box knows whole numbers from 1 to 7000."""
+    """Records per second; the box supports integers from 1 to 7000."""
     silence: float = field(default=0.5, metadata={"unit": "ms"})
-    """Without a record for so long the box counts as lost [s]."""
+    """Silence after which the box counts as lost [s]."""
 
     @property
     def address(self) -> str:
-        """Where it is, to be shown."""
+        """Address of the device, for display."""
         return self.host
 
 
 @dataclass(frozen=True, slots=True)
 class ToolTransform:
-    """The frame a wrench is wanted in, seen from the transducer's own."""
+    """Frame in which a wrench is reported, relative to the transducer's own."""
 
     displacement: tuple[float, float, float] = field(
         default=(0.0, 0.0, 0.0), metadata={"unit": "mm"}
     )
-    """Its origin in the transducer's axes (ATI's Dx Dy Dz) [m]."""
+    """Origin in the transducer's axes (ATI's Dx Dy Dz) [m]."""
     rotation: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "deg"})
-    """Turns about x, then the new y, then the new z (ATI's Rx Ry Rz) [rad]."""
+    """Rotations about x, then the new y, then the new z (ATI's Rx Ry Rz) [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class NidaqConfig:
-    """An ATI DAQ F/T transducer on six analog inputs of an NI card, read through NI-DAQmx."""
+    """Settings of an ATI DAQ F/T transducer on six analog inputs of an NI card (NI-DAQmx)."""
 
     KIND: ClassVar[str] = "nidaq"
     UNTRUSTED_MASK: ClassVar[int] = SATURATED
 
     calibration: str
-    """The transducer's .cal file; a path from the folder the rig is run in, or a packaged one."""
+    """The transducer's .cal file; relative to the current folder, or a packaged one."""
     device: str = "Dev1"
     """Name of the card in NI MAX."""
     channels: str = "ai0:5"
-    """Its six inputs, in the order of the gauges; read differentially."""
+    """Six inputs of the card, in the order of the gauges; read differentially."""
     rate_hz: float = 1000.0
     """Samples per second of the card's own clock."""
     saturated_at: float = 0.999
-    """Part of the output range from which a gauge counts as saturated."""
+    """Fraction of the output range from which a gauge counts as saturated."""
     tool: ToolTransform = ToolTransform()
-    """Where the wrench is wanted; the transducer's own frame unless said otherwise."""
+    """Frame of the wrench; by default the transducer's own."""
     grpc: str | None = None
-    """host:port of an NI gRPC Device Server that has the card; none: this computer has it."""
+    """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
     silence: float = field(default=0.5, metadata={"unit": "ms"})
-    """Without a sample for so long the card counts as lost [s]."""
+    """Silence after which the card counts as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Refuse what no card could do.
+        """Reject invalid values.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
@@ -83,47 +83,47 @@ class NidaqConfig:
 
     @property
     def address(self) -> str:
-        """Where it is, to be shown."""
+        """Address of the device, for display."""
         place = f"{self.device}/{self.channels}"
         return place if self.grpc is None else f"{self.grpc} {place}"
 
 
-# Length of one record of the RS-232 controller, by its form.
+# Length of one record of the RS-232 controller, by its format.
 RECORD_BYTES = {"binary": 13, "ascii": 45}
 
 
 @dataclass(frozen=True, slots=True)
 class AtiSerialConfig:
-    """An ATI stand-alone F/T controller on RS-232 (8 data bits, no parity, 1 stop bit)."""
+    """Settings of an ATI stand-alone F/T controller on RS-232 (8 data bits, no parity, 1 stop)."""
 
     KIND: ClassVar[str] = "ati_serial"
     UNTRUSTED_MASK: ClassVar[int] = RECORD_ERROR_MASK
 
     counts_per_n: float
-    """Counts per newton: on the calibration sheet of transducer and controller."""
+    """Counts per newton, from the calibration sheet of transducer and controller."""
     counts_per_n_mm: float
     """Counts per newton millimetre."""
     address: str = "/dev/ttyUSB0"
-    """Its serial port."""
+    """Serial port."""
     baud: int = 38400
     """Bits per second."""
     records: Literal["binary", "ascii"] = "binary"
-    """Form of the records; binary is three times as fast, ascii shows every lost byte."""
+    """Format of the records; binary is three times as fast, ascii reveals every lost byte."""
     rate_hz: float = 200.0
-    """Records per second expected of it; the controller sends as fast as it can."""
+    """Expected records per second; the controller sends as fast as it can."""
     average: int = 0
     """Samples of the controller's own moving average; 0: none."""
     jump: float = field(default=1.0, metadata={"unit": "n"})
-    """A binary record that differs by more from the one before is doubted, as bytes may have been
-    lost, and the stream is started anew [N]."""
+    """Largest plausible change between successive binary records [N]. After a larger one, bytes may
+    have been lost, and the stream is restarted."""
     silence: float = field(default=0.5, metadata={"unit": "ms"})
-    """Without a record for so long the controller counts as lost [s]."""
+    """Silence after which the controller counts as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Refuse what the line cannot carry.
+        """Reject invalid values, such as a rate too high for the line.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         for name in ("counts_per_n", "counts_per_n_mm", "jump"):
             if not getattr(self, name) > 0:
@@ -135,14 +135,14 @@ class AtiSerialConfig:
         if not 0 < self.rate_hz <= self.rate_max_hz:
             raise ValueError(
                 f"rate_hz: {self.rate_hz:g}; allowed: above 0, up to {self.rate_max_hz:.0f} Hz, "
-                f"what {self.baud} baud carry of {self.records} records"
+                f"the limit of {self.baud} baud for {self.records} records"
             )
 
     @property
     def rate_max_hz(self) -> float:
-        """Records per second the line carries, at ten bits a byte."""
+        """Highest number of records per second on the line, at ten bits a byte."""
         return self.baud / 10 / RECORD_BYTES[self.records]
 
 
-# Any F/T sensor; `kind` in the bench file says which.
+# Settings of any F/T sensor; `kind` in the bench file selects one.
 ForceConfig = NetFtConfig | NidaqConfig | AtiSerialConfig

@@ -1,1 +1,1 @@
-"""The gripper that holds the indenter: driver, emulator, and what tells that the grip is lost."""
+"""The gripper that holds the indenter: driver, emulator, and detection of a lost grip."""

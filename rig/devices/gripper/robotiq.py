@@ -1,7 +1,7 @@
 """Driver of a Robotiq 2F gripper: Modbus RTU over a serial port, 115200 8N1.
 
-The frames are in rig.devices.gripper.robotiq_wire, the registers in
-rig.devices.gripper.robotiq_wire. One request is under way at a time; several threads may ask.
+Frames and registers are defined in rig.devices.gripper.robotiq_wire. One request is processed at a
+time; several threads may send requests.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from rig.devices.gripper.settings import RobotiqConfig
 
 logger = logging.getLogger(__name__)
 
+# Length of the shortest reply [bytes].
 _REFUSAL = 5
-# Bytes of the shortest reply.
+# Interval between two checks of a moving gripper: 50 a second.
 _LOOK_NS = 20_000_000
-# Between two looks at a gripper that moves: 50 a second.
 
 
 class RobotiqDriver:
@@ -54,7 +54,7 @@ class RobotiqDriver:
 
     Args:
         config: Port and limits.
-        clock: For time limits.
+        clock: Clock for time limits.
     """
 
     def __init__(self, config: RobotiqConfig, clock: Clock) -> None:
@@ -70,10 +70,10 @@ class RobotiqDriver:
         self.close()
 
     def open(self, timeout: float) -> None:
-        """Open the port and see that a gripper answers within `timeout` [s]; nothing moves.
+        """Open the port and wait at most `timeout` [s] for a gripper's answer; nothing moves.
 
         Raises:
-            DeviceLost: No such port, no right to it, or nobody answers.
+            DeviceLost: No such port, no permission, or no answer.
         """
         self.close()
         config = self._config
@@ -89,7 +89,7 @@ class RobotiqDriver:
             raise DeviceLost(f"{self._where}: {error}{_hint(error)}") from error
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         try:
-            # The first answer after a silence still tells of the silence (fault 9): look twice.
+            # The first answer after a silence still reports the silence (fault 9): ask twice.
             self._answered(deadline_ns)
             self._answered(deadline_ns)
         except DeviceLost:
@@ -97,18 +97,18 @@ class RobotiqDriver:
             raise
 
     def status(self) -> GripperStatus:
-        """What the gripper says of itself now.
+        """Return the gripper's current status.
 
         Raises:
-            DeviceLost: No answer, or none that makes sense.
+            DeviceLost: No answer, or an invalid one.
         """
         return parse_status(self._ask(READ_INPUT, STATUS_ADDRESS))
 
     def activate(self, timeout: float) -> GripperStatus:
-        """Activate a gripper that is not: it opens and closes once, and drops what it holds.
+        """Activate an inactive gripper: it opens and closes once, and drops its object.
 
         Args:
-            timeout: For the whole of it; a gripper takes one to two seconds [s].
+            timeout: For the whole activation; a gripper takes one to two seconds [s].
 
         Raises:
             DeviceLost: No answer, a fault, or not active in time.
@@ -123,7 +123,7 @@ class RobotiqDriver:
     def move(
         self, position: int, *, speed: int, force: int, timeout: float = 10.0
     ) -> GripperStatus:
-        """Send the fingers to `position` and wait until they rest there, or on an object.
+        """Move the fingers to `position` and wait until they rest there, or on an object.
 
         Args:
             position: 0 open to 255 closed.
@@ -132,8 +132,8 @@ class RobotiqDriver:
             timeout: For the movement [s].
 
         Raises:
-            DeviceLost: Not active, no answer, a fault, or no rest in time.
-            ValueError: A number that is not 0 to 255.
+            DeviceLost: Not active, no answer, a fault, or not at rest in time.
+            ValueError: A number is not in 0 to 255.
         """
         command = GripperCommand(go=True, position=position, speed=speed, force=force)
         if self.status().state != ACTIVE:
@@ -148,7 +148,7 @@ class RobotiqDriver:
         )
 
     def close_fingers(self) -> GripperStatus:
-        """Close with the configured speed and force; the status tells whether it holds something.
+        """Close with the configured speed and force; the status shows if it holds an object.
 
         Raises:
             DeviceLost: See `move`.
@@ -164,7 +164,7 @@ class RobotiqDriver:
         return self.move(0, speed=self._config.speed, force=self._config.force)
 
     def describe(self) -> dict[str, Any]:
-        """Facts for the session.
+        """Return facts for the session.
 
         Raises:
             DeviceLost: No answer.
@@ -180,7 +180,7 @@ class RobotiqDriver:
         }
 
     def close(self) -> None:
-        """Let go of the port; the gripper keeps holding. Safe twice."""
+        """Close the port; the gripper keeps holding. May be called twice."""
         with self._lock:
             if self._serial is not None:
                 try:
@@ -221,7 +221,7 @@ class RobotiqDriver:
         """Send one request and return the registers of its reply.
 
         Raises:
-            DeviceLost: The port is gone, nobody answers, or not as a gripper does.
+            DeviceLost: The port is gone, nobody answers, or the answer is invalid.
         """
         request = Request(self._config.slave, function, address, REGISTERS, values)
         with self._lock:
@@ -229,7 +229,7 @@ class RobotiqDriver:
             if port is None:
                 raise DeviceLost(f"{self._where}: not open")
             try:
-                # What is left of a late answer must not be taken for this one.
+                # The rest of a late answer must not be taken for this one.
                 port.reset_input_buffer()
                 port.write(emit_request(request))
                 frame = port.read(_REFUSAL)
@@ -250,7 +250,7 @@ class RobotiqDriver:
 
 
 def _hint(error: Exception) -> str:
-    """What to do about an error of opening."""
+    """Return advice on an error of opening the port."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:
         return "; is the adapter plugged in? see /dev/serial/by-id/"
@@ -259,12 +259,12 @@ def _hint(error: Exception) -> str:
     return ""
 
 
-# Swaps what the gripper holds: lets go, then closes again and again until it holds something.
+# Change of the held object: opens, then closes repeatedly until the fingers hold something.
 
 # An activation takes one to two seconds [s].
 ACTIVATION = 5.0
+# Slowest and weakest of 0 to 255, while a person's fingers are near.
 _GENTLE = 0
-# Slowest and weakest of 0 to 255, while somebody's fingers are near.
 
 
 def swap_held(
@@ -277,24 +277,24 @@ def swap_held(
     patience: float = 600.0,
     speed: int = _GENTLE,
 ) -> GripperStatus:
-    """Open the fingers and wait until `what` is between them, without a key being pressed.
+    """Open the fingers and wait until `what` is between them, without any key press.
 
-    Every `pause` seconds the fingers close, slowly and weakly; on nothing they open again. What
-    they meet is then held with the configured force.
+    Every `pause` seconds the fingers close, slowly and weakly, and open again if they meet nothing.
+    An object they meet is then held with the configured force.
 
     Args:
-        gripper: Open; activated here if it is not.
-        what: What to put there, for the technician.
-        clock: For the pauses.
-        say: Shows a line.
-        pause: Before the fingers open, and before each try to close [s].
-        patience: Gives up after this long without anything to hold [s].
-        speed: Of the fingers while they look for something, 0 to 255.
+        gripper: Open driver; the gripper is activated if it is not.
+        what: Object to insert, as shown to the technician.
+        clock: Clock for the pauses.
+        say: Prints a line.
+        pause: Time before the fingers open, and before each attempt to close [s].
+        patience: Time limit without an object to hold [s].
+        speed: Speed of the fingers while they search for an object, 0 to 255.
 
     Raises:
-        DeviceLost: The gripper is gone or in fault, or nobody came.
+        DeviceLost: The gripper is gone or in fault, or there was no object in time.
     """
-    say(f"gripper: opens in {pause:g} s: hold what it holds")
+    say(f"gripper: opens in {pause:g} s: support the object it holds")
     _rest(clock, pause)
     gripper.activate(ACTIVATION)
     gripper.open_fingers()
@@ -315,16 +315,16 @@ def _rest(clock: Clock, seconds: float) -> None:
     clock.sleep_until(clock.now_ns() + round(seconds * SECOND_NS))
 
 
-# Looks at the grip while the arm works, in a thread of its own.
+# Supervision of the grip while the arm works, on a background thread.
 
 
 def judge(status: GripperStatus, reference: GripperStatus, tolerance: int) -> str | None:
-    """Why the grip is lost, or None while it holds.
+    """Return the reason why the grip is lost, or None while it holds.
 
     Args:
-        status: Now.
-        reference: When it was known to hold.
-        tolerance: The fingers may have moved by so many counts of 255.
+        status: Current status.
+        reference: Status when the gripper was known to hold.
+        tolerance: Largest allowed movement of the fingers, in counts of 255.
     """
     if status.fault:
         return f"fault {status.fault}: {fault_text(status.fault)}"
@@ -348,8 +348,8 @@ class GripWatch:
 
     Args:
         config: The gripper.
-        clock: Paces, and tells silence.
-        on_lost: Called once, from the watching thread.
+        clock: Paces the polls, and measures silence.
+        on_lost: Called once, from the polling thread.
     """
 
     def __init__(self, config: RobotiqConfig, clock: Clock, on_lost: Callable[[], None]) -> None:
@@ -360,15 +360,15 @@ class GripWatch:
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         self.lost: str | None = None
-        """Why the grip is lost, for people; None while it holds."""
+        """Reason why the grip is lost, as text; None while it holds."""
         self.polls = 0
-        """Answers so far."""
+        """Number of answers so far."""
 
     def open(self, timeout: float) -> dict[str, Any]:
-        """Reach the gripper, see that it holds something, and start to watch; its facts.
+        """Connect, check that the gripper holds something, start to poll, and return its facts.
 
         Raises:
-            DeviceLost: Nobody answers, or it holds nothing.
+            DeviceLost: Nobody answers, or the gripper holds nothing.
         """
         self._driver.open(timeout)
         status = self._driver.status()
@@ -385,7 +385,7 @@ class GripWatch:
         return facts
 
     def close(self) -> None:
-        """Stop watching; the gripper keeps holding. Safe twice."""
+        """Stop polling; the gripper keeps holding. May be called twice."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -400,7 +400,7 @@ class GripWatch:
             try:
                 status = self._driver.status()
             except DeviceLost as error:
-                # One spoilt answer is none yet: the line is shared with motors and their noise.
+                # A single corrupt answer is tolerated: motors put noise on the shared line.
                 silent = (self._clock.now_ns() - heard_ns) / SECOND_NS
                 if silent > self._config.silence:
                     self._lose(f"no good answer for {silent:.1f} s: {error}")

@@ -2,12 +2,12 @@
 
     python -m rig.devices.gripper.robotiq_emulator --link PATH [--holding]
 
-A link at PATH names the pty, as udev's links name a lab's port. A pty has no baud rate: whoever
-opens it is understood. Faults come in through rig.core.fault_injection, and besides
+PATH becomes a link to the pty, as udev's links name a lab's port. A pty has no baud rate: any rate
+works. Faults are injected through rig.core.fault_injection, with these in addition:
 
     lose_grip            the object is gone, the fingers close
-    slip      counts     the fingers close by so much and still hold
-    insert    at         an object is between the fingers
+    slip      counts     the fingers close by this much and still hold
+    insert    at         an object is put between the fingers
     fail      code       a fault code until the gripper is reset
 """
 
@@ -56,28 +56,27 @@ from rig.devices.gripper.robotiq_wire import (
     request_length,
 )
 
-# How the emulated gripper behaves: activation, movement, the object, faults. No I/O.
+# Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
 #
-# Faults are methods: what a test or `make faults` injects through the fault port, a test in the
-# same process may call.
+# Faults are methods, called by the fault port (for `make faults`) or by a test in the same process.
 
 # The first open and close takes this long [s].
 ACTIVATION = 1.5
 # Counts per second at rSP 0 and 255: 20 and 150 mm/s of a 2F-85.
 _SLOWEST, _FASTEST = 60.0, 450.0
-# Where the fingers come to rest with nothing in between, counts.
+# Positions at which the fingers come to rest without an object, counts.
 _OPEN, _CLOSED = 3, 230
 _SILENT_NS = SECOND_NS
-_HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
 # Motor current [A].
+_HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
 
 
 class Fingers:
-    """A 2F gripper as its registers show it.
+    """Model of a 2F gripper, as seen in its registers.
 
     Args:
-        clock: Moves the fingers.
-        object_at: Where closing fingers meet the object, counts; None: there is none.
+        clock: Clock for the movement of the fingers.
+        object_at: Position at which closing fingers meet the object, counts; None: no object.
         holding: Start activated and closed on the object.
     """
 
@@ -97,7 +96,7 @@ class Fingers:
             self._state, self._position = ACTIVE, float(object_at)
 
     def obey(self, command: GripperCommand) -> None:
-        """Take what was written to the registers."""
+        """Execute the command that was written to the registers."""
         self._advance()
         if not command.activate:
             self._state, self._fault = RESET, 0
@@ -108,14 +107,14 @@ class Fingers:
         self._command = command
 
     def heard(self) -> None:
-        """Note that the line is alive; after a second of silence the next status tells of it."""
+        """Note that the line is alive; after a second of silence the next status reports it."""
         now_ns = self._clock.now_ns()
         if now_ns - self._heard_ns > _SILENT_NS:
             self._fault = SILENT_FAULT
         self._heard_ns = now_ns
 
     def status(self) -> GripperStatus:
-        """What is read now; the fault of a silence is told once."""
+        """Return the current status; the fault of a silence is reported once."""
         self._advance()
         command, fault = self._command, self._fault
         if fault == SILENT_FAULT:
@@ -136,12 +135,12 @@ class Fingers:
         )
 
     def lose_grip(self) -> None:
-        """Take the object away: the fingers close further and find nothing."""
+        """Remove the object: the fingers close further and find nothing."""
         self._advance()
         self._object_at = None
 
     def slip(self, counts: int) -> None:
-        """Let the fingers close by `counts` while they still hold: the object turned or crept."""
+        """Let the fingers close by `counts` while still holding: the object turned or crept."""
         self._advance()
         if self._object_at is not None:
             self._object_at += counts
@@ -153,7 +152,7 @@ class Fingers:
         self._object_at = at
 
     def fail(self, fault: int) -> None:
-        """Show this fault code until the gripper is reset."""
+        """Report this fault code until the gripper is reset."""
         self._fault = fault
 
     def _advance(self) -> None:
@@ -186,23 +185,23 @@ class Fingers:
         return STOPPED_CLOSING if goal == self._object_at else AT_POSITION
 
 
+# A pause this long ends a frame, as 3.5 characters do on a wire; a pty delivers in chunks [s].
 _GAP = 0.02
-# A pause this long ends a frame, as 3.5 characters do on a wire; a pty delivers in lumps [s].
 
 
 class RobotiqEmulator:
     """An emulated gripper.
 
     Args:
-        fingers: How it behaves.
-        link: Where the link to its pty is put.
-        clock: Ends disturbances.
+        fingers: Model of its behaviour.
+        link: Path of the link to its pty.
+        clock: Clock for the end of faults.
         slave: Modbus address.
-        seed: Of the disturbance's garbage.
+        seed: Seed of the fault injector's garbage.
     """
 
     missed = 0
-    """Nothing is sent unasked, so nothing is missed."""
+    """Always 0: the gripper only answers requests, so no time is missed."""
 
     def __init__(
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
@@ -210,7 +209,7 @@ class RobotiqEmulator:
         self.fingers = fingers
         self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=seed)
         self.requests = 0
-        """Requests answered so far."""
+        """Number of requests answered so far."""
         self._link = link
         self._slave = slave
         self._lock = threading.Lock()
@@ -220,21 +219,21 @@ class RobotiqEmulator:
 
     @property
     def address(self) -> str:
-        """The serial port a driver opens."""
+        """Serial port for a driver to open."""
         return str(self._link)
 
     def start(self) -> None:
-        """Make the pty and its link, and serve.
+        """Create the pty and its link, and serve.
 
         Raises:
-            OSError: The link cannot be made.
+            OSError: The link cannot be created.
         """
         self._plug()
         self._thread = threading.Thread(target=self._run, name="gripper")
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -242,10 +241,10 @@ class RobotiqEmulator:
         self._unplug()
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Put a fault in; how the gripper is.
+        """Inject a fault and return the emulator's state.
 
         Raises:
-            ValueError, KeyError, TypeError: No such fault, or a value is missing.
+            ValueError, KeyError, TypeError: Unknown fault, or a value is missing.
         """
         own: dict[str, Callable[[], None]] = {
             "lose_grip": self.fingers.lose_grip,
@@ -265,7 +264,7 @@ class RobotiqEmulator:
         master, slave = os.openpty()
         tty.setraw(master)
         tty.setraw(slave)
-        # The emulator keeps the device side open too: a pty nobody has open reads as an error.
+        # The emulator keeps the device side open too: reading a pty that nobody has open fails.
         fresh = self._link.with_name(f"{self._link.name}.new")
         fresh.unlink(missing_ok=True)
         fresh.symlink_to(os.ttyname(slave))
@@ -282,7 +281,7 @@ class RobotiqEmulator:
     def _run(self) -> None:
         pending = b""
         while not self._ending.is_set():
-            # This thread alone opens and closes the pty, so that nobody reads a number reused.
+            # Only this thread opens and closes the pty, so that no reused descriptor is read.
             if self.disturbance.unplugged:
                 self._unplug()
                 self._ending.wait(0.01)
@@ -299,13 +298,13 @@ class RobotiqEmulator:
                 pending = self._serve(fd, pending)
 
     def _serve(self, fd: int, pending: bytes) -> bytes:
-        """Answer the whole requests in `pending`; what is left of it."""
+        """Answer the complete requests in `pending` and return the rest."""
         while (length := request_length(pending)) is not None and len(pending) >= length:
             frame, pending = pending[:length], pending[length:]
             try:
                 request = parse_request(frame)
             except FrameError:
-                # Out of step: silence, and what else came with it is not trusted either.
+                # Out of sync: no answer, and the rest of the data is not trusted either.
                 return b""
             if request.slave != self._slave:
                 continue
@@ -337,12 +336,12 @@ class RobotiqEmulator:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.gripper.robotiq_emulator", __doc__)
-    parser.add_argument("--link", type=Path, required=True, help="where the port's link is put")
+    parser.add_argument("--link", type=Path, required=True, help="link to create to the port")
     parser.add_argument("--slave", type=int, default=9, help="Modbus address (%(default)s)")
     parser.add_argument(
-        "--object", type=int, default=120, help="where fingers meet it, 0 to 255 (%(default)s)"
+        "--object", type=int, default=120, help="its position, 0 to 255 (%(default)s)"
     )
     parser.add_argument(
         "--holding", action="store_true", help="start activated and closed on the object"

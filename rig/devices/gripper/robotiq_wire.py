@@ -1,4 +1,4 @@
-"""What a Robotiq 2F gripper's registers mean. Pure, no I/O.
+"""Registers of a Robotiq 2F gripper, and their Modbus RTU frames. Pure, no I/O.
 
     write from 0x03E8   rACT b0, rGTO b3 (high byte of the first) | rPR | rSP << 8 | rFR
     read  from 0x07D0   gACT b0, gGTO b3, gSTA b4-5, gOBJ b6-7 (high byte) | gFLT << 8 | gPR
@@ -14,12 +14,12 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# First register to write, first to read, and how many of each.
+# First register to write, first to read, and the number of each.
 COMMAND_ADDRESS, STATUS_ADDRESS, REGISTERS = 0x03E8, 0x07D0, 3
 
 # gSTA.
 RESET, ACTIVATING, ACTIVE = 0, 1, 3
-# gOBJ: under way; stopped by an object while opening, while closing; no object in between.
+# gOBJ: moving; stopped by an object while opening, while closing; no object in between.
 MOVING, STOPPED_OPENING, STOPPED_CLOSING, AT_POSITION = 0, 1, 2, 3
 
 # Motor current of one count of gCU [A].
@@ -27,7 +27,7 @@ CURRENT_PER_COUNT = 0.01
 
 # gFLT after a second without communication.
 SILENT_FAULT = 9
-# What gFLT says, for people.
+# Meaning of gFLT as text.
 FAULTS = {
     5: "action delayed, the activation must be completed first",
     7: "the activation bit must be set first",
@@ -44,12 +44,12 @@ FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class GripperCommand:
-    """What the gripper is told: activate, and go to a position."""
+    """Command to the gripper: activate, and go to a position."""
 
     activate: bool = True
     """rACT; False resets it."""
     go: bool = False
-    """rGTO: move to the position; False: stand still."""
+    """rGTO: move to the position; False: stop."""
     position: int = 0
     """rPR: 0 open to 255 closed."""
     speed: int = 0
@@ -58,10 +58,10 @@ class GripperCommand:
     """rFR: 0 weakest to 255."""
 
     def __post_init__(self) -> None:
-        """Refuse what one byte cannot hold.
+        """Reject values that do not fit one byte.
 
         Raises:
-            ValueError: Names it, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         for name in ("position", "speed", "force"):
             value = getattr(self, name)
@@ -71,12 +71,12 @@ class GripperCommand:
 
 @dataclass(frozen=True, slots=True)
 class GripperStatus:
-    """What the gripper says of itself."""
+    """Status reported by the gripper."""
 
     active: bool
-    """gACT: whether it was told to activate."""
+    """gACT: True if it was commanded to activate."""
     going: bool
-    """gGTO: whether it was told to move."""
+    """gGTO: True if it was commanded to move."""
     state: int
     """gSTA: RESET, ACTIVATING or ACTIVE."""
     object: int
@@ -84,20 +84,20 @@ class GripperStatus:
     fault: int
     """gFLT: 0 none."""
     requested: int
-    """gPR: the position it was told, counts."""
+    """gPR: requested position, counts."""
     position: int
-    """gPO: where it is, counts."""
+    """gPO: current position, counts."""
     current: float
-    """Of the motor [A]."""
+    """Motor current [A]."""
 
     @property
     def holding(self) -> bool:
-        """Whether the fingers rest on an object, inside or outside of it."""
+        """True if the fingers rest on an object, inside or outside of it."""
         return self.state == ACTIVE and self.object in (STOPPED_OPENING, STOPPED_CLOSING)
 
     @property
     def text(self) -> str:
-        """The status for people."""
+        """Status as text."""
         state = {RESET: "reset", ACTIVATING: "activating", ACTIVE: "active"}
         found = ("moving", "holds from inside", "holds", "no object")[self.object]
         fault = f", fault {self.fault}: {fault_text(self.fault)}" if self.fault else ""
@@ -108,18 +108,18 @@ class GripperStatus:
 
 
 def fault_text(fault: int) -> str:
-    """What gFLT says, for people."""
+    """Return the meaning of gFLT as text."""
     return FAULTS.get(fault, "unknown to the manual")
 
 
 def emit_command(command: GripperCommand) -> tuple[int, int, int]:
-    """The registers to write from COMMAND_ADDRESS."""
+    """Return the registers to write from COMMAND_ADDRESS."""
     action = (command.activate << 0) | (command.go << 3)
     return (action << 8, command.position, command.speed << 8 | command.force)
 
 
 def parse_command(registers: Sequence[int]) -> GripperCommand:
-    """What was told with three registers: the inverse of `emit_command`."""
+    """Parse three written registers: the inverse of `emit_command`."""
     action, position, drive = registers
     return GripperCommand(
         activate=bool(action & 0x100),
@@ -131,7 +131,7 @@ def parse_command(registers: Sequence[int]) -> GripperCommand:
 
 
 def emit_status(status: GripperStatus) -> tuple[int, int, int]:
-    """The registers to read from STATUS_ADDRESS."""
+    """Return the registers to read from STATUS_ADDRESS."""
     byte = status.active | status.going << 3 | status.state << 4 | status.object << 6
     current = min(round(status.current / CURRENT_PER_COUNT), 255)
     return (
@@ -142,7 +142,7 @@ def emit_status(status: GripperStatus) -> tuple[int, int, int]:
 
 
 def parse_status(registers: Sequence[int]) -> GripperStatus:
-    """What the gripper says with three registers: the inverse of `emit_status`."""
+    """Parse three read registers: the inverse of `emit_status`."""
     first, second, third = registers
     byte = first >> 8
     return GripperStatus(
@@ -150,7 +150,7 @@ def parse_status(registers: Sequence[int]) -> GripperStatus:
         going=bool(byte & 8),
         state=byte >> 4 & 3,
         object=byte >> 6 & 3,
-        # The high half of the byte holds kFLT, of an optional controller.
+        # The high half of the byte is kFLT, of an optional controller.
         fault=second >> 8 & 0xF,
         requested=second & 0xFF,
         position=third >> 8,
@@ -158,7 +158,7 @@ def parse_status(registers: Sequence[int]) -> GripperStatus:
     )
 
 
-# Modbus RTU frames, as far as a gripper needs them: read and write registers. Pure, no I/O.
+# Modbus RTU frames that a gripper needs: read and write registers. Pure, no I/O.
 #
 #     request      slave u8 | function u8 | ... | crc u16 (little endian)
 #     read         0x03 or 0x04 | address u16 | count u16
@@ -186,34 +186,34 @@ _REASONS = {
 }
 _REFUSED = 0x80
 _POLYNOMIAL = 0xA001
-# Registers one frame can write.
+# Largest number of registers in one written frame.
 _MOST = 123
 
 
 class FrameError(ValueError):
-    """Bytes that are no whole frame, or not the answer to what was asked."""
+    """Bytes that are not a complete frame, or not the answer to the request."""
 
 
 class RefusedError(ValueError):
-    """The device understood and refused."""
+    """Refusal of a valid request by the device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a client asks."""
+    """Request of a client."""
 
     slave: int
     function: int
     address: int
-    """Of the first register."""
+    """Address of the first register."""
     count: int
-    """Of registers."""
+    """Number of registers."""
     values: tuple[int, ...] = ()
-    """To write, 0..65535 each; empty for a read."""
+    """Values to write, 0..65535 each; empty for a read."""
 
 
 def crc16(content: bytes) -> int:
-    """The checksum of a frame's content: polynomial 0xA001 reflected, start 0xFFFF."""
+    """Return the checksum of a frame's content: polynomial 0xA001 reflected, start 0xFFFF."""
     crc = 0xFFFF
     for byte in content:
         crc ^= byte
@@ -223,12 +223,12 @@ def crc16(content: bytes) -> int:
 
 
 def sealed(content: bytes) -> bytes:
-    """`content` with its checksum: a frame."""
+    """Return the frame of `content`: the content with its checksum."""
     return content + struct.pack("<H", crc16(content))
 
 
 def emit_request(request: Request) -> bytes:
-    """The frame of `request`.
+    """Return the frame of `request`.
 
     Raises:
         ValueError: An unknown function, or values that do not fit it.
@@ -248,16 +248,16 @@ def emit_request(request: Request) -> bytes:
 
 
 def reply_length(request: Request) -> int:
-    """Bytes of the reply to `request`; a refusal has 5."""
+    """Return the length of the reply to `request` [bytes]; a refusal has 5."""
     return 8 if request.function == WRITE else 5 + 2 * request.count
 
 
 def parse_reply(frame: bytes, request: Request) -> tuple[int, ...]:
-    """The registers that a reply to `request` holds; empty after a write.
+    """Return the registers in a reply to `request`; empty after a write.
 
     Raises:
         FrameError: Too short, too long, a wrong checksum, or not the answer to `request`.
-        RefusedError: The device refused; says why.
+        RefusedError: The device refused; states the reason.
     """
     if len(frame) < 5:
         raise FrameError(f"{len(frame)} bytes; a reply has at least 5")
@@ -265,12 +265,12 @@ def parse_reply(frame: bytes, request: Request) -> tuple[int, ...]:
     if crc16(content) != crc:
         raise FrameError(f"checksum 0x{crc:04x}; its content has 0x{crc16(content):04x}")
     if content[0] != request.slave:
-        raise FrameError(f"slave {content[0]} answered; asked was {request.slave}")
+        raise FrameError(f"slave {content[0]} answered; expected {request.slave}")
     if content[1] == request.function | _REFUSED:
         raise RefusedError(f"refused: {_REASONS.get(content[2], f'code {content[2]}')}")
     if content[1] != request.function or len(frame) != reply_length(request):
         raise FrameError(
-            f"function {content[1]} in {len(frame)} bytes; asked was function {request.function}, "
+            f"function {content[1]} in {len(frame)} bytes; expected function {request.function}, "
             f"whose reply has {reply_length(request)}"
         )
     if request.function == WRITE:
@@ -278,27 +278,27 @@ def parse_reply(frame: bytes, request: Request) -> tuple[int, ...]:
             raise FrameError("the reply is to another write")
         return ()
     if content[2] != 2 * request.count:
-        raise FrameError(f"{content[2]} bytes of values; asked were {2 * request.count}")
+        raise FrameError(f"{content[2]} bytes of values; expected {2 * request.count}")
     return struct.unpack(f">{request.count}H", content[3:])
 
 
 def request_length(head: bytes) -> int | None:
-    """Bytes of the request that begins with `head`; None while too little of it is there."""
+    """Return the length of the request that begins with `head` [bytes]; None if too short."""
     if len(head) < 7:
         return None
-    # A function this module does not know is taken as one with two numbers, as most are.
+    # An unknown function is assumed to have two numbers, as most do.
     return 9 + head[6] if head[1] == WRITE else 8
 
 
 def parse_request(frame: bytes) -> Request:
-    """What a client asks with `frame`: the inverse of `emit_request`, of any function.
+    """Parse the frame of a request of any function: the inverse of `emit_request`.
 
     Raises:
         FrameError: A wrong checksum, or a count that does not fit the bytes.
     """
     content = frame[:-2]
     if len(frame) < 8 or sealed(content) != frame:
-        raise FrameError("no request, or a wrong checksum")
+        raise FrameError("not a request, or a wrong checksum")
     slave, function, address, count = struct.unpack(">BBHH", content[:6])
     if function != WRITE:
         return Request(slave, function, address, count)
@@ -308,7 +308,7 @@ def parse_request(frame: bytes) -> Request:
 
 
 def emit_reply(request: Request, values: Sequence[int] = ()) -> bytes:
-    """The reply that grants `request`, with the registers it asked for."""
+    """Return the reply that grants `request`, with the requested registers."""
     if request.function == WRITE:
         head = struct.pack(">BBHH", request.slave, WRITE, request.address, request.count)
         return sealed(head)
@@ -317,5 +317,5 @@ def emit_reply(request: Request, values: Sequence[int] = ()) -> bytes:
 
 
 def emit_refusal(request: Request, code: int) -> bytes:
-    """The reply that refuses `request`."""
+    """Return the reply that refuses `request`."""
     return sealed(bytes([request.slave, request.function | _REFUSED, code]))

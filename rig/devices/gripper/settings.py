@@ -1,4 +1,4 @@
-"""What the bench file says about the gripper. No vendor library here."""
+"""Bench file settings of the gripper. Imports no vendor library."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ from typing import ClassVar
 
 @dataclass(frozen=True, slots=True)
 class RobotiqConfig:
-    """A Robotiq 2F gripper that holds the indenter, on a serial port (USB to RS-485 adapter)."""
+    """Settings of a Robotiq 2F gripper for the indenter, on a serial port (USB to RS-485)."""
 
     KIND: ClassVar[str] = "robotiq_2f"
 
     port: str
-    """Serial port, best by its `/dev/serial/by-id/` name."""
+    """Serial port, preferably by its `/dev/serial/by-id/` name."""
     slave: int = 9
     """Modbus address."""
     baud: int = 115200
     """Line speed, 8N1 [1/s]."""
     answer: float = field(default=0.1, metadata={"unit": "ms"})
-    """One request is answered within this [s]."""
+    """Time limit for the answer to one request [s]."""
     rate_hz: float = 20.0
-    """How often the grip is looked at during a collection."""
+    """Rate at which the grip is checked during a collection."""
     silence: float = field(default=0.5, metadata={"unit": "ms"})
-    """Without an answer for so long the grip counts as lost [s]; the gripper itself gives 1 s."""
+    """Silence after which the grip counts as lost [s]; the gripper's own limit is 1 s."""
     position_tolerance: int = 4
-    """The fingers may move by so many counts of 255 (about 0.4 mm each on a 2F-85) while they
-    hold."""
+    """Largest movement of the fingers while they hold, in counts of 255 (about 0.4 mm each on a
+    2F-85)."""
     speed: int = 50
-    """Of a close or open asked for by hand, 0 to 255."""
+    """Speed of a manual close or open, 0 to 255."""
     force: int = 150
-    """The same."""
+    """Force of a manual close or open, 0 to 255."""
     object_mock: int = 120
-    """Where the emulator's fingers meet the indenter, counts; of no meaning in a lab."""
+    """Position at which the emulator's fingers meet the indenter, counts; unused in a lab."""
 
     def __post_init__(self) -> None:
-        """Refuse what no gripper can mean.
+        """Reject invalid values.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         for name in ("answer", "rate_hz", "silence", "baud"):
             if not getattr(self, name) > 0:

@@ -1,7 +1,7 @@
-"""One HID device through hidapi's hidraw backend: found, opened, read.
+"""Access to one HID device through hidapi's hidraw backend: find, open, read.
 
-The module is `hidraw`, not `hid`: the wheel's `hid` goes through libusb, which would take the
-device away from the kernel and sees no virtual one. Reading needs a right that a udev rule gives:
+The module is `hidraw`, not `hid`: the wheel's `hid` uses libusb, which would detach the device from
+the kernel and does not see virtual devices. Reading needs a permission that a udev rule gives:
 
     KERNEL=="hidraw*", ATTRS{idVendor}=="256f", MODE="0660", GROUP="plugdev"
 """
@@ -14,17 +14,17 @@ import hidraw
 
 from rig.core.errors import DeviceLost
 
+# Length of a full-speed USB report [bytes].
 _LONGEST = 64
-# Bytes of a full-speed USB report.
 
 
 class HidDevice:
-    """An opened device, read report by report.
+    """One HID device, read report by report.
 
     Args:
         device: `/dev/hidrawN` or `vendor:product`.
-        what: What it is, for errors.
-        usage: HID usage page and usage of the interface wanted, where a device has several.
+        what: Description of the device, for errors.
+        usage: HID usage page and usage of the required interface, if a device has several.
     """
 
     def __init__(self, device: str, what: str, usage: tuple[int, int]) -> None:
@@ -33,13 +33,13 @@ class HidDevice:
         self._usage = usage
         self._handle: hidraw.device | None = None
         self.path = ""
-        """Of the node that was opened."""
+        """Path of the opened node."""
 
     def open(self) -> None:
-        """Find and open it.
+        """Find and open the device.
 
         Raises:
-            DeviceLost: It is not there, or may not be read: says which udev rule is missing.
+            DeviceLost: The device is missing or may not be read; names the missing udev rule.
         """
         self.close()
         self.path = self._device if "/" in self._device else self._found()
@@ -51,7 +51,7 @@ class HidDevice:
         self._handle = handle
 
     def read(self, timeout: float) -> bytes:
-        """The next report, empty when none comes within `timeout` [s].
+        """Return the next report, empty if none comes within `timeout` [s].
 
         Raises:
             DeviceLost: Not open, or unplugged.
@@ -64,7 +64,7 @@ class HidDevice:
             raise DeviceLost(f"{self._where}: {error}; is it plugged in?") from error
 
     def close(self) -> None:
-        """Let go of it; safe twice."""
+        """Close the device; may be called twice."""
         if self._handle is not None:
             self._handle.close()
             self._handle = None
@@ -98,7 +98,7 @@ class HidDevice:
         if not os.path.exists(self.path):
             return f": {self.path} is not there; is it plugged in?"
         if os.access(self.path, os.R_OK | os.W_OK):
-            return f": {self.path} is no HID device, or its driver let go of it"
+            return f": {self.path} is not a HID device, or its driver has released it"
         vendor = self._device[:4] if ":" in self._device else "<vendor, see lsusb>"
         return (
             f": {self.path} may not be opened; put this line into "

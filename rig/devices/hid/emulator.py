@@ -2,12 +2,12 @@
 
     python -m rig.devices.hid.emulator --kind pedal --socket PATH.hidraw
 
-It is the device's side of a hidraw node: reports by a Unix socket, its report descriptor and its
-identity in files beside it. Only a process with the shim preloaded sees a HID device there. Faults
-come in through rig.core.fault_injection, and besides what a hand or a foot does:
+It is the device's side of a hidraw node: reports over a Unix socket, the report descriptor and the
+identity in files next to it. Only a process with the shim preloaded sees a HID device there. Faults
+are injected through rig.core.fault_injection, as are the actions of a hand or a foot:
 
     press, release                       the pedal
-    push    x y z rx ry rz seconds       the cap, parts of its full deflection; repeated at 60 Hz
+    push    x y z rx ry rz seconds       the cap, fractions of full deflection; repeated at 60 Hz
     button  number                       down and up again
 """
 
@@ -31,8 +31,8 @@ from rig.core.fault_injection import Disturbance, spoilt_bytes
 from rig.devices.hid.reports import Axes, CapReport, emit_cap, emit_keys
 
 _RATE_HZ = 60.0
+# The letter b, which these pedals send by default.
 _KEY = 0x05
-# The letter b, which these pedals send as they are delivered.
 
 _KEYBOARD = bytes.fromhex(
     # USB HID 1.11, appendix E.6: keyboard, modifiers, reserved byte, five lights, six keys.
@@ -55,7 +55,7 @@ _CAP = bytes.fromhex(
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the kernel tells of a device."""
+    """Identity of a device, as reported by the kernel."""
 
     name: str
     vendor: int
@@ -64,7 +64,7 @@ class Identity:
 
     @property
     def uevent(self) -> str:
-        """As sysfs has it."""
+        """Content of the device's uevent file in sysfs."""
         return (
             f"DRIVER=hid-generic\nHID_ID=0003:{self.vendor:08X}:{self.product:08X}\n"
             f"HID_NAME={self.name}\nHID_PHYS=emulated\nHID_UNIQ=\n"
@@ -78,16 +78,16 @@ KINDS = {
 
 
 class HidEmulator:
-    """An emulated HID device.
+    """Emulated HID device.
 
     Args:
         kind: `pedal` or `spacemouse`.
-        path: Its node; must end with `.hidraw`.
+        path: Path of its node; must end with `.hidraw`.
         clock: Paces repeated reports.
-        seed: Of the disturbance's garbage.
+        seed: Seed of the fault injector's garbage.
 
     Raises:
-        ConfigError: Another kind, or another ending.
+        ConfigError: The kind or the ending of the path is not allowed.
     """
 
     def __init__(self, kind: str, path: Path, clock: Clock, *, seed: int = 0) -> None:
@@ -105,27 +105,27 @@ class HidEmulator:
         self._push: tuple[Axes, Axes] | None = None
         self._push_until_ns = 0
         self.missed = 0
-        """Ticks that came too late and were skipped."""
+        """Number of ticks skipped as too late."""
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
 
     @property
     def address(self) -> str:
-        """The node a driver opens."""
+        """Node for a driver to open."""
         return str(self._path)
 
     def start(self) -> None:
-        """Make the node and serve.
+        """Create the node and serve.
 
         Raises:
-            OSError: It cannot be made.
+            OSError: The node cannot be created.
         """
         self._plug()
         self._thread = threading.Thread(target=self._run, name=self._kind)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -133,10 +133,10 @@ class HidEmulator:
         self._unplug()
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Put a fault in, or move the device as a person does; how it is.
+        """Inject a fault or a person's action, and return the emulator's state.
 
         Raises:
-            ValueError, KeyError, TypeError: No such fault, or a value is missing.
+            ValueError, KeyError, TypeError: Unknown fault, or a value is missing.
         """
         own: dict[str, Callable[[], None]] = {
             "press": lambda: self.send(emit_keys([_KEY])),
@@ -152,14 +152,14 @@ class HidEmulator:
         return {**line, "clients": len(self._clients)}
 
     def send(self, report: bytes) -> None:
-        """One report to whoever has the node open."""
+        """Send one report to every client that has the node open."""
         for message in self.disturbance.passed(report):
             with self._lock:
                 for client in tuple(self._clients):
                     try:
                         client.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
                     except BlockingIOError:
-                        # The kernel's queue is full: it drops a report too.
+                        # The client's queue is full: the kernel drops a report too.
                         continue
                     except OSError:
                         client.close()
@@ -226,7 +226,7 @@ class HidEmulator:
             if push is None:
                 return
             if self._clock.now_ns() > self._push_until_ns:
-                # As some models do: nothing more, not even zeros.
+                # Like some models, send nothing more, not even zeros.
                 self._push = None
                 return
         self.send(emit_cap(CapReport(shift=push[0])))
@@ -234,10 +234,10 @@ class HidEmulator:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.hid.emulator", __doc__)
     parser.add_argument("--kind", choices=sorted(KINDS), required=True, help="which device")
-    parser.add_argument("--socket", type=Path, required=True, help="its node, NAME.hidraw")
+    parser.add_argument("--socket", type=Path, required=True, help="node to create, NAME.hidraw")
     return run_emulator(parser, _make, argv)
 
 

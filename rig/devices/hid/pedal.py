@@ -1,7 +1,7 @@
-"""Driver of a foot pedal, a USB keyboard whose reports say which keys are down.
+"""Driver of a foot pedal: a USB keyboard whose reports contain the keys that are down.
 
-A pedal tells changes only: while it is held, or let go of, nothing comes. That it is still there
-shows only when a read fails. So whatever cannot be read counts as let go of.
+A pedal reports changes only: while it stays held or released, nothing is sent. Its absence shows
+only when a read fails. So a pedal that cannot be read counts as released.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ class PedalDriver:
         self._config = config
         self._device = HidDevice(config.device, "foot pedal", _KEYBOARD)
         self.garbage = 0
-        """Reports that were none of a keyboard; each counted as a release."""
+        """Number of reports that were not from a keyboard; each counted as a release."""
 
     def open(self) -> None:
-        """Find and open it.
+        """Find and open the pedal.
 
         Raises:
-            DeviceLost: It is not there, or may not be read.
+            DeviceLost: The pedal is missing, or may not be read.
         """
         self._device.open()
 
     def read(self, timeout: float) -> bool | None:
-        """Whether it is down, from the next report; None when none comes within `timeout` [s].
+        """Return True if the next report shows it down; None if none comes in `timeout` [s].
 
         Raises:
             DeviceLost: Not open, or unplugged.
@@ -63,36 +63,36 @@ class PedalDriver:
         return self._config.key in keys if self._config.key else bool(keys)
 
     def describe(self) -> dict[str, object]:
-        """Facts for the session."""
+        """Return facts for the session."""
         return {"kind": self._config.KIND, "mode": self._config.mode, "path": self._device.path}
 
     def close(self) -> None:
-        """Let go of it; safe twice."""
+        """Close the pedal; may be called twice."""
         self._device.close()
 
 
-# Follows the foot pedal in a thread of its own, through unplugging and back.
+# Watching of the foot pedal on a background thread, through unplugging and replugging.
 
+# Longest wait of a read; a press or a release ends it at once [s].
 _WAIT = 0.1
-# A read waits so long; a press or a release ends it at once [s].
+# Interval between two attempts to find an unplugged pedal [s].
 _RETRY = 0.5
-# Between two looks for a pedal that is out [s].
 
 
 @dataclass(frozen=True, slots=True)
 class PedalState:
-    """What is known of the pedal: counted, so that a quick release and press is not overlooked."""
+    """Known state of the pedal, with counters so that no quick release and press is missed."""
 
     down: bool = False
     presses: int = 0
-    """Times it went down."""
+    """Number of presses."""
     releases: int = 0
-    """Times it was let go of, or taken out."""
+    """Number of releases, unplugging included."""
     out_since_ns: int | None = None
-    """When it was found to be out [ns]; None while it is in."""
+    """Time at which it was found to be unplugged [ns]; None while it is plugged in."""
 
     def reported(self, down: bool) -> PedalState:
-        """After a report that says whether it is down."""
+        """Return the state after a report that shows it down or up."""
         if down == self.down:
             return self
         if down:
@@ -100,20 +100,20 @@ class PedalState:
         return replace(self, down=False, releases=self.releases + 1)
 
     def unplugged(self, now_ns: int) -> PedalState:
-        """After it was found to be out: as good as let go of."""
+        """Return the state after unplugging, which counts as a release."""
         return replace(self, down=False, releases=self.releases + 1, out_since_ns=now_ns)
 
     def plugged(self) -> PedalState:
-        """After it came back: up, until it says otherwise."""
+        """Return the state after replugging: up, until it reports otherwise."""
         return replace(self, down=False, out_since_ns=None)
 
 
 class PedalWatch:
-    """Reads one pedal and tells of every change.
+    """Reads one pedal on a background thread and reports every change.
 
     Args:
         config: The pedal.
-        clock: Tells how long it is out.
+        clock: Clock for the time unplugged.
         on_change: Called from the watching thread with the state before and after each change.
     """
 
@@ -130,13 +130,13 @@ class PedalWatch:
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         self.state = PedalState()
-        """As it is now; replaced whole, so that any thread may read it."""
+        """Current state; replaced as a whole, so that any thread may read it."""
 
     def open(self) -> dict[str, Any]:
-        """Open it and follow it from now on; its facts.
+        """Open the pedal, watch it from now on, and return its facts.
 
         Raises:
-            DeviceLost: It is not there, or may not be read.
+            DeviceLost: The pedal is missing, or may not be read.
         """
         self._driver.open()
         facts = self._driver.describe()
@@ -147,12 +147,12 @@ class PedalWatch:
 
     @property
     def out_for(self) -> float | None:
-        """How long it has been out [s]; None while it is in."""
+        """Time since it was unplugged [s]; None while it is plugged in."""
         since_ns = self.state.out_since_ns
         return None if since_ns is None else (self._clock.now_ns() - since_ns) / SECOND_NS
 
     def close(self) -> None:
-        """Stop following it; safe twice."""
+        """Stop watching it; may be called twice."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -188,14 +188,14 @@ class PedalWatch:
             self._on_change(before, state)
 
 
-# When a pedal that must be held counts as held. Pure, no I/O. Not a safety function.
+# Logic of a pedal that must be held. Pure, no I/O. Not a safety function.
 
 
 class DeadMan:
-    """Armed by a press, disarmed by the first release or unplugging, however short.
+    """Dead-man logic: armed by a press, disarmed by the first release or unplugging, however short.
 
-    A press counts when it comes after the last release that was seen here, and after `disarm`: who
-    kept the pedal down meanwhile has to let go of it first.
+    A press counts only after the last observed release, and after `disarm`: a person who kept the
+    pedal down meanwhile has to release it first.
     """
 
     def __init__(self) -> None:
@@ -203,11 +203,11 @@ class DeadMan:
         self._releases_at_arming: int | None = None
 
     def held(self, state: PedalState) -> bool:
-        """Whether it was armed and has been held ever since."""
+        """Return True if it was armed and has been held ever since."""
         return state.down and state.releases == self._releases_at_arming
 
     def armed(self, state: PedalState) -> bool:
-        """The same, taking a fresh press for the arming; for when the arm stands still."""
+        """Return like `held`, but let a fresh press arm it; for when the arm is at rest."""
         if self.held(state):
             return True
         if self._releases_at_arming is not None:
@@ -220,6 +220,6 @@ class DeadMan:
         return False
 
     def disarm(self, state: PedalState) -> None:
-        """Ask for a press that is yet to come."""
+        """Require a press later than `state`."""
         self._releases_at_arming = None
         self._presses_before = state.presses

@@ -1,7 +1,7 @@
-"""What the bytes of HID reports mean. Pure, no I/O.
+"""Formats of HID reports. Pure, no I/O.
 
     pedal        modifiers u8 | reserved u8 | six keys u8   the boot keyboard report of HID 1.11,
-                 appendix B.1; a device with several reports puts the report's number before it
+                 appendix B.1; a device with several reports prepends the report's number
     SpaceMouse   1 | x y z i16    2 | rx ry rz i16    3 | buttons u16..., little endian;
                  wireless models send 1 | x y z rx ry rz
 
@@ -19,26 +19,26 @@ from dataclasses import dataclass
 FULL_SCALE = 350
 
 _KEYBOARD = 8
-_FIRST_KEY = 4
 # Usages 1 to 3 of the keyboard page are errors: too many keys, self-test, undefined.
+_FIRST_KEY = 4
 _MODIFIER_USAGE = 0xE0
 
 Axes = tuple[float, float, float]
 
 
 def parse_keys(report: bytes) -> frozenset[int]:
-    """HID usages of the keys held down, modifiers as 0xE0 to 0xE7.
+    """Return the HID usages of the keys held down, modifiers as 0xE0 to 0xE7.
 
     Raises:
-        ValueError: No keyboard report, or one that says it is in error.
+        ValueError: Not a keyboard report, or one that reports an error.
     """
     if len(report) == _KEYBOARD + 1:
         report = report[1:]
     if len(report) != _KEYBOARD:
         raise ValueError(f"{len(report)} bytes; a keyboard report has {_KEYBOARD}")
     if report[1]:
-        # Reserved. Checked, as garbage of the right length would hold keys down.
-        raise ValueError(f"no keyboard report: its second byte is 0x{report[1]:02x}")
+        # Reserved. Checked because garbage of the right length would hold keys down.
+        raise ValueError(f"not a keyboard report: its second byte is 0x{report[1]:02x}")
     keys = {key for key in report[2:] if key}
     if keys and min(keys) < _FIRST_KEY:
         raise ValueError(f"keyboard error {min(keys)}")
@@ -46,10 +46,10 @@ def parse_keys(report: bytes) -> frozenset[int]:
 
 
 def emit_keys(keys: Sequence[int]) -> bytes:
-    """The boot keyboard report that holds up to six `keys` down, modifiers among them.
+    """Return the boot keyboard report that holds up to six `keys` down, and any modifiers.
 
     Raises:
-        ValueError: More than six.
+        ValueError: More than six keys.
     """
     plain = [key for key in keys if key < _MODIFIER_USAGE]
     if len(plain) > 6:
@@ -60,21 +60,21 @@ def emit_keys(keys: Sequence[int]) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class CapReport:
-    """What one report of a SpaceMouse says; None: nothing about it."""
+    """Content of one SpaceMouse report; None: not in this report."""
 
     shift: Axes | None = None
     """x right, y away from the user, z up; 1 is full deflection."""
     turn: Axes | None = None
-    """About these axes, right-handed."""
+    """Rotation about these axes, right-handed."""
     buttons: frozenset[int] | None = None
     """Numbers of the buttons held down, from 0."""
 
 
 def parse_cap(report: bytes) -> CapReport:
-    """What a SpaceMouse's report says.
+    """Parse a SpaceMouse's report.
 
     Raises:
-        ValueError: No report that is known, or too short.
+        ValueError: An unknown report, or too short.
     """
     if len(report) >= 13 and report[0] == 1:
         return CapReport(shift=_axes(report, 1), turn=_axes(report, 7))
@@ -89,10 +89,10 @@ def parse_cap(report: bytes) -> CapReport:
 
 
 def emit_cap(report: CapReport) -> bytes:
-    """The report that says one thing, or shift and turn together as wireless models do.
+    """Return the report of one field, or of shift and turn together as in wireless models.
 
     Raises:
-        ValueError: It says nothing, or more than one report can.
+        ValueError: No field is set, or more than one report can contain.
     """
     shift, turn, buttons = report.shift, report.turn, report.buttons
     if buttons is not None and shift is None and turn is None:

@@ -1,4 +1,4 @@
-"""What the bench file says about pedal and SpaceMouse. No vendor library here."""
+"""Bench file settings of pedal and SpaceMouse. Imports no vendor library."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ def _check_device(device: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class PedalConfig:
-    """A USB foot pedal, which is a keyboard with one key to a pedal. Not a safety device."""
+    """Settings of a USB foot pedal, a keyboard with one key per pedal. Not a safety device."""
 
     KIND: ClassVar[str] = "hid_pedal"
 
     device: str
     """`/dev/hidrawN`, or `vendor:product` in hexadecimal as lsusb prints it."""
     mode: Literal["pause", "dead_man"] = "pause"
-    """pause: a press toggles a pause before the next target. dead_man: held while the arm presses;
-    let go of, the arm halts."""
+    """pause: a press toggles a pause before the next target. dead_man: must be held while the arm
+    presses; a release halts the arm."""
     key: int = 0
-    """HID usage of the key of the pedal that counts; 0: any of them."""
+    """HID usage of the pedal's key; 0: any key."""
     unplugged_limit: float = field(default=60.0, metadata={"unit": "s"})
-    """A pedal that is out counts as let go of, and after so long as lost [s]."""
+    """An unplugged pedal counts as released, and after this time as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Refuse what no bench can mean.
+        """Reject invalid values.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         _check_device(self.device)
         if not 0 <= self.key <= 255:
@@ -47,24 +47,24 @@ class PedalConfig:
 
 @dataclass(frozen=True, slots=True)
 class SpaceMouseConfig:
-    """A 3Dconnexion SpaceMouse, to jog the arm by hand."""
+    """Settings of a 3Dconnexion SpaceMouse, to jog the arm by hand."""
 
     KIND: ClassVar[str] = "spacemouse"
 
     device: str
     """`/dev/hidrawN`, or `vendor:product` in hexadecimal as lsusb prints it."""
     speed_max: float = field(default=0.005, metadata={"unit": "mm_s"})
-    """Of the tip at full deflection [m/s]."""
+    """Speed of the tip at full deflection [m/s]."""
     dead_zone: float = 0.08
-    """Deflection below this part of the full one is none."""
+    """Fraction of full deflection below which the deflection counts as zero."""
     silence: float = field(default=0.2, metadata={"unit": "ms"})
-    """Without a report for so long the cap counts as let go of [s]."""
+    """Silence after which the cap counts as released [s]."""
 
     def __post_init__(self) -> None:
-        """Refuse what no bench can mean.
+        """Reject invalid values.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         _check_device(self.device)
         if not 0 < self.speed_max <= 0.01:

@@ -1,9 +1,9 @@
-"""Builds the library that gives a machine without hidraw emulated nodes, to be preloaded.
+"""Builds the library that emulates hidraw nodes, to be preloaded on a machine without hidraw.
 
     export LD_PRELOAD=$(python -m rig.devices.hid.shim)
 
-It is an emulator: the kernel's hidraw and udev, seen from hidapi. What it stands in for is not
-tested by it; hidapi, and all of ours, runs as in the lab. Needs a C compiler and Linux.
+It emulates the kernel's hidraw and udev for hidapi, and so does not test them; hidapi and all of
+our code run as in the lab. Needs a C compiler and Linux.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ SOURCE = Path(__file__).with_name("hidraw_shim.c")
 
 
 def build(folder: Path) -> Path:
-    """The compiled library in `folder`.
+    """Compile the library into `folder` and return its path.
 
     Raises:
-        ConfigError: No compiler, not Linux, or it does not compile.
+        ConfigError: No compiler, not Linux, or the compilation fails.
     """
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None or not sys.platform.startswith("linux"):
@@ -39,7 +39,7 @@ def build(folder: Path) -> Path:
 
 
 def main() -> int:
-    """Build it once in the folder for temporary files and print where it is."""
+    """Build the library once in the folder for temporary files and print its path."""
     digest = hashlib.sha256(SOURCE.read_bytes()).hexdigest()[:12]
     folder = Path(tempfile.gettempdir()) / f"tactile-rig-hidraw-{digest}"
     folder.mkdir(mode=0o700, exist_ok=True)

@@ -1,7 +1,7 @@
-"""Driver of a SpaceMouse: the deflection of its cap now, zero once it falls silent.
+"""Driver of a SpaceMouse: current deflection of its cap, zero once it falls silent.
 
-Many models stop sending when the cap is let go of, some without a last report of zeros. So what was
-said last holds for `silence` only.
+Many models stop sending when the cap is released, some without a last report of zeros. So the last
+report is valid for `silence` only.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _ZERO: Axes = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Cap:
-    """The cap at one moment."""
+    """State of the cap at one moment."""
 
     shift: Axes = _ZERO
     """x right, y away from the user, z up; -1 to 1, zero inside the dead zone."""
     turn: Axes = _ZERO
-    """About these axes, right-handed."""
+    """Rotation about these axes, right-handed."""
     pressed: frozenset[int] = frozenset()
-    """Buttons that went down since the last look, from 0."""
+    """Numbers of the buttons pressed since the last `read`, from 0."""
 
 
 class SpaceMouseDriver:
@@ -37,7 +37,7 @@ class SpaceMouseDriver:
 
     Args:
         config: Device, dead zone and silence.
-        clock: Tells when it has fallen silent.
+        clock: Clock to detect silence.
     """
 
     def __init__(self, config: SpaceMouseConfig, clock: Clock) -> None:
@@ -48,18 +48,18 @@ class SpaceMouseDriver:
         self._shift_ns = self._turn_ns = 0
         self._held: frozenset[int] = frozenset()
         self.garbage = 0
-        """Reports that were none of a SpaceMouse."""
+        """Number of reports that were not from a SpaceMouse."""
 
     def open(self) -> None:
-        """Find and open it.
+        """Find and open the SpaceMouse.
 
         Raises:
-            DeviceLost: It is not there, or may not be read.
+            DeviceLost: The SpaceMouse is missing, or may not be read.
         """
         self._device.open()
 
     def read(self, timeout: float) -> Cap:
-        """The cap as it is now, after waiting up to `timeout` [s] for a report.
+        """Return the state of the cap after waiting up to `timeout` [s] for a report.
 
         Raises:
             DeviceLost: Not open, or unplugged.
@@ -78,18 +78,18 @@ class SpaceMouseDriver:
         )
 
     def close(self) -> None:
-        """Let go of it; safe twice."""
+        """Close the SpaceMouse; may be called twice."""
         self._device.close()
 
     def _take(self, report: bytes) -> frozenset[int]:
-        """Take in a report; the buttons that went down with it."""
+        """Process a report and return the buttons that it newly shows as pressed."""
         try:
             found = parse_cap(report)
         except ValueError as error:
             self.garbage += 1
             if self.garbage == 1:
                 logger.warning("SpaceMouse: %s", error)
-            # What cannot be understood may have been a release.
+            # An invalid report may have been a release.
             self._shift = self._turn = _ZERO
             return frozenset()
         now_ns = self._clock.now_ns()
@@ -103,7 +103,7 @@ class SpaceMouseDriver:
         return pressed
 
     def _quiet(self, axes: Axes) -> Axes:
-        """`axes` with the dead zone taken out, the rest spread so that full stays full."""
+        """Return `axes` without the dead zone, the rest scaled so that full stays full."""
         zone = self._config.dead_zone
 
         def quiet(value: float) -> float:

@@ -1,1 +1,1 @@
-"""Emulated devices that play a recorded stream: one for each kind of device."""
+"""Emulated devices that play a recorded stream, one for each kind of device."""

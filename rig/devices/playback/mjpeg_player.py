@@ -1,7 +1,7 @@
-"""An emulated network camera that plays recorded JPEG files: see rig/mock/player.py.
+"""Emulated network camera that plays recorded JPEG files: see rig/mock/player.py.
 
-OpenCV reads one frame to open the stream and drops it, and the driver looks at a second one before
-it records. Both get the first recorded picture. The recorded files then go out as they are.
+OpenCV reads one frame to open the stream and drops it, and the driver checks a second one before
+it records. Both get the first recorded picture. Then the recorded files are sent unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _TORN = b"\xff\xd8"
 
 
 class MjpegOutlet:
-    """MJPEG over HTTP.
+    """Emulated camera that sends MJPEG over HTTP.
 
     Args:
         tape: A camera stream that holds JPEG files.
@@ -27,7 +27,7 @@ class MjpegOutlet:
     """
 
     window = 32
-    """The driver keeps 120 frames for a recorder that is late."""
+    """The driver keeps 120 frames for a late recorder."""
 
     def __init__(self, tape: Tape, host: str) -> None:
         self._tape = tape
@@ -35,19 +35,19 @@ class MjpegOutlet:
 
     @property
     def address(self) -> str:
-        """The stream's URL."""
+        """URL of the stream."""
         return f"http://{self._listener.host}:{PORT}/"
 
     def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address is not available.
         """
         self._listener.start()
 
     def send(self, place: int) -> None:
-        """One frame, its bytes as recorded.
+        """Send one frame, its bytes as recorded.
 
         Raises:
             OSError: The client is gone.
@@ -55,15 +55,15 @@ class MjpegOutlet:
         self._listener.send(_part(self._jpeg(self._tape.rows[place])))
 
     def idle(self) -> None:
-        """A camera has nothing to say without a frame."""
+        """Do nothing: a camera sends only frames."""
 
     def wake(self) -> None:
-        """A torn frame: OpenCV returns from its wait, and the driver drops it."""
+        """Send a torn frame: OpenCV returns from its wait, and the driver drops it."""
         if self._listener.connected:
             self._listener.send(_part(_TORN))
 
     def close(self) -> None:
-        """Disconnect; safe twice."""
+        """Disconnect; may be called twice."""
         self._listener.close()
 
     def _jpeg(self, row: int) -> bytes:

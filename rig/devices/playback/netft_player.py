@@ -1,7 +1,7 @@
-"""An emulated Net F/T box that plays a recorded force stream: see rig/mock/player.py.
+"""Emulated Net F/T box that plays a recorded force stream: see rig/mock/player.py.
 
-The driver needs one record to open. It gets the first row's, numbered one less, and keeps counting
-from there; the recorded rows then come under their recorded numbers.
+The driver needs one record to open. It gets the first row's values under the number before, and
+counts on from there; the recorded rows follow under their recorded numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _POLL = 0.1
 
 
 class NetFtOutlet:
-    """The box's settings page and its records.
+    """Emulated box that serves its settings page and its records.
 
     Args:
         tape: A force stream.
@@ -59,10 +59,10 @@ class NetFtOutlet:
         return f"{self._host}:{UDP_PORT}"
 
     def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
-            OSError: The address or a port cannot be had.
+            OSError: The address or a port is not available.
         """
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -83,23 +83,23 @@ class NetFtOutlet:
             thread.start()
 
     def send(self, place: int) -> None:
-        """One record, as it was recorded.
+        """Send one record, as recorded.
 
         Raises:
-            OSError: Nobody has asked for records.
+            OSError: No client has requested records.
         """
         if self._udp is None or self._peer is None:
-            raise OSError("no client asked for records")
+            raise OSError("no client requested records")
         self._udp.sendto(self._packet(self._seq[place], place), self._peer)
 
     def idle(self) -> None:
-        """A box has nothing to say without a record."""
+        """Do nothing: a box sends only records."""
 
     def wake(self) -> None:
-        """The driver's waits are short."""
+        """Do nothing: the driver's waits are short."""
 
     def close(self) -> None:
-        """Stop; safe twice."""
+        """Stop; may be called twice."""
         self._ending.set()
         if self._http is not None:
             self._http.shutdown()
@@ -131,7 +131,7 @@ class NetFtOutlet:
 
 
 class _PageServer(NamelessServer):
-    """netftapi2.xml, the same for every request that asks for it."""
+    """Server of netftapi2.xml, the same for every request."""
 
     def __init__(self, address: tuple[str, int], page: bytes) -> None:
         self.page = page
@@ -153,4 +153,4 @@ class _PageHandler(BaseHTTPRequestHandler):
         self.wfile.write(self.server.page)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: stdout belongs to the ready line."""
+        """Print nothing: stdout is reserved for the ready line."""

@@ -1,8 +1,8 @@
-"""An emulated controller that plays recorded poses by RTDE: see rig/mock/player.py.
+"""Emulated controller that plays recorded poses by RTDE: see rig/mock/player.py.
 
-It only reports: no script runs, nothing moves. What a session does not store (speeds, states) it
-reports as a controller in normal operation does. While no pose is due it sends the client text
-messages, as a controller may: a reader that hears nothing at all for a second gives up.
+It only reports: no script runs, nothing moves. Quantities that a session does not store (speeds,
+states) are reported as in normal operation. While no pose is due it sends the client text messages,
+as a controller may: a reader that receives nothing for a second fails.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ _TEXT = b"replay: no pose is due"
 _SOURCE = b"tactile-rig"
 _INFO = 3
 _WAITING = bytes([len(_TEXT)]) + _TEXT + bytes([len(_SOURCE)]) + _SOURCE + bytes([_INFO])
-_PLAYING = 2
 # runtime_state of a running program.
-_NORMAL = 1
+_PLAYING = 2
 # safety_status_bits: bit 0, normal mode.
-_RUNNING = 7
+_NORMAL = 1
 # robot_mode.
+_RUNNING = 7
 
 
 class RtdeOutlet:
-    """RTDE data packages.
+    """Emulated controller that sends RTDE data packages.
 
     Args:
         tape: A pose stream.
@@ -35,7 +35,7 @@ class RtdeOutlet:
     """
 
     window = 500
-    """The reader keeps 10 000 packages for a recorder that is late."""
+    """The reader keeps 10 000 packages for a late recorder."""
 
     def __init__(self, tape: Tape, host: str) -> None:
         rows = slice(tape.rows.start, tape.rows.stop)
@@ -48,19 +48,19 @@ class RtdeOutlet:
 
     @property
     def address(self) -> str:
-        """The host it listens on."""
+        """Host it listens on."""
         return self._listener.host
 
     def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
-            OSError: The port cannot be had.
+            OSError: The port is not available.
         """
         self._listener.start()
 
     def send(self, place: int) -> None:
-        """One data package, as recorded.
+        """Send one data package, as recorded.
 
         Raises:
             OSError: The client is gone.
@@ -82,19 +82,19 @@ class RtdeOutlet:
         self._listener.send(rtde.pack_message(rtde.Kind.DATA, package))
 
     def idle(self) -> None:
-        """A text message."""
+        """Send a text message."""
         if self._listener.connected:
             self._listener.send(rtde.pack_message(rtde.Kind.TEXT, _WAITING))
 
     def wake(self) -> None:
-        """The reader's waits are short."""
+        """Do nothing: the reader's waits are short."""
 
     def close(self) -> None:
-        """Disconnect; safe twice."""
+        """Disconnect; may be called twice."""
         self._listener.close()
 
     def _greet(self, client: socket.socket) -> bool:
-        """Answer until the client starts the stream."""
+        """Answer requests until the client starts the stream."""
         buffer = bytearray()
         while received := client.recv(1 << 16):
             buffer += received

@@ -1,7 +1,7 @@
-"""What of a recorded stream the device must send again, checked before anything is started.
+"""Checks and playback of recorded streams, used by every emulated device that plays one.
 
-The drivers are the real ones, so a row can come back only if its device could have sent it: whole
-counts, sequence numbers that rise, JPEG files as a camera delivers them. All functions are pure.
+The drivers are the real ones, so a row can be replayed only if its device could have sent it: whole
+counts, increasing sequence numbers, JPEG files as a camera delivers them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _UINT16 = 1 << 16
 
 
 def force_page(stream: Stream) -> Page:
-    """The settings of the F/T box that a force stream was recorded with; defaults if untold.
+    """Return the settings of the F/T box that recorded a force stream; defaults if not stored.
 
     Raises:
         SessionError: Units that no Net F/T box has.
@@ -60,39 +60,39 @@ def force_page(stream: Stream) -> Page:
 
 
 def stated_rate(stream: Stream) -> float:
-    """The rate its device stated [Hz], else the stream's own."""
+    """Return the rate that the device stated [Hz], else the stream's own."""
     device = stream.attrs.get("device") or {}
     return float(device.get("rate_hz") or stream.rate_hz)
 
 
 def force_bias(stream: Stream) -> Floats:
-    """What was subtracted from every row of a force stream (6,) [N, N m]."""
+    """Return the bias that was subtracted from every row of a force stream (6,) [N, N m]."""
     return np.array(stream.attrs.get("bias") or [0.0] * 6, np.float64)
 
 
 def force_counts(value: Floats, bias: Floats, page: Page) -> Ints:
-    """The counts (n, 6) of which the driver makes exactly `value`.
+    """Return the counts (n, 6) from which the driver computes exactly `value`.
 
     Args:
         value: As stored: measured minus bias (n, 6) [N, N m].
         bias: (6,) [N, N m].
-        page: Of the box.
+        page: Settings of the box.
 
     Raises:
-        SessionError: A row that is no whole number of counts, or beyond int32.
+        SessionError: A row is not a whole number of counts, or beyond int32.
     """
     scale = np.repeat(page.scale(), 3)
     whole = np.rint((value + bias) / scale)
     fits = (np.abs(whole) < 2**31).all(axis=1)
     counts = np.where(fits[:, None], whole, 0).astype(np.int64)
-    # The driver's own arithmetic, to the last bit.
+    # Repeats the driver's own arithmetic, to the last bit.
     again = counts.astype(np.float64) * scale - bias
     same = (again.view(np.int64) == np.ascontiguousarray(value).view(np.int64)).all(axis=1)
     bad = np.flatnonzero(~(fits & same))
     if bad.size:
         raise SessionError(
-            f"streams/force: row {bad[0]}: {value[bad[0]].tolist()} is no whole number of counts "
-            f"of a box with {page.counts_per_force:g} counts per {page.force_unit} and "
+            f"streams/force: row {bad[0]}: {value[bad[0]].tolist()} is not a whole number of "
+            f"counts of a box with {page.counts_per_force:g} counts per {page.force_unit} and "
             f"{page.counts_per_torque:g} per {page.torque_unit} ({bad.size} rows are not): "
             "it was not recorded from a Net F/T box, so its emulator cannot send it; replay the "
             "other streams with --without force"
@@ -101,7 +101,7 @@ def force_counts(value: Floats, bias: Floats, page: Page) -> Ints:
 
 
 def check_force(stream: Stream, rows: slice) -> None:
-    """Refuse force rows that no Net F/T box could send again.
+    """Reject force rows that no Net F/T box could send again.
 
     Raises:
         SessionError: Names the row.
@@ -109,29 +109,29 @@ def check_force(stream: Stream, rows: slice) -> None:
     force_counts(stream.array("value")[rows], force_bias(stream), force_page(stream))
     status, seq = stream.array("status")[rows], stream.array("seq")[rows]
     no_status: npt.NDArray[np.bool_] = (status < 0) | (status >= _UINT32)
-    _refuse("force", rows, no_status, "status is no uint32")
+    _refuse("force", rows, no_status, "status is not a uint32")
     _refuse("force", rows, ~_rises(seq), "seq does not rise")
     if len(seq) and not 1 <= seq[0] < _UINT32:
-        # The driver takes one record to open, and that one must come before the first.
+        # The driver needs one record to open, numbered before the first.
         raise SessionError(
             f"streams/force: row {rows.start or 0}: seq {seq[0]}; expected 1 to 2^32 - 1"
         )
 
 
 def check_pose(stream: Stream, rows: slice) -> None:
-    """Refuse poses that no controller could send again.
+    """Reject poses that no controller could send again.
 
     Raises:
         SessionError: Names the row.
     """
     device_t, period = stream.array("device_t")[rows], 1.0 / stated_rate(stream)
-    _refuse("pose", rows, ~np.isfinite(device_t), "device_t is no time")
+    _refuse("pose", rows, ~np.isfinite(device_t), "device_t is not a time")
     late = np.concatenate([[True], np.rint(np.diff(device_t) / period) >= 1])
     _refuse("pose", rows, ~late[: len(device_t)], "the controller's clock does not advance")
 
 
 def check_taxels(stream: Stream, rows: slice) -> None:
-    """Refuse taxels that no uSkin server could send again.
+    """Reject taxels that no uSkin server could send again.
 
     Raises:
         SessionError: Names the row.
@@ -139,20 +139,20 @@ def check_taxels(stream: Stream, rows: slice) -> None:
     value = stream.array("value")[rows]
     beyond: npt.NDArray[np.bool_] = (value < 0) | (value >= _UINT16)
     outside = np.asarray(beyond.reshape(len(value), 48).any(axis=1))
-    _refuse("taxels", rows, outside, "a count is no uint16")
+    _refuse("taxels", rows, outside, "a count is not a uint16")
     _refuse("taxels", rows, ~_rises(stream.array("seq")[rows]), "seq does not rise")
 
 
 def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) -> None:
-    """Refuse images that would not come through MJPEG unchanged.
+    """Reject images that would not pass through MJPEG unchanged.
 
     Args:
         stream: A camera stream.
-        rows: Those to look at; all are read.
-        progress: Called with the images looked at and their number.
+        rows: Rows to check; all are read.
+        progress: Called with the number of images checked and their total.
 
     Raises:
-        SessionError: Names the row, or says that the images are pixels.
+        SessionError: Names the row, or reports that the images are stored as pixels.
     """
     for row in range(*rows.indices(len(stream))):
         jpeg = stream.jpeg(row)
@@ -162,27 +162,27 @@ def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) 
                 "change them; replay the other streams with --without camera"
             )
         if not is_whole(jpeg) or with_huffman_tables(jpeg) != jpeg:
-            raise SessionError(f"streams/camera: row {row}: no whole JPEG with Huffman tables")
+            raise SessionError(f"streams/camera: row {row}: no complete JPEG with Huffman tables")
         if progress is not None:
             progress(row + 1, len(stream))
 
 
+# The camera's check is not listed: it takes long, and reports progress.
 _CHECKS = {"force": check_force, "pose": check_pose, "taxels": check_taxels}
-# The camera's check takes long, and has progress to tell.
 
 
 def replayable(
     session: Session, without: tuple[str, ...] = (), progress: Progress | None = None
 ) -> tuple[str, ...]:
-    """Names of the streams to replay, in `ORDER`, each of them checked.
+    """Check the streams to replay, and return their names in `ORDER`.
 
     Args:
         session: The source.
         without: Streams to leave out.
-        progress: Called with the images looked at and their number.
+        progress: Called with the number of images checked and their total.
 
     Raises:
-        SessionError: Still recording, nothing to replay, or a row that cannot be sent again.
+        SessionError: Still recording, nothing to replay, or a row cannot be sent again.
     """
     if session.warning is not None:
         raise SessionError(session.warning)
@@ -212,7 +212,7 @@ def replayable(
 
 
 def origin_ns(session: Session, names: tuple[str, ...], run: int) -> int | None:
-    """Recorded time of a run's first sample in any of the streams [ns]; None without samples."""
+    """Return the recorded time of a run's first sample in any stream [ns]; None without samples."""
     first = []
     for name in names:
         times = session.streams[name].t_ns[session.rows_of_run(name, run)]
@@ -234,26 +234,26 @@ def _refuse(name: str, rows: slice, bad: npt.NDArray[Any], what: str) -> None:
         raise SessionError(f"streams/{name}: row {row}: {what} ({found.size} such rows)")
 
 
-# The part of a recording that one emulated device plays.
+# Part of a recording that one emulated device plays.
 
 
 @dataclass(frozen=True, slots=True)
 class Tape:
-    """The rows of one stream in one run."""
+    """Rows of one stream in one run."""
 
     stream: Stream
-    """Where they are."""
+    """Stream that contains the rows."""
     rows: range
-    """Which they are."""
+    """Indices of the rows."""
     t_ns: npt.NDArray[np.int64]
-    """Their times since the run's first sample in any stream [ns]."""
+    """Times of the rows since the run's first sample in any stream [ns]."""
 
 
 def load_tape(session: Session, names: tuple[str, ...], name: str, run: int) -> Tape:
-    """The rows of stream `name` in a run, timed from the first sample of any of `names`.
+    """Return the rows of stream `name` in a run, timed from the first sample of any of `names`.
 
     Raises:
-        SessionError: No such stream, or a damaged one.
+        SessionError: Unknown stream, or a damaged one.
     """
     stream = session.streams[name]
     rows = session.rows_of_run(name, run)
@@ -261,20 +261,20 @@ def load_tape(session: Session, names: tuple[str, ...], name: str, run: int) -> 
     return Tape(stream, range(*rows.indices(len(stream))), stream.t_ns[rows] - start)
 
 
-# A TCP port whose clients are greeted one after the other, the latest one kept.
+# TCP port whose clients are greeted one after the other; the latest one is kept.
 
 _POLL = 0.1
+# Time limit for a client's part of the greeting [s].
 _GREETING = 5.0
-# How long a client may take over its side of the greeting [s].
 
 
 class Listener:
-    """Accepts clients; `send` goes to the latest one that was greeted.
+    """Server that accepts clients; `send` goes to the latest client that was greeted.
 
     Args:
         host: Address to listen on.
         port: Port.
-        greet: Answers a new client until it is ready for rows; False when it went before.
+        greet: Answers a new client until it is ready for rows; False if it left before that.
     """
 
     def __init__(self, host: str, port: int, greet: Callable[[socket.socket], bool]) -> None:
@@ -287,10 +287,10 @@ class Listener:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address is not available.
         """
         server = socket.socket()
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -307,11 +307,11 @@ class Listener:
 
     @property
     def connected(self) -> bool:
-        """Whether a client is there, ready for rows."""
+        """True while a client is connected and ready for rows."""
         return self._client is not None
 
     def send(self, data: bytes) -> None:
-        """Send all of `data`, waiting as long as the client lets it wait.
+        """Send all of `data`, blocking while the client is slow.
 
         Raises:
             OSError: There is no client, or it is gone.
@@ -322,7 +322,7 @@ class Listener:
         client.sendall(data)
 
     def close(self) -> None:
-        """Disconnect and stop; safe twice."""
+        """Disconnect and stop; may be called twice."""
         self._ending.set()
         client = self._client
         if client is not None:

@@ -1,7 +1,7 @@
-"""An emulated `xela_server` that plays recorded taxels: see rig/mock/player.py.
+"""Emulated `xela_server` that plays recorded taxels: see rig/mock/player.py.
 
-The driver needs one scan to open. It gets the first row's, numbered one less; the recorded rows
-then come under their recorded numbers and device times.
+The driver needs one scan to open. It gets the first row's values under the number before; the
+recorded rows follow under their recorded numbers and device times.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PORT = 5000
 
 
 class XelaOutlet:
-    """Scans by WebSocket.
+    """Emulated server that sends scans over WebSocket.
 
     Args:
         tape: A taxel stream.
@@ -31,7 +31,7 @@ class XelaOutlet:
     """
 
     window = 128
-    """The driver keeps 10 000 scans for a recorder that is late."""
+    """The driver keeps 10 000 scans for a late recorder."""
 
     def __init__(self, tape: Tape, host: str) -> None:
         self._host = host
@@ -51,14 +51,14 @@ class XelaOutlet:
 
     @property
     def address(self) -> str:
-        """The WebSocket address."""
+        """WebSocket address."""
         return f"ws://{self._host}:{PORT}"
 
     def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address is not available.
         """
         self._server = listen(
             self._greet, self._host, PORT, compression=None, ping_interval=None, close_timeout=0.5
@@ -67,7 +67,7 @@ class XelaOutlet:
         self._thread.start()
 
     def send(self, place: int) -> None:
-        """One scan, its number and time as recorded.
+        """Send one scan, its number and time as recorded.
 
         Raises:
             OSError: The client is gone.
@@ -81,13 +81,13 @@ class XelaOutlet:
             raise OSError(f"client gone: {error}") from error
 
     def idle(self) -> None:
-        """The server has nothing to say without a scan."""
+        """Do nothing: the server sends only scans."""
 
     def wake(self) -> None:
-        """The driver's waits are short."""
+        """Do nothing: the driver's waits are short."""
 
     def close(self) -> None:
-        """Disconnect; safe twice."""
+        """Disconnect; may be called twice."""
         self._ending.set()
         if self._server is not None:
             self._server.shutdown()
@@ -110,7 +110,7 @@ class XelaOutlet:
             connection.send(json.dumps({"message": "Welcome"}))
             connection.send(self._message(self._seq[0] - 1, 0))
             self._client = connection
-            # The connection lives as long as this thread; the player sends from its own.
+            # The connection lives as long as this thread; the player sends from its own thread.
             while not self._ending.is_set():
                 with contextlib.suppress(TimeoutError):
                     connection.recv(timeout=0.1)

@@ -1,4 +1,4 @@
-"""What the bench file says about the taxel sensor. No vendor library here."""
+"""Bench file settings of the taxel sensor. Imports no vendor library."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ _TAXELS = 16
 
 @dataclass(frozen=True, slots=True)
 class XelaConfig:
-    """A XELA uSkin behind its vendor's server."""
+    """Settings of a XELA uSkin behind its vendor's server."""
 
     KIND: ClassVar[str] = "xela"
 
     address: str = "ws://127.0.0.1:5000"
-    """Where `xela_server` listens."""
+    """Address of `xela_server`."""
     sensor: str = "1"
-    """The sensor's key in the server's messages."""
+    """Key of the sensor in the server's messages."""
     taxels: int = 16
-    """Number of its taxels: a 4 x 4 patch (XR1944, uSPa44). Sessions hold no other."""
+    """Number of taxels: a 4 x 4 patch (XR1944, uSPa44). Sessions support no other."""
     rate_hz: float = 60.0
     """Expected messages per second; the server decides, the rig measures."""
     silence: float = field(default=1.0, metadata={"unit": "ms"})
-    """Without a message for so long the server counts as lost [s]."""
+    """Silence after which the server counts as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Refuse a patch that sessions cannot hold.
+        """Reject a patch that sessions do not support.
 
         Raises:
-            ValueError: Names the field, what was found and what is allowed.
+            ValueError: Names the field, the value found and the values allowed.
         """
         if self.taxels != _TAXELS:
             raise ValueError(

@@ -1,8 +1,7 @@
-"""XELA uSkin driver: scans of `xela_server`, by WebSocket.
+"""XELA uSkin driver: receives scans of `xela_server` over WebSocket.
 
-Its messages are in rig/devices/taxels/xela_wire.py.
-
-Scans that come twice, late, or with values no touch could make are counted and left out.
+The messages are described in rig/devices/taxels/xela_wire.py. Scans that are duplicate or late, or
+that have values no touch could cause, are counted and rejected.
 """
 
 from __future__ import annotations
@@ -26,16 +25,17 @@ logger = logging.getLogger(__name__)
 _POLL = 0.1
 _CORRUPT_IN_A_ROW = 10
 _CAPACITY = 10_000
+# A scan at most this far behind the newest is late. Beyond it, or after this many late scans in a
+# row, the server has restarted its count.
 _LATE = 50
 _LATE_IN_A_ROW = 10
-# A scan this little behind the newest is late; more, or so often in a row: the server counts anew.
+# Counts, and fraction of all values: no touch moves that many by an eighth of the range in one scan
+# (the largest step in three public recordings of grasps, 779 scans, is 527 counts).
 _JUMP, _JUMPED = 8192, 0.5
-# Counts, and the part of all values: no touch moves so many by an eighth of the range in one scan
-# (the largest step of any value in three public recordings of grasps, 779 scans, is 527 counts).
 
 
 class XelaDriver:
-    """The stream of one uSkin sensor.
+    """Stream of one uSkin sensor.
 
     Columns: value (taxels, 3) int32 raw counts, device_t float64 [s], seq int64, t_ns.
     """
@@ -56,20 +56,20 @@ class XelaDriver:
         self._newest: Scan | None = None
         self._gaps = 0
         self.duplicates = 0
-        """Messages with the count of the one before; only the first is kept."""
+        """Number of messages with the same number as the previous one; only the first is kept."""
         self.late = 0
-        """Messages that came after a later one; they are among `dropped`."""
+        """Number of messages received after a later one; they are among `dropped`."""
         self.corrupt = 0
-        """Messages that could not be understood, or whose values no touch could make."""
+        """Number of messages that were invalid, or whose values no touch could cause."""
 
     @property
     def dropped(self) -> int:
-        """Scans that never reached `read`: gaps in the server's count, or not taken in time."""
+        """Scans that never reached `read`: gaps in the server's count, or not read in time."""
         return self._gaps + self._inbox.overflowed
 
     @property
     def refused(self) -> dict[str, int]:
-        """Scans that came and were left out, by reason."""
+        """Rejected scans, by reason."""
         return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
 
     def open(self, timeout: float) -> None:
@@ -77,7 +77,7 @@ class XelaDriver:
 
         Raises:
             DeviceLost: No such server answers within `timeout` [s].
-            ConfigError: The address is no WebSocket address.
+            ConfigError: The address is not a WebSocket address.
         """
         self.close()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
@@ -118,17 +118,17 @@ class XelaDriver:
         self._receiver = Receiver(f"xela-{self._config.address}", self._receive, self._inbox)
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Scans since the last call; see `rig.core.driver.Driver.read`.
+        """Return the scans since the last call; see `rig.core.driver.Driver.read`.
 
         Raises:
-            DeviceLost: The connection broke, fell silent, or tells nonsense.
+            DeviceLost: The connection broke, fell silent, or delivers invalid messages.
         """
         if self._receiver is None:
             raise DeviceLost(f"{self._config.address}: not open")
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """Model, layout and the rate the server stated in its first scan."""
+        """Return model, layout and the rate that the server stated in its first scan."""
         if self._first is None:
             raise DeviceLost(f"{self._config.address}: not open")
         facts = self._first.facts
@@ -147,7 +147,7 @@ class XelaDriver:
         }
 
     def close(self) -> None:
-        """Stop receiving and disconnect; safe twice."""
+        """Stop receiving and disconnect; may be called twice."""
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
@@ -225,9 +225,9 @@ class XelaDriver:
         )
 
     def _is_late(self, scan: Scan, step: int) -> bool:
-        """Whether a scan with a number behind the newest is late, and not the first of a restart.
+        """Return True if a scan numbered below the newest is late, and not the first of a restart.
 
-        A server that began to count anew goes on in time; without times, it stays behind.
+        After a restart the times still increase; without times, the numbers stay below the newest.
         """
         if step < -_LATE or self._late_in_a_row >= _LATE_IN_A_ROW or self._newest is None:
             return False

@@ -1,11 +1,11 @@
-"""Emulated `xela_server`: uSkin scans by WebSocket, from the World or from a log of raw counts.
+"""Emulated `xela_server`: uSkin scans over WebSocket, from the World or a log of raw counts.
 
     python -m rig.devices.taxels.xela_emulator --host 127.0.0.6 --port 5000 --world PATH
     python -m rig.devices.taxels.xela_emulator --source trial.npy --rate-hz 100 --layout 1.7
 
-A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row a scan. Faults
-come in through rig.core.fault_injection; `wrong_units` loses the last hexadecimal digit of each
-value.
+A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row per scan. Faults
+are injected through rig.core.fault_injection; `wrong_units` drops the last hexadecimal digit of
+each value.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ _BACKLOG = 512
 
 @dataclass(frozen=True, slots=True)
 class XelaEmulatorConfig:
-    """Where the emulated server listens and how it sends."""
+    """Address, rate and message layout of the emulated server."""
 
     host: str = "127.0.0.1"
     port: int = 5000
     rate_hz: float = 60.0
     jitter: float = 0.0
-    """Standard deviation of how late a scan is sent [s]; scans never come early."""
+    """Standard deviation of the delay of a scan [s]; scans are never early."""
     layout: str = "1.8"
-    """Of the messages: 1.7 or 1.8."""
+    """Message layout: 1.7 or 1.8."""
     noise: float = 0.0
     """Standard deviation of each value [counts]; a real untouched patch has about 2.1."""
     seed: int = 0
 
 
 def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups: float) -> str:
-    """The message about scan `number`; the inverse of `rig.devices.taxels.xela_wire.parse`.
+    """Return the message of scan `number`; inverse of `rig.devices.taxels.xela_wire.parse`.
 
     Args:
-        number: The server's count of scans.
+        number: The server's scan counter.
         seconds: Time of the scan since 1970 [s].
         counts: X, Y, Z of each taxel, 0 to 65535.
         layout: 1.7 or 1.8.
-        ups: Updates per second that layout 1.8 states [Hz].
+        ups: Updates per second stated in layout 1.8 [Hz].
     """
     sensor: dict[str, Any] = {
         "data": ",".join([f"{value:X}" for value in counts]),
@@ -80,7 +80,7 @@ def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups
 
 
 class XelaEmulator:
-    """The emulated server; one thread makes scans, one per client sends the newest.
+    """Emulated server: one thread produces scans, one per client sends the newest.
 
     Args:
         config: Address, rate, layout.
@@ -96,12 +96,12 @@ class XelaEmulator:
         self._rng = np.random.default_rng(config.seed)
         self._ending = threading.Event()
         self._changed = threading.Condition()
-        # The newest scans, each as what is sent for it: a client that falls behind gets them all in
-        # order, as from the vendor's server, up to this many.
+        # Messages of the newest scans: a client that falls behind gets them all in order, up to
+        # this many, as from the vendor's server.
         self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
         self._number = 0
         self.missed = 0
-        """Scans not made because their time had passed."""
+        """Number of scans skipped as too late."""
         self.disturbance = Disturbance[str](
             clock,
             spoil=spoilt_text,
@@ -115,14 +115,14 @@ class XelaEmulator:
 
     @property
     def address(self) -> str:
-        """The WebSocket address."""
+        """WebSocket address."""
         return f"ws://{self._config.host}:{self._config.port}"
 
     def start(self) -> None:
-        """Listen and serve.
+        """Start serving.
 
         Raises:
-            OSError: The address cannot be had.
+            OSError: The address is not available.
         """
         self._server = listen(
             self._serve_client,
@@ -140,7 +140,7 @@ class XelaEmulator:
             thread.start()
 
     def close(self) -> None:
-        """Stop serving; safe twice."""
+        """Stop serving; may be called twice."""
         self._ending.set()
         with self._changed:
             self._changed.notify_all()
@@ -152,7 +152,7 @@ class XelaEmulator:
         self._threads = []
 
     def messages(self, message: str) -> Iterable[str]:
-        """What is sent for one scan: where faults and tests spoil messages."""
+        """Return the messages sent for one scan; faults and tests corrupt messages here."""
         return self.disturbance.passed(message)
 
     def _on_plug(self) -> None:
@@ -227,7 +227,7 @@ class XelaEmulator:
 
 
 def _shortened(message: str) -> str:
-    """The message with the last digit of every value missing."""
+    """Return the message without the last digit of every value."""
     content = json.loads(message)
     for part in content.values():
         if isinstance(part, dict):
@@ -236,16 +236,16 @@ def _shortened(message: str) -> str:
 
 
 def _cut(connection: ServerConnection) -> None:
-    """As when the cable is pulled: no word of farewell."""
+    """Disconnect without a closing handshake, as when the cable is pulled."""
     with contextlib.suppress(OSError):
         connection.socket.shutdown(socket.SHUT_RDWR)
 
 
 def load_log(path: Path) -> Log:
-    """A log of raw counts (T, 3 x taxels) from an .npy file.
+    """Load a log of raw counts (T, 3 x taxels) from an .npy file.
 
     Raises:
-        ValueError: It has another shape.
+        ValueError: The array has another shape.
     """
     log: Log = np.load(path, allow_pickle=False).astype(np.float64)
     if log.ndim != 2 or len(log) == 0 or log.shape[1] == 0 or log.shape[1] % 3:
@@ -254,14 +254,14 @@ def load_log(path: Path) -> Log:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until told to end; returns the exit code."""
+    """Serve until terminated; return the exit code."""
     parser = emulator_parser("rig.devices.taxels.xela_emulator", __doc__)
     parser.add_argument("--port", type=int, default=5000, help="(%(default)s)")
     parser.add_argument("--rate-hz", type=float, default=60.0, help="(%(default)s)")
-    parser.add_argument("--jitter-ms", type=float, default=0.0, help="std of the lateness (none)")
+    parser.add_argument("--jitter-ms", type=float, default=0.0, help="std of the delay (none)")
     parser.add_argument("--layout", choices=("1.7", "1.8"), default="1.8", help="(%(default)s)")
     parser.add_argument("--noise", type=float, default=0.0, help="std [counts] (none)")
-    parser.add_argument("--source", type=Path, help="log of raw counts (.npy), not the World")
+    parser.add_argument("--source", type=Path, help="play this log of raw counts (.npy) instead")
     return run_emulator(parser, _make, argv)
 
 

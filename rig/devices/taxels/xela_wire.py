@@ -1,18 +1,18 @@
-"""What `xela_server` says: the JSON messages about a uSkin sensor, by WebSocket.
+"""Wire format of `xela_server`: JSON messages about a uSkin sensor, over WebSocket.
 
 The first message is `{"message": "Welcome"}`; then, for every scan,
 
     1.7  {"message": 786, "time": 1619157045.62, "sensors": 1,
           "1": {"data": "FA00,FB00,...", "sensor": "1", "taxels": 16, "model": "XR1944",
                 "calibrated": null}}
-    1.8  the same with "sendtime" and "type" on top and "time", "ups", "temp" in each sensor
+    1.8  the same plus "sendtime" and "type", and "time", "ups", "temp" in each sensor
 
 `message` counts scans. `data` holds X, Y, Z of each taxel, row by row from the top left, as
-hexadecimal uint16, perhaps without leading zeros. `calibrated` is null, or as many numbers in N,
-whole ones without a point; it is not read. The rate is nowhere settable, and varies.
+hexadecimal uint16, possibly without leading zeros. `calibrated` is null, or as many numbers in N,
+integers without a decimal point; it is not read. The rate cannot be set, and varies.
 
-device_t is the sensor's own `time` (when it was scanned) where the layout has one, else the
-message's `time`, NaN where neither is a number. `sendtime` (when the server sent) is never taken.
+device_t is the sensor's own `time` (of the scan) where the layout has one, else the message's
+`time`, or NaN if neither is a number. `sendtime` (when the server sent) is never used.
 """
 
 from __future__ import annotations
@@ -36,31 +36,31 @@ class Scan(NamedTuple):
     """One message about one sensor."""
 
     message: int
-    """The server's count of scans."""
+    """The server's scan counter."""
     device_t: float
-    """The server's time of the scan, seconds since 1970; NaN when it gives none."""
+    """The server's time of the scan, seconds since 1970; NaN if not given."""
     counts: npt.NDArray[np.int32]
     """Raw counts, (taxels, 3)."""
     facts: dict[str, Any]
-    """What else the sensor's part says, without the data."""
+    """Other entries of the sensor's part, without the data."""
 
 
 def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
-    """The scan a message tells of; None for the welcome.
+    """Return the scan that a message contains; None for the welcome.
 
     Args:
         text: The message.
-        sensor: The sensor's key in it.
-        taxels: How many it must have.
+        sensor: Key of the sensor in the message.
+        taxels: Number of taxels it must have.
 
     Raises:
-        ValueError: It is no message of a server with such a sensor.
+        ValueError: The message is not from a server with such a sensor.
     """
     if text[:1] in ("4", "0", b"4", b"0"):
         raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")
     message = json.loads(text)
     if not isinstance(message, dict):
-        raise ValueError(f"no JSON object: {text[:40]!r}")
+        raise ValueError(f"not a JSON object: {text[:40]!r}")
     number = message.get("message")
     if isinstance(number, str) and number.startswith("Welcome"):
         return None
@@ -94,7 +94,7 @@ def _values(part: dict[str, Any], taxels: int) -> list[int]:
             f"data: {len(words)} values; expected 3 x {taxels} taxels"
             + (f"; it is a {model}: is it the sensor of the bench file?" if model else "")
         )
-    # Not int(word, 16) alone, which takes a sign, an underscore, 0x and blanks.
+    # Not int(word, 16) alone, which accepts a sign, an underscore, 0x and blanks.
     bad = [word for word in words if not _HEX.fullmatch(word)]
     if bad:
         raise ValueError(f"data: {bad[0][:16]!r}; expected hexadecimal, nothing outside 0..FFFF")

@@ -1,4 +1,4 @@
-"""What the mock bench's sensors see: a World answers for the arm's motion, emulators serve it."""
+"""World of the mock bench: turns the arm's motion into states that the emulators measure."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ _SPECS: dict[str, type[AnalyticSpec] | type[SimulatedSpec]] = {
 
 @dataclass(frozen=True, slots=True)
 class WorldFile:
-    """What a mock bench tells the processes of its World."""
+    """Settings that a mock bench passes to the processes of its World."""
 
     world: AnalyticSpec | SimulatedSpec
     contact_frame: tuple[float, ...]
     """Pose (6,) in the base frame [m, rad]."""
     indenter: str
-    """What is on the arm."""
+    """Name of the indenter on the arm."""
     folder: Path
-    """Run folder, with the records that they share."""
+    """Run folder with the shared records."""
 
 
 def read_file(path: Path) -> WorldFile:
-    """What the JSON file that a mock bench writes into its run folder says.
+    """Read the JSON file that a mock bench writes into its run folder.
 
     It holds `world` as in a bench file, `contact_frame` as a pose (6,) [m, rad] and `indenter`.
 
     Raises:
-        ConfigError: A file that does not hold them.
+        ConfigError: A key is missing or invalid.
     """
     content = json.loads(path.read_text())
     if not isinstance(content, dict) or {"world", "contact_frame"} - content.keys():
@@ -69,7 +69,7 @@ def read_file(path: Path) -> WorldFile:
 
 
 def build_world(path: Path) -> World:
-    """The World that the JSON file describes."""
+    """Build the World that the JSON file describes."""
     file = read_file(path)
     if isinstance(file.world, SimulatedSpec):
         return SimulatedWorld(file.world, file.contact_frame, file.folder)
@@ -77,7 +77,7 @@ def build_world(path: Path) -> World:
 
 
 def load_view(path: Path) -> Callable[[np.void], np.ndarray]:
-    """How the camera of that World draws a WORLD_STATE: RGB (480, 640, 3) uint8.
+    """Return a function that renders a WORLD_STATE as that World's camera: RGB (480, 640, 3) uint8.
 
     Raises:
         ConfigError: The World has no camera.

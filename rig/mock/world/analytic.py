@@ -1,7 +1,7 @@
-"""AnalyticWorld: what a mock bench's sensors would feel of the arm's motion, in closed form.
+"""AnalyticWorld: closed-form signals of a mock bench's sensors for the arm's motion.
 
-Friction, hysteresis and noise are each absent unless the bench asks for them. Contact has a history
-(where it stuck, how far it has relaxed), so one object sees the whole motion in order.
+Friction, hysteresis and noise are absent unless the bench file sets them. Contact depends on its
+history (the point of sticking, the relaxation), so one object processes the whole motion in order.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from rig.mock.world.picture import Surface
 
 
 class World(Protocol):
-    """Answers what the sensors see, given where the arm is."""
+    """Computes the sensors' state from the arm's pose."""
 
     def step(self, t_ns: int, pose: np.ndarray) -> np.void:
-        """One WORLD_STATE for the TCP `pose` (6,) [m, rad] in the base frame at `t_ns`."""
+        """Return the WORLD_STATE for TCP `pose` (6,) [m, rad] in the base frame at `t_ns`."""
 
 
 class AnalyticWorld:
-    """Closed-form contact with the history it needs.
+    """Closed-form contact with its history.
 
     Args:
         spec: The sensor and the indenter.
@@ -42,7 +42,7 @@ class AnalyticWorld:
         self._t_ns: int | None = None
 
     def step(self, t_ns: int, pose: np.ndarray) -> np.void:
-        """One state; times must not go back.
+        """Return the next state; times must not decrease.
 
         Args:
             t_ns: Time of the pose [ns].
@@ -54,7 +54,7 @@ class AnalyticWorld:
         force = elastic if self._spec.hysteresis is None else self._relaxed(t_ns, elastic)
         if depth <= 0:
             force = np.zeros(3)
-        # Force on the sensor: pressed down is negative z, dragged sideways is along the drag.
+        # Force on the sensor: pressing down is negative z, dragging is along the drag.
         wrench = np.concatenate([force, np.zeros(3)])
         lever = np.array([tip[0], tip[1], self._spec.gauge_depth])
         wrench[3:] = np.cross(lever, force)
@@ -70,11 +70,11 @@ class AnalyticWorld:
         return state
 
     def surface(self, state: np.void) -> Surface:
-        """The deformed surface of `state`."""
+        """Return the deformed surface of `state`."""
         return surface_of(self._spec, state)
 
     def _elastic_force(self, position: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
-        """Elastic force (3,) on the sensor [N] and sideways surface displacement (2,) [m]."""
+        """Return elastic force (3,) on the sensor [N], tangential surface displacement (2,) [m]."""
         spec = self._spec
         if depth <= 0:
             self._anchor = None
@@ -90,13 +90,13 @@ class AnalyticWorld:
         limit = spec.friction * normal
         drag = stiffness * math.hypot(*shear)
         if drag > limit:
-            # Slip: the anchor follows until the drag is just what friction can carry.
+            # Slip: the anchor follows until the drag equals the friction limit.
             shear = shear * (limit / drag)
             self._anchor = position - shear
         return np.array([*(stiffness * shear), -normal]), shear
 
     def _relaxed(self, t_ns: int, elastic: np.ndarray) -> np.ndarray:
-        """Elastic force plus the Maxwell branch, exact for a force that is linear over the step."""
+        """Return elastic force plus Maxwell branch, exact for a force linear over the step."""
         hysteresis = self._spec.hysteresis
         if hysteresis is None:
             return elastic
@@ -108,13 +108,13 @@ class AnalyticWorld:
             self._branch = decay * self._branch + hysteresis.fraction * gain * change
         self._t_ns, self._elastic = t_ns, elastic
         force = elastic + self._branch
-        # The layer does not pull: what is left of the branch after release is no adhesion.
+        # The layer does not pull: the branch's remainder after release is no adhesion.
         force[2] = min(force[2], 0.0)
         return force
 
 
 def surface_of(spec: AnalyticSpec, state: np.void) -> Surface:
-    """The deformed surface that belongs to a WORLD_STATE."""
+    """Return the deformed surface of a WORLD_STATE."""
     depth = max(float(state["depth"]), 0.0)
     return Surface(
         centre=(float(state["contact"][0]), float(state["contact"][1])),

@@ -1,4 +1,4 @@
-"""How far a mock session lies from the World's truth: time errors per stream, worst force error.
+"""Deviation of a mock session from the World's truth: time error per stream, worst force error.
 
 python -m rig compare --session sessions/x.zarr --truth x.truth
 """
@@ -16,22 +16,22 @@ from rig.core.errors import ConfigError
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.world.truth import Truth
 
+# The time error is fitted over windows of this length [s]. From single samples, noise would look
+# like milliseconds, since the force only changes by some newtons per second.
 _WINDOW = 0.25
-# A time error is fitted over windows of this length: a single sample's noise would look like
-# milliseconds, since the force only changes by some newtons a second [s].
-_STEP_NS = 1_000_000
 # Slopes of the truth are taken over this distance to both sides.
+_STEP_NS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class TimeError:
-    """Recorded time minus true time of what was recorded; positive is late [s]."""
+    """Recorded time minus true time; positive is late [s]."""
 
     stream: str
     median: float
     worst: float
     count: int
-    """Samples (camera) or windows (others) it was found in."""
+    """Number of samples (camera) or windows (others) evaluated."""
 
     def __str__(self) -> str:
         return (
@@ -41,7 +41,7 @@ class TimeError:
 
 
 def compare(session_path: Path, truth_path: Path) -> list[str]:
-    """Lines that say how far the session lies from the truth.
+    """Return the session's deviations from the truth as lines.
 
     Raises:
         ConfigError: The truth does not cover the session.
@@ -82,9 +82,9 @@ def _lag(
     truth_at: Callable[[np.ndarray], np.ndarray],
     slow: float,
 ) -> TimeError:
-    """Least-squares time error per window: values(t) = truth(t - lag), to first order.
+    """Return the least-squares time error per window: values(t) = truth(t - lag), to first order.
 
-    Windows whose slope stays below `slow` (per second) say nothing of time and are left out.
+    Windows whose slope is below `slow` (per second) cannot determine the time and are left out.
     """
     slope = (truth_at(times + _STEP_NS) - truth_at(times - _STEP_NS)) / (2e-9 * _STEP_NS)
     error = values - truth_at(times)
@@ -101,7 +101,7 @@ def _lag(
 
 
 def _camera(session: Session) -> list[str]:
-    """From the state time that the emulator wrote into each JPEG."""
+    """Compare arrival times with the state times that the emulator wrote into each JPEG."""
     stream = session.streams["camera"]
     late: list[float] = []
     numbers: list[int] = []
@@ -112,7 +112,7 @@ def _camera(session: Session) -> list[str]:
             numbers.append(stamp[0])
             late.append((int(t_ns) - stamp[1]) * 1e-9)
     if not late:
-        return ["camera  no emulator's stamps in its images"]
+        return ["camera  no emulator timestamps in its images"]
     worst = max(late, key=abs)
     missing = int((np.diff(numbers) - 1).sum())
     return [

@@ -1,9 +1,9 @@
-"""The process that owns the World: takes the arm's motion, publishes stamped states.
+"""Process of the World: reads the arm's motion and publishes timestamped states.
 
     python -m rig.mock.world.host --spec world.json --arm arm.state --world world.state
 
-Contact has a history, so exactly one process steps the World, in the order of the arm's cycles; the
-emulators of the sensors only serve what it publishes.
+Contact depends on its history, so exactly one process steps the World, in the order of the arm's
+cycles; the sensors' emulators only serve the published states.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from rig.mock.world import build_world
 from rig.mock.world.analytic import World
 from rig.mock.world.truth import TruthLog
 
+# The arm's cycle is 2 ms: polling five times per cycle delays the sensors by at most 0.4 ms.
 _POLL_NS = 400_000
-# The arm's cycle is 2 ms: looking five times a cycle adds at most 0.4 ms to what a sensor sees.
 
 
 class WorldHost:
-    """Steps a World along an arm's published motion, in a thread of its own.
+    """Steps a World along an arm's published motion, in its own thread.
 
     Args:
         world: The World.
         arm: ARM_TRUTH record to follow.
-        states: WORLD_STATE record to publish in.
+        states: WORLD_STATE record to publish to.
         truth: Log of every state, closed with the host; or None.
     """
 
@@ -47,11 +47,11 @@ class WorldHost:
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="world")
         self.missed = 0
-        """Cycles of the arm that were over before they were seen."""
+        """Cycles of the arm that ended before they were read."""
 
     @property
     def address(self) -> str:
-        """It has none: it is reached through shared memory."""
+        """Text in place of an address: the host is reached through shared memory."""
         return "shared memory"
 
     def start(self) -> None:
@@ -59,7 +59,7 @@ class WorldHost:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop; safe twice."""
+        """Stop; may be called twice."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -86,7 +86,7 @@ class WorldHost:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run until told to stop."""
+    """Run until stopped."""
     parser = emulator_parser("python -m rig.mock.world.host", __doc__)
     parser.add_argument("--spec", type=Path, required=True, help="JSON with world, contact_frame")
     parser.add_argument("--arm", type=Path, required=True, help="the arm emulator's pose")
@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
     if args.world is None:
-        raise ConfigError("--world: missing; allowed: the file to publish states in")
+        raise ConfigError("--world: missing; allowed: the file to publish states to")
     host = WorldHost(
         build_world(args.spec),
         LatestRecord.attach(args.arm, ARM_TRUTH),

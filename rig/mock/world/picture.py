@@ -1,7 +1,7 @@
-"""Displacement of the surface around a contact: smooth closed forms, plausible, not a solution.
+"""Surface displacement around a contact: smooth closed forms, plausible but not a solution.
 
-The mock bench needs markers that move with the contact, not a stress analysis: that is `sim`. The
-shapes follow the kinematic marker models of the field (a dilation and a shear term, each decaying
+The mock bench needs markers that move with the contact; stress analysis is in `sim`. The shapes
+follow the kinematic marker models of the literature (a dilation and a shear term, each decaying
 away from the contact), with the decay lengths of a bonded layer.
 """
 
@@ -13,28 +13,28 @@ import numpy as np
 
 from rig.bench.worlds import MarkerView
 
-_DILATION = 0.35
 # Outward motion at the edge of the contact, per depth: between 0.09 mm and 0.18 mm around a sphere
 # pressed 1.4 mm over most of the layer in converged runs, more at the edge of a flat punch.
+_DILATION = 0.35
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The state of the surface under one round contact, in the contact frame."""
+    """State of the surface under one round contact, in the contact frame."""
 
     centre: tuple[float, float]
-    """Middle of the contact [m]."""
+    """Centre of the contact [m]."""
     depth: float
-    """Indentation [m], 0 when nothing touches."""
+    """Indentation [m], 0 without contact."""
     radius: float
     """Radius of the contact [m]."""
     thickness: float
-    """Thickness of the layer: the length over which everything decays [m]."""
+    """Thickness of the layer, the decay length of all displacements [m]."""
     shear: tuple[float, float]
-    """Sideways displacement of the surface in the contact [m]."""
+    """Tangential displacement of the surface in the contact [m]."""
 
     def displacement(self, points: np.ndarray) -> np.ndarray:
-        """Where material points of the surface went.
+        """Return the displacement of material points of the surface.
 
         Args:
             points: Untouched positions (n, 2) in the contact frame [m].
@@ -45,7 +45,7 @@ class Surface:
         moved = np.zeros((len(points), 3))
         if self.depth <= 0:
             return moved
-        # The material under the tip now is what the shear has dragged there.
+        # The material now under the tip was dragged there by the shear.
         home = np.array(self.centre) - np.array(self.shear)
         offset = points - home
         distance = np.hypot(offset[:, 0], offset[:, 1])
@@ -60,24 +60,24 @@ class Surface:
         return moved
 
 
-# What the mock camera's pictures have in common: a lit gel, noise, and rims filled with ink.
+# Common parts of the mock camera's images: a lit gel, noise, and filled marker outlines.
 
 WIDTH, HEIGHT = 640, 480
-# Rims are filled on so many rows and columns a pixel; its shades are counts of them.
+# Outlines are filled on this many rows and columns per pixel; its shades are counts of them.
 FINE = 4
-_FIXED_BITS = 4
 # cv2.fillPoly takes corners in 1/16 of a fine pixel.
+_FIXED_BITS = 4
+# A filled polygon includes the pixels on its rim, half a fine pixel too much.
 _BEYOND = 0.5
-# A filled polygon has the pixels on its rim too: half of one too much, in fine pixels.
 
 
 class Backdrop:
-    """A lit gel without markers, and the noise of the camera.
+    """Image of a lit gel without markers, and the noise of the camera.
 
     Args:
         background: Colour of the gel, RGB.
         grey_noise: Standard deviation of the image noise [grey levels].
-        seed: Of the noise.
+        seed: Seed of the noise.
     """
 
     def __init__(
@@ -93,13 +93,13 @@ class Backdrop:
         """RGB (480, 640, 3)."""
         self._noise = None
         if grey_noise > 0:
-            # A bank of noise, walked at random, costs a copy instead of a million random numbers.
+            # Random crops of one noise bank cost a copy instead of a million random numbers.
             rng = np.random.default_rng(seed)
             bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3))
             self._noise, self._rng = bank.round().astype(np.int16), rng
 
     def noisy(self, image: np.ndarray) -> np.ndarray:
-        """The image (480, 640, 3) with the camera's noise, if there is any."""
+        """Return the image (480, 640, 3) with the camera's noise, if it has any."""
         if self._noise is None:
             return image
         top, left = self._rng.integers(0, 64, 2)
@@ -115,7 +115,7 @@ class MarkerPicture:
         background: Colour of the gel, RGB.
         ink: Colour of the markers, RGB.
         grey_noise: Standard deviation of the image noise [grey levels].
-        seed: Of the noise.
+        seed: Seed of the noise.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class MarkerPicture:
         self._ink = np.broadcast_to(np.array(ink, np.uint8), (HEIGHT, WIDTH, 3)).copy()
 
     def image(self, rims: np.ndarray) -> np.ndarray:
-        """The picture, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
+        """Return the image, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
         import cv2
 
         share = cv2.merge([coverage(rims)] * 3)
@@ -140,10 +140,10 @@ class MarkerPicture:
 
 
 def coverage(rims: np.ndarray) -> np.ndarray:
-    """Share of each pixel that is within a rim (480, 640) uint8, 255 for all of it.
+    """Return the share of each pixel inside a rim (480, 640) uint8, 255 for a covered pixel.
 
     Args:
-        rims: Column and row of their points (n, m, 2) [px]; whole numbers are pixel centres.
+        rims: Column and row of the rims' points (n, m, 2) [px]; whole numbers are pixel centres.
     """
     import cv2
 
@@ -160,12 +160,12 @@ def coverage(rims: np.ndarray) -> np.ndarray:
     return share
 
 
-# The mock camera's view: dark markers on a lit gel, moving with the surface.
+# View of the mock camera: dark markers on a lit gel, moving with the surface.
 
-_SUBPIXEL_BITS = 4
 # cv2.circle takes centres and radii in 1/16 px, so a marker moves smoothly.
-_SHADE, _SHADE_DEPTH = 90.0, 1.5e-3
+_SUBPIXEL_BITS = 4
 # Largest change of grey on a dent's flank, and the depth [m] at which half of it is reached.
+_SHADE, _SHADE_DEPTH = 90.0, 1.5e-3
 
 
 class MarkerCamera:
@@ -174,7 +174,7 @@ class MarkerCamera:
     Args:
         view: Pattern and camera.
         grey_noise: Standard deviation of the image noise [grey levels].
-        seed: Of the noise.
+        seed: Seed of the noise.
     """
 
     def __init__(self, view: MarkerView, *, grey_noise: float = 0.0, seed: int = 0) -> None:
@@ -185,7 +185,7 @@ class MarkerCamera:
         self._row = np.arange(HEIGHT, dtype=np.float32)[:, None]
 
     def pixels(self, surface: Surface) -> np.ndarray:
-        """Marker centres (n, 2) as column and row [px]."""
+        """Return the marker centres (n, 2) as column and row [px]."""
         moved = self._points + surface.displacement(self._points)[:, :2]
         return np.stack(
             [
@@ -196,7 +196,7 @@ class MarkerCamera:
         )
 
     def image(self, surface: Surface) -> np.ndarray:
-        """The view as RGB (480, 640, 3) uint8."""
+        """Return the view as RGB (480, 640, 3) uint8."""
         import cv2
 
         image: np.ndarray = self._backdrop.lit.copy()

@@ -1,8 +1,8 @@
-"""SimulatedWorld: what a mock bench's sensors feel is what the simulator says.
+"""SimulatedWorld: the mock bench's sensors measure the result of the contact simulation.
 
-A process of its own (`rig.mock.world.solver`) solves the contact along the arm's path as often as
-it can and shares what it finds; the World answers each of the arm's cycles from that, going on
-along the stiffness of the last solution. Cameras draw the markers where the deformation took them.
+A separate process (`rig.mock.world.solver`) solves the contact along the arm's path as often as it
+can and publishes the solutions. The World extrapolates the last solution along its stiffness to
+each of the arm's cycles. Cameras draw the markers at their deformed positions.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 # Records that the solver writes, in the run folder.
 PRESS_FILE, SURFACE_FILE = "press.state", "surface.state"
+# Limit of extrapolating images, relative to the distance of the last two deformations.
 _AHEAD = 1.5
-# How far beyond the last two deformations a picture goes on, in what lies between them.
+# Tips closer to each other than this [m] define no direction of extrapolation.
 _MOVED = 2e-6
-# Tips that are nearer to each other than this [m] give no direction to go on in.
 
 
 class SimulatedWorld:
-    """Answers each cycle of the arm from the solver's last solution.
+    """Extrapolates the solver's last solution to each cycle of the arm.
 
     Args:
         spec: The sensor.
@@ -50,7 +50,7 @@ class SimulatedWorld:
         self._between = Between(round(SECOND_NS / spec.rate_hz))
 
     def step(self, t_ns: int, pose: np.ndarray) -> np.void:
-        """One state.
+        """Return the next state.
 
         Args:
             t_ns: Time of the pose [ns].
@@ -77,10 +77,10 @@ class SimulatedWorld:
 
 
 class ContactFrame:
-    """Takes poses of the base frame to tips in the contact frame.
+    """Converts poses in the base frame to tips in the contact frame.
 
     Args:
-        pose: Of the contact frame in the base frame (6,) [m, rad].
+        pose: Pose of the contact frame in the base frame (6,) [m, rad].
     """
 
     def __init__(self, pose: tuple[float, ...]) -> None:
@@ -88,30 +88,30 @@ class ContactFrame:
         self._rotation = matrix_from_vector(np.array(pose[3:]))
 
     def tip(self, pose: np.ndarray) -> np.ndarray:
-        """The tip (3,) [m] of the TCP at `pose` (6,) [m, rad]."""
+        """Return the tip (3,) [m] of the TCP at `pose` (6,) [m, rad]."""
         tip: np.ndarray = self._rotation.T @ (np.asarray(pose[:3]) - self._origin)
         return tip
 
 
 class Between:
-    """Wrench about the tip and taxels (54,), from solution to solution without a jump.
+    """Wrench about the tip and taxels (54,), continuous from one solution to the next.
 
-    What a new solution differs in from what was foretold fades in, over the time of a turn: a
-    force that jumps is one that no gel makes, and a guard that looks ahead would stop for it.
+    The difference of a new solution from its prediction is faded in over the time of one solution.
+    A gel's force never jumps, and a predictive guard would stop for a jump.
 
     Args:
-        fade_ns: The time of a turn.
+        fade_ns: Duration of the fade, the time of one solution.
     """
 
     def __init__(self, fade_ns: int) -> None:
         self.press: np.void = np.zeros(1, PRESS_STATE)[0]
-        """The PRESS_STATE it goes on from."""
+        """PRESS_STATE that is extrapolated."""
         self._fade_ns = fade_ns
         self._offset: np.ndarray = np.zeros_like(self.press["values"])
         self._since_ns = 0
 
     def take(self, press: np.void, t_ns: int, tip: np.ndarray) -> None:
-        """Go on from this PRESS_STATE, which arrived at `t_ns` with the tip (3,) [m] there."""
+        """Extrapolate this PRESS_STATE from now on; it arrived at `t_ns` with tip (3,) [m]."""
         first = self.press["t_ns"] == 0
         before = self._foretold(t_ns, tip)
         self.press = press
@@ -119,9 +119,9 @@ class Between:
         self._offset, self._since_ns = (0 * now if first else before - now), t_ns
 
     def at(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
-        """Values for a tip (3,) [m] at `t_ns`.
+        """Return the values for a tip (3,) [m] at `t_ns`.
 
-        The contact never pulls, nor drags by more than friction allows.
+        The contact never pulls, nor does its drag exceed friction.
         """
         values = self._foretold(t_ns, tip)
         if tip[2] >= 0 or values[2] > 0:
@@ -137,10 +137,10 @@ class Between:
 
 
 def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
-    """Wrench about the tip and taxels (54,) for a tip (3,) [m] at `t_ns`, from a PRESS_STATE.
+    """Return wrench about the tip and taxels (54,) for a tip (3,) [m] at `t_ns`.
 
-    Along the slope of the solution from where that was; from the untouched surface when it did not
-    touch yet.
+    They are extrapolated along the PRESS_STATE's slope from its tip; without contact, from the
+    untouched surface.
     """
     values: np.ndarray = press["values"].copy()
     if press["touching"]:
@@ -152,7 +152,7 @@ def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
 
 
 class SimulatedView:
-    """Draws the markers of the simulated sensor where a WORLD_STATE has them.
+    """Draws the simulated sensor's markers for a WORLD_STATE.
 
     Args:
         spec: The sensor.
@@ -169,12 +169,12 @@ class SimulatedView:
         )
 
     def __call__(self, state: np.void) -> np.ndarray:
-        """The picture: RGB (480, 640, 3) uint8."""
+        """Return the image: RGB (480, 640, 3) uint8."""
         surface = self.surface(np.array([*state["contact"], -state["depth"]]))
         return self._picture.image(self._markers.outlines(surface))
 
     def surface(self, tip: np.ndarray) -> np.ndarray:
-        """The deformation (X, Y, 3) float32 for a tip (3,) [m]: the last two, gone on to it."""
+        """Return the deformation (X, Y, 3) float32 for a tip (3,) [m], from the last two."""
         newest = self._solved.read()
         if newest is None:
             return np.zeros((*self._shape, 3), np.float32)
@@ -189,10 +189,10 @@ class SimulatedView:
 
 
 def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
-    """The simulated sensor under the indenter of that name.
+    """Return the simulated sensor under the indenter of that name.
 
     Raises:
-        ConfigError: No such sensor or indenter, or no simulator is installed.
+        ConfigError: The sensor or indenter is unknown, or the simulator is not installed.
     """
     try:
         from sim.indenters import named
@@ -206,10 +206,10 @@ def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
 
 
 def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
-    """The simulated sensor's markers, and the points (X, Y) that its deformation is told at.
+    """Return the simulated sensor's markers, and the shape (X, Y) of its deformation's points.
 
     Raises:
-        ConfigError: No such sensor, one without a camera, or no simulator is installed.
+        ConfigError: The sensor is unknown or has no camera, or the simulator is not installed.
     """
     try:
         from sim.layer import Grid

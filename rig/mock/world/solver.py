@@ -1,10 +1,10 @@
-"""The process that solves the contact of a simulated World, along the arm's path.
+"""Process that solves the contact of a simulated World along the arm's path.
 
     python -m rig.mock.world.solver --spec world.json --arm arm.state
 
-It takes the arm's newest pose, brings the simulated press there from the pose before, shares the
-solution, and waits for its next turn. A pose that came while it was busy is passed over: what lies
-between two solutions is a straight line, and nothing ever waits in a queue.
+It reads the arm's newest pose, moves the simulated press there from the previous pose, publishes
+the solution, and waits for its next turn. Poses that arrive while it is busy are skipped: the path
+between two solutions is a straight line, and there is no queue.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ logger = logging.getLogger(__name__)
 
 
 class Shared:
-    """What the solver tells the others, in the run folder.
+    """Records in the run folder to which the solver publishes.
 
     Args:
-        folder: With a PRESS_STATE record; the deformation's is made.
+        folder: Run folder with a PRESS_STATE record; the deformation's record is created.
         live: The sensor.
     """
 
@@ -53,7 +53,7 @@ class Shared:
         self._surface: np.void = np.zeros(1, surface_state(shape))[0]
 
     def publish(self, t_ns: int) -> None:
-        """The sensor's newest answer, for a pose of `t_ns`."""
+        """Publish the sensor's newest solution, for a pose of `t_ns`."""
         answer, press, surface = self._live.answer, self._press, self._surface
         surface["t_ns"] = press["t_ns"] = t_ns
         surface["tip_before"], surface["surface_before"] = surface["tip"], surface["surface"]
@@ -63,26 +63,26 @@ class Shared:
         press["touching"] = answer.touching
         for name in ("values", "slope", "rate"):
             press[name] = getattr(answer, name)
-        # The deformation first: who sees the press may look for it.
+        # The deformation first: a reader of the press may need it.
         self._surfaces.write(surface)
         self._presses.write(press)
 
     def close(self) -> None:
-        """Let go of the files; safe twice."""
+        """Release the files; may be called twice."""
         self._presses.close()
         self._surfaces.close()
 
 
 class Solver:
-    """Moves a live sensor after the arm, in a thread of its own.
+    """Moves a live sensor along the arm's path, in its own thread.
 
     Args:
         live: The sensor.
         frame: Contact frame.
         arm: ARM_TRUTH record to follow.
-        shared: Where solutions go.
-        spec: How often to solve, and how late is too late.
-        clock: Paces them.
+        shared: Destination of the solutions.
+        spec: Rate of solutions, and longest time without one.
+        clock: Paces the solutions.
     """
 
     def __init__(
@@ -102,33 +102,33 @@ class Solver:
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="solver")
         self.failed: Exception | None = None
-        """What ended it, if it did not end in order."""
+        """Error that ended the solver, if any."""
         self.solved = 0
-        """Solutions so far."""
+        """Number of solutions."""
         self.busy_ns = 0
-        """Time that they took."""
+        """Total time spent solving."""
         self.longest_ns = 0
-        """Most that lay between two of them while it touched."""
+        """Longest time between two solutions in contact."""
         self._began_ns = 0
 
     @property
     def address(self) -> str:
-        """It has none: it is reached through shared memory."""
+        """Text in place of an address: the solver is reached through shared memory."""
         return "shared memory"
 
     @property
     def missed(self) -> int:
-        """Turns whose time had passed."""
+        """Number of turns skipped because their time had passed."""
         return self._pacer.missed
 
     def start(self) -> None:
-        """Follow the arm from now on; the untouched sensor is there to be read."""
+        """Publish the untouched sensor and follow the arm from now on."""
         self._shared.publish(self._clock.now_ns())
         self._began_ns = self._clock.now_ns()
         self._thread.start()
 
     def close(self) -> None:
-        """Stop; safe twice."""
+        """Stop; may be called twice."""
         self._ending.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
@@ -144,10 +144,10 @@ class Solver:
         )
 
     def turn(self) -> None:
-        """One solution, for the arm's newest pose.
+        """Solve once, for the arm's newest pose.
 
         Raises:
-            TimeoutError: The one before, in contact as well, is too long ago.
+            TimeoutError: The previous solution, also in contact, is too old.
         """
         record = self._arm.read()
         if record is None or int(record["t_ns"]) == self._before_ns:
@@ -175,17 +175,17 @@ class Solver:
             while not self._ending.is_set():
                 self._pacer.wait()
                 self.turn()
-        except Exception as error:  # Whatever it was, the bench must not go on without a World.
+        except Exception as error:  # After any error the bench must not continue without a World.
             self.failed = error
             logger.exception("the contact was lost")
             signal.raise_signal(signal.SIGTERM)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Solve until told to stop."""
+    """Solve until stopped."""
     parser = emulator_parser("python -m rig.mock.world.solver", __doc__)
-    parser.add_argument("--spec", type=Path, required=True, help="JSON that the mock bench writes")
-    parser.add_argument("--arm", type=Path, required=True, help="the arm emulator's pose")
+    parser.add_argument("--spec", type=Path, required=True, help="JSON written by the mock bench")
+    parser.add_argument("--arm", type=Path, required=True, help="record of the arm emulator's pose")
     options = parser.parse_args(argv)
     file = read_file(options.spec)
     if not isinstance(file.world, SimulatedSpec):

@@ -1,4 +1,4 @@
-"""The World's truth, kept: what the sensors should have shown at any time."""
+"""Log of the World's true states, from which the ideal readings at any time follow."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TruthLog:
         self._file.write(self._record.tobytes())
 
     def close(self) -> None:
-        """Write what is left; safe twice."""
+        """Write buffered records; may be called twice."""
         self._file.close()
 
 
@@ -35,7 +35,7 @@ class Truth:
     """Reads a truth log.
 
     Args:
-        path: File that a `TruthLog` wrote; a torn last record is left out.
+        path: File written by a `TruthLog`; a truncated last record is left out.
     """
 
     def __init__(self, path: Path) -> None:
@@ -44,7 +44,7 @@ class Truth:
         self.records = np.frombuffer(content[:whole], TRUTH)
 
     def _at(self, name: str, t_ns: np.ndarray) -> np.ndarray:
-        # Times relative to the first, or float64 would round nanoseconds since boot.
+        # Times are relative to the first: float64 would round nanoseconds since boot.
         origin = self.records["t_ns"][0]
         known = (self.records["t_ns"] - origin).astype(float)
         asked = (np.asarray(t_ns) - origin).astype(float)
@@ -52,13 +52,13 @@ class Truth:
         return np.stack([np.interp(asked, known, column) for column in values.T], axis=-1)
 
     def wrench(self, t_ns: np.ndarray) -> np.ndarray:
-        """Wrench (n, 6) at times (n,) [N, N m], linear between the arm's cycles."""
+        """Return the wrench (n, 6) at times (n,) [N, N m], linear between the arm's cycles."""
         return self._at("wrench", t_ns)
 
     def position(self, t_ns: np.ndarray) -> np.ndarray:
-        """TCP position (n, 3) in the base frame at times (n,) [m]."""
+        """Return the TCP position (n, 3) in the base frame at times (n,) [m]."""
         return self._at("pose", t_ns)[:, :3]
 
     def depth(self, t_ns: np.ndarray) -> np.ndarray:
-        """Indentation (n,) at times (n,) [m], negative above the surface."""
+        """Return the indentation (n,) at times (n,) [m], negative above the surface."""
         return self._at("depth", t_ns)[:, 0]

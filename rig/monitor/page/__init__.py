@@ -1,1 +1,1 @@
-"""A page to watch a collection on, served by a process of its own that can only look and ask."""
+"""Monitoring page of a collection; its separate process can only read and send requests."""

@@ -1,9 +1,9 @@
-"""Who may see the page and who may ask for something: decided from a request's headers alone.
+"""Access to the page and its commands, decided from a request's headers alone.
 
-Three ways in are closed. Another machine: without the token it gets nothing. Another web site in
-the operator's browser: its Origin is not ours. A name that a stranger's DNS points at this machine:
-the Host is not ours. The token comes once in the address and lives in a cookie from then on, which
-only this page's own requests carry (HttpOnly, SameSite=Strict).
+Three attacks are prevented. Another machine gets nothing without the token. Another web site in the
+operator's browser has a different Origin. A foreign DNS name that points at this machine gives a
+different Host. The token is in the address once and in a cookie from then on, which only this
+page's own requests send (HttpOnly, SameSite=Strict).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DEFAULT_PORT = 8765
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a server bound to `host`."""
+    """Return True if only this machine can reach a server bound to `host`."""
     if host == "localhost":
         return True
     try:
@@ -32,7 +32,7 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What a request must show."""
+    """Access policy of the page."""
 
     host: str = LOOPBACK_HOST
     """Address the server is bound to."""
@@ -43,18 +43,18 @@ class Gate:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie: a browser does not keep ports apart, so the name does."""
+        """Name of the cookie; it contains the port, since browsers share cookies between ports."""
         return f"rig_watch_{self.port}"
 
     @property
     def set_cookie(self) -> str:
-        """The Set-Cookie header that lets a browser in."""
+        """Set-Cookie header that grants a browser access."""
         return f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def knows_host(self, host: str | None) -> bool:
-        """Whether a Host header names this server, whatever the port (a tunnel may change it).
+        """Return True if a Host header names this server, with any port (tunnels may change it).
 
-        A server bound to loopback answers to loopback names; any other to addresses and to this
+        A server bound to loopback accepts loopback names; any other accepts addresses and this
         machine's own names.
         """
         if not host:
@@ -75,14 +75,14 @@ class Gate:
         return True
 
     def same_origin(self, origin: str | None, host: str | None) -> bool:
-        """Whether an Origin header says that our own page asks."""
+        """Return True if an Origin header is that of this page."""
         return bool(host) and origin == f"http://{host}"
 
     def may_open(self, path: str, cookies: str | None) -> bool:
-        """Whether the page may be shown: to this machine always, to others with the token.
+        """Return True if the page may be shown: on this machine always, to others with the token.
 
         Args:
-            path: Of the request, with its query.
+            path: Path of the request, with its query.
             cookies: Cookie header.
         """
         if is_loopback(self.host):
@@ -90,7 +90,7 @@ class Gate:
         return self._is_token(_query_token(path)) or self.has_cookie(cookies)
 
     def has_cookie(self, cookies: str | None) -> bool:
-        """Whether a Cookie header carries the token; what the live data and commands ask for."""
+        """Return True if a Cookie header holds the token; required for live data and commands."""
         jar: SimpleCookie = SimpleCookie()
         try:
             jar.load(cookies or "")

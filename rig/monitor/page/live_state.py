@@ -1,7 +1,7 @@
-"""What the page's process sees of a running collection: shared records and the open image shard.
+"""State of a running collection for the page, from shared records and the open image shard.
 
-Everything here is read-only. Force is sampled at 40 Hz for the traces: a picture of the signal for
-the eye, not the signal, which the session has at its full rate.
+Everything here is read-only. Force is sampled at 40 Hz for the traces, only for display; the
+session stores it at its full rate.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ Point = tuple[float, float | None, float | None, float | None]
 
 
 class Look:
-    """The newest of everything.
+    """Newest samples of all streams.
 
     Args:
         bench: The bench.
         folder: Run folder.
-        session: The session, which may not be there yet.
-        start_ns: Time that traces count from [ns].
+        session: The session, which may not exist yet.
+        start_ns: Origin of the traces' times [ns].
     """
 
     def __init__(self, bench: Bench, folder: Path, session: Path, start_ns: int) -> None:
@@ -57,13 +57,13 @@ class Look:
         self._image: tuple[int, bytes | None] = (-1, None)
         self._untouched: np.ndarray | None = None
         self.trace: deque[Point] = deque(maxlen=round(TRACE_SECONDS * TRACE_RATE_HZ))
-        """The last TRACE_SECONDS of force."""
+        """Force during the last TRACE_SECONDS."""
         self.traced = 0
-        """Points of the trace so far, those that fell out of it included."""
+        """Number of points ever added to the trace, including dropped ones."""
         self._traced_ns = 0
 
     def sample(self) -> None:
-        """Add the newest force to the trace, unless it is there already."""
+        """Add the newest force to the trace, unless it is already there."""
         record = self._latest["force"].read()
         if record is None or int(record["t_ns"]) == self._traced_ns:
             return
@@ -74,12 +74,12 @@ class Look:
         self.traced += 1
 
     def points_since(self, count: int) -> list[Point]:
-        """The trace's points after the first `count` of all, as far as it reaches back."""
+        """Return the points after the first `count` of all, as far as the trace reaches back."""
         new = min(self.traced - count, len(self.trace))
         return [self.trace[k] for k in range(len(self.trace) - new, len(self.trace))]
 
     def streams(self, now_ns: int) -> dict[str, dict[str, Any]]:
-        """Rate, expected rate [Hz], dropped, longest gap [ms] and age [ms] of every stream."""
+        """Return rate, expected rate [Hz], dropped, longest gap and age [ms] of every stream."""
         found = {}
         for name, shared in self._counters.items():
             counters = shared.read()
@@ -98,7 +98,7 @@ class Look:
         return found
 
     def force(self) -> dict[str, Any] | None:
-        """The wrench [N, N mm] and each axis' share of its rating, or None before the first."""
+        """Return the wrench [N, N mm] and each axis' share of its rating; None before the first."""
         record = self._latest["force"].read()
         if record is None:
             return None
@@ -114,7 +114,7 @@ class Look:
         }
 
     def tip(self) -> list[float | None] | None:
-        """Where the tip is in the contact frame (3,) [mm], or None before the first pose."""
+        """Return the tip's position in the contact frame (3,) [mm], None before the first pose."""
         record = self._latest["pose"].read()
         if record is None:
             return None
@@ -122,7 +122,7 @@ class Look:
         return [_number(from_si(float(value), "mm")) for value in place]
 
     def taxels(self) -> list[list[int]] | None:
-        """Counts (16, 3) less the first that were seen, or None without taxels."""
+        """Return the counts (16, 3) minus the first ones read, or None without taxels."""
         if "taxels" not in self._latest or (record := self._latest["taxels"].read()) is None:
             return None
         if self._untouched is None:
@@ -131,7 +131,7 @@ class Look:
         return change
 
     def limits(self) -> dict[str, Any]:
-        """What never changes: axes, their ratings, both limits, the box [mm]."""
+        """Return the constant limits: axes, their ratings, both fractions, the box [mm]."""
         limits = self._bench.limits
         ratings = (*limits.force_rating, *(from_si(v, "n_mm") for v in limits.torque_rating))
         box = (limits.box_x, limits.box_y, (-limits.depth_max, limits.height_max))
@@ -144,7 +144,7 @@ class Look:
         }
 
     def image(self) -> tuple[int, bytes | None]:
-        """Row and JPEG bytes of the newest stored image; (-1, None) before the first."""
+        """Return row and JPEG bytes of the newest stored image; (-1, None) before the first."""
         if "camera" not in self._latest:
             return self._image
         newest = self._latest["camera"].read()
@@ -156,14 +156,14 @@ class Look:
                 self._tail = open_tail(self._session / "streams" / "camera")
             data = self._tail.jpeg(row)
         except (SessionError, OSError):
-            # Of the picture only: `check` finds a damaged session, a page does not judge it.
+            # Affects the display only: corrupt sessions are reported by `check`, not by the page.
             return self._image
         if data is not None:
             self._image = (row, data)
         return self._image
 
     def close(self) -> None:
-        """Let go of everything; safe twice."""
+        """Release all records; may be called twice."""
         for record in (*self._latest.values(), *self._counters.values()):
             record.close()
         if self._tail is not None:
@@ -172,6 +172,6 @@ class Look:
 
 
 def _number(value: Any, digits: int = 3) -> float | None:
-    """A float that JSON can hold; None where there is no finite number to show."""
+    """Return a rounded float for JSON; None if it is not finite."""
     number = float(value)
     return round(number, digits) if math.isfinite(number) else None

@@ -1,4 +1,4 @@
-"""What crosses between the collecting process and the page's: small, frozen, picklable."""
+"""Messages between the collecting process and the page's: small, frozen, picklable."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from trajectories import Plan, PressShear
 
 Outcome = Literal["open", "done", "limited"]
 
-# One letter a target on the wire.
+# Letter of a target's outcome in messages.
 LETTERS: dict[Outcome, str] = {"open": ".", "done": "d", "limited": "l"}
-# What the page may ask for.
+# Commands of the page.
 COMMANDS = ("pause", "resume", "abort")
-# Statuses after which nothing follows.
+# Final statuses.
 ENDED = ("complete", "stopped", "gone")
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """One target on the map."""
+    """Target on the map."""
 
     point: int
     """Number of its contact point."""
     x: float
-    """Place of the point in the contact frame [m]."""
+    """x of the point in the contact frame [m]."""
     y: float
-    """The same along y [m]."""
+    """y of the point [m]."""
     depth: float
     """Indentation [m]."""
     direction: int
@@ -39,54 +39,54 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class PageJob:
-    """What the page's process needs to know from the start."""
+    """Settings of the page's process."""
 
     gate: Gate
-    """Where to listen, whom to let in."""
+    """Address to listen on, and access policy."""
     bench: Bench
-    """Whose streams and limits are shown."""
+    """Bench whose streams and limits are shown."""
     folder: Path
-    """Run folder, where `<stream>.latest` and `<stream>.counters` will appear."""
+    """Run folder for `<stream>.latest` and `<stream>.counters`."""
     session: Path
-    """Session that will be written."""
+    """Session to be written."""
     spots: tuple[Spot, ...]
-    """The map, target by target."""
+    """Targets on the map."""
     directions: int
     """Shear directions of the plan; 1 without shear."""
     indenter: str
     """Name of the indenter on the arm."""
     patience: float = 5.0
-    """A client that takes nothing for so long is let go [s]."""
+    """Time after which a client that reads nothing is disconnected [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """How far the collection is; the page's process gets one a few times a second."""
+    """Progress of the collection, sent to the page's process a few times per second."""
 
     status: str = "preparing"
     """preparing, collecting, paused, ending, or one of ENDED."""
     reason: str = ""
-    """Why it ended, or where the result lies."""
+    """Reason of the end, or location of the result."""
     target: int = -1
-    """Index of the target under way; -1 before the first and after the last."""
+    """Index of the current target; -1 before the first and after the last."""
     phase: str = ""
-    """What the arm is doing, in words."""
+    """Current activity of the arm, as text."""
     outcomes: str = ""
     """One of LETTERS for every target."""
     left: float | None = None
-    """Time left [s], once it can be said."""
+    """Estimated remaining time [s], None before it is known."""
     elapsed: float = 0.0
     """Time since the collection was started [s]."""
     paused_by: tuple[str, ...] = ()
-    """Who wants a pause."""
+    """Sources of the current pause requests."""
     log: tuple[str, ...] = ()
-    """Log lines since the snapshot before."""
+    """Log lines since the previous snapshot."""
 
 
 def page_job(
     gate: Gate, bench: Bench, folder: Path, order: Order, plan: Plan, total: int
 ) -> PageJob:
-    """The job for a collection of the first `total` targets of `plan`."""
+    """Return the page's settings for a collection of the first `total` targets of `plan`."""
     spots = tuple(
         Spot(target.point, *target.origin[:2], target.depth, target.direction)
         for target in plan.targets()

@@ -1,8 +1,8 @@
-"""The collecting process's end of the page: tells it how far things are, obeys what it asks.
+"""Collecting process's side of the page: sends progress, executes requests.
 
-The thread that walks the plan never waits for any of this. It leaves values where a thread of this
-file picks them up, five times a second; if the page's process hangs or dies, that thread notices
-and nobody else.
+The thread that runs the plan never waits for the page. It leaves values that a thread of this
+module reads five times per second; if the page's process hangs or dies, only that thread is
+affected.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from rig.monitor.page.server import LINGER, run_page
 
 logger = logging.getLogger(__name__)
 
+# Interval between snapshots [s]; commands are received immediately.
 _PERIOD = 0.2
-# Between two snapshots [s]; commands are heard at once.
+# Longest start of an interpreter on a busy machine [s].
 _START_TIMEOUT = 30.0
-# An interpreter on a busy machine [s].
 _WHO = "page"
 _LIMITED = OUTCOMES.index("force_limited")
 
@@ -50,15 +50,15 @@ class _LogLines(logging.Handler):
         self._lines.append(self.format(record)[:400])
 
     def fetch(self) -> tuple[str, ...]:
-        """The lines since the last call."""
+        """Return the lines since the last call."""
         return tuple(self._lines.popleft() for _ in range(len(self._lines)))
 
 
 class Page:
-    """Serves the page while a collection runs, as a context manager.
+    """Context manager that serves the page while a collection runs.
 
     Args:
-        job: What to show, where, and to whom.
+        job: Settings of the page.
         clock: Clock.
     """
 
@@ -73,7 +73,7 @@ class Page:
         self._ending = threading.Event()
         self._log = _LogLines()
         self.port = job.gate.port
-        """Where it listens, once started."""
+        """Port of the server, once started."""
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=run_page, args=(job, theirs), name="page")
@@ -82,7 +82,7 @@ class Page:
 
     @property
     def url(self) -> str:
-        """What to open; with the token, where one is asked for. Printed, never logged."""
+        """Address to open, with the token if it is required. Printed, never logged."""
         gate = self._job.gate
         host = f"[{gate.host}]" if ":" in gate.host else gate.host
         if gate.host in ("0.0.0.0", "::"):
@@ -126,13 +126,13 @@ class Page:
         session: Path,
         first: int,
     ) -> None:
-        """Show a collection in progress.
+        """Show a running collection.
 
         Args:
-            control: Gets what the page asks for.
-            progress: Asked in a thread for fields of `Snapshot`, and for `ended` (how targets did)
-                and `waiting` (whether a pause holds).
-            session: Its session; what earlier runs did with the targets before `first` is shown.
+            control: Receives the page's requests.
+            progress: Called in a thread; returns fields of `Snapshot`, `ended` (outcomes of
+                targets) and `waiting` (True during a pause).
+            session: Its session; the outcomes of targets before `first` are read from it.
             first: First target of this run.
         """
         self._control, self._progress = control, progress
@@ -151,7 +151,7 @@ class Page:
             self._outcomes[target] = LETTERS["limited" if target in limited else "done"]
 
     def close(self) -> None:
-        """Send the last word, give it time to arrive, end the process; safe twice."""
+        """Send the final state, wait until it arrives, end the process; may be called twice."""
         logging.getLogger().removeHandler(self._log)
         self._ending.set()
         if self._thread.is_alive():
@@ -165,7 +165,7 @@ class Page:
             self._process.kill()
         self._process.join()
         if self._thread.is_alive():
-            # It hung on a process that did not listen, and no longer does.
+            # It was blocked on the killed process and ends now.
             self._thread.join()
         self._pipe.close()
 
@@ -178,10 +178,10 @@ class Page:
             self._pipe.send(self._now())
         except (EOFError, OSError):
             if not self._ending.is_set():
-                logger.warning("the page to watch on is gone; the collection goes on without it")
+                logger.warning("the monitoring page is gone; the collection continues without it")
                 if self._control is not None and _WHO in self._control.paused_by:
-                    # Whoever paused may stand at the bench: nothing moves on again by itself.
-                    logger.warning("the pause it asked for stays: end with Ctrl-C, then resume")
+                    # The person who paused may be at the bench: motion must not resume by itself.
+                    logger.warning("the pause it requested stays: end with Ctrl-C, then resume")
 
     def _obey(self, command: str) -> None:
         if self._control is not None and command in COMMANDS:

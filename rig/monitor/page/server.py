@@ -1,9 +1,9 @@
-"""The page's process: serves whoever may watch, and passes on what they ask for.
+"""Process of the page: serves permitted clients and forwards their commands.
 
-It shares nothing with the recording but read-only records and one pipe. A client that is slow gets
-the newest state whenever it is ready for one, never a queue of old ones; a client that takes
-nothing for long, sends garbage or floods is let go. Many idle connections in one thread are
-what asyncio is for; nothing else in the rig uses it.
+It shares only read-only records and one pipe with the recording. A slow client gets the newest
+state whenever it is ready, never a queue of old ones. A client that reads nothing for long, sends
+garbage or floods is disconnected. asyncio is used here, and only here in the rig, to handle many
+idle connections in one thread.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rig.monitor.page.access import Gate
 from rig.monitor.page.live_state import TRACE_RATE_HZ, TRACE_SECONDS, Look
 from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
 
-# The HTTP side: a handful of known files, and the headers that keep strangers out of them.
+# HTTP part: a few known files, and the headers that protect them from other sites.
 
 # Path of the WebSocket.
 LIVE = "/live"
@@ -47,12 +47,12 @@ _FILES = {
 
 
 class Site:
-    """Answers every request that is not for the WebSocket, and judges those that are.
+    """Answers all requests except those for the WebSocket, which it accepts or rejects.
 
-    The files are read once, here: no path that a client sends ever reaches the disk.
+    The files are read once, here: no path sent by a client ever reaches the disk.
 
     Args:
-        gate: Who may.
+        gate: Access policy.
     """
 
     def __init__(self, gate: Gate) -> None:
@@ -63,11 +63,11 @@ class Site:
         }
 
     def answer(self, request: Request, *, full: bool) -> Response | None:
-        """The response, or None when the WebSocket may be opened.
+        """Return the response, or None if the WebSocket may be opened.
 
         Args:
-            request: Of the client.
-            full: Whether there are as many watchers as may be.
+            request: Request of the client.
+            full: True if the limit of watchers is reached.
         """
         host = _single(request.headers, "Host")
         if not self._gate.knows_host(host):
@@ -76,13 +76,13 @@ class Site:
         try:
             path = unquote(urlsplit(request.path).path)
         except ValueError:
-            return _text(http.HTTPStatus.BAD_REQUEST, "That is no address.\n")
+            return _text(http.HTTPStatus.BAD_REQUEST, "This is not a valid address.\n")
         if path == LIVE:
             return self._refuse_live(request, host, cookies, full=full)
         if not self._gate.may_open(request.path, cookies):
             return _text(
                 http.HTTPStatus.FORBIDDEN,
-                "This page asks for the token in the address that the collection printed.\n",
+                "This page requires the token in the address that the collection printed.\n",
             )
         if path not in self._files:
             return _text(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
@@ -105,7 +105,7 @@ class Site:
 
 
 def _single(headers: Headers, name: str) -> str | None:
-    """A header that came once; one that came twice counts as not sent."""
+    """Return a header that was sent once, else None."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else None
 
@@ -117,7 +117,7 @@ def _text(status: http.HTTPStatus, text: str) -> Response:
 
 
 def _headers(kind: str, length: int, host: str) -> Headers:
-    # Older tablets do not count ws: as 'self'. The host was judged before it is repeated here.
+    # Older tablets do not count ws: as 'self'. The host was checked before it is repeated here.
     live = f" ws://{host}" if host else ""
     return Headers(
         {
@@ -141,31 +141,31 @@ def _headers(kind: str, length: int, host: str) -> Headers:
 
 # Open pages at a time.
 MAX_WATCHERS = 8
-# TCP connections at a time, whatever they are up to.
+# TCP connections at a time, in any state.
 MAX_CONNECTIONS = 48
 # Longest message of a client [bytes]; a command has 20.
 MAX_MESSAGE = 512
 # Messages of one client in MESSAGE_WINDOW.
 MAX_MESSAGES = 20
 MESSAGE_WINDOW = 5.0
-# Messages that are no command, before a client is let go.
+# Invalid messages after which a client is disconnected.
 MAX_NONSENSE = 5
 HANDSHAKE_TIMEOUT = 5.0
 STATE_PERIOD = 0.1
-# How long the final state is offered [s]; the process ends sooner when everybody has it.
+# Time for delivering the final state [s]; the process ends sooner if all clients have it.
 LINGER = 3.0
+# Send buffer of the kernel per client [bytes]; small, because its content is outdated on arrival.
 _BUFFER = 64 * 1024
-# Of the kernel, per client [bytes]: what lies in there is old by the time it arrives.
 _LOG_LINES = 100
 
+# Silences the library's log of every request with its address, which may contain the token.
 _quiet = logging.getLogger("rig.monitor.page.wire")
 _quiet.addHandler(logging.NullHandler())
 _quiet.propagate = False
-# The library logs every request a stranger makes, with its address: the token may be in it.
 
 
 class _Connection(ServerConnection):
-    """One client; hung up at once when there are too many, and never owed much."""
+    """Connection of a client; closed immediately if there are too many, with a small buffer."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -182,8 +182,8 @@ class PageServer:
     """State and clients of the page.
 
     Args:
-        job: What to show and where.
-        pipe: To the collecting process.
+        job: Settings of the page.
+        pipe: Connection to the collecting process.
         clock: Clock.
     """
 
@@ -201,7 +201,7 @@ class PageServer:
         self._ended = asyncio.Event()
 
     async def run(self) -> None:
-        """Serve until the collection ended and everybody who watches knows it."""
+        """Serve until the collection has ended and all clients have the final state."""
         gate = self._job.gate
         try:
             server = await self._listen()
@@ -248,7 +248,7 @@ class PageServer:
         )
 
     def _hear(self) -> None:
-        """Take what the collecting process says; only the newest counts."""
+        """Receive snapshots of the collecting process; only the newest counts."""
         try:
             while self._pipe.poll():
                 snapshot: Snapshot = self._pipe.recv()
@@ -261,7 +261,7 @@ class PageServer:
             if self._snapshot.status not in ENDED:
                 self._snapshot = Snapshot(
                     "gone",
-                    f"the collecting process is gone; bring {self._job.session} in order with: "
+                    f"the collecting process is gone; recover {self._job.session} with: "
                     f"python -m recorder recover {self._job.session}",
                     outcomes=self._snapshot.outcomes,
                 )
@@ -291,7 +291,7 @@ class PageServer:
         except ConnectionClosed:
             pass
         except TimeoutError:
-            # It does not read: no polite goodbye would get through.
+            # It does not read, so no close frame would arrive.
             client.transport.abort()
         finally:
             self._watchers.discard(client)
@@ -324,7 +324,7 @@ class PageServer:
             await client.send(message)
 
     async def _listen_to(self, client: ServerConnection) -> str:
-        """Take commands until there are no more; why the client is let go, or empty."""
+        """Forward commands until the client leaves; return why it is disconnected, or ''."""
         received: list[int] = []
         nonsense = 0
         try:
@@ -340,7 +340,7 @@ class PageServer:
                     self._refused += 1
                     nonsense += 1
                     if nonsense >= MAX_NONSENSE:
-                        return "that is no command"
+                        return "invalid command"
                 elif not self._ended.is_set():
                     self._pipe.send(command)
         except (ConnectionClosed, OSError):
@@ -348,7 +348,7 @@ class PageServer:
         return ""
 
     def _hello(self) -> dict[str, Any]:
-        """What stays the same through the collection."""
+        """Return the data that stay constant during the collection."""
         job = self._job
         points = {spot.point: [1e3 * spot.x, 1e3 * spot.y] for spot in job.spots}
         return {
@@ -366,7 +366,7 @@ class PageServer:
         }
 
     def _state(self, traced: int, logged: int) -> dict[str, Any]:
-        """What changes; of trace and log what a client has not had yet."""
+        """Return the changing data, with the points and log lines that are new to the client."""
         now = self._snapshot
         new = min(self._logged - logged, len(self._log))
         return {
@@ -391,7 +391,7 @@ class PageServer:
 
 
 def parse_command(message: str | bytes) -> str | None:
-    """The command in a client's message, or None for anything else."""
+    """Return the command in a client's message, or None for anything else."""
     try:
         content = json.loads(message)
     except (ValueError, RecursionError):
@@ -403,11 +403,11 @@ def parse_command(message: str | bytes) -> str | None:
 
 
 def run_page(job: PageJob, pipe: Connection) -> None:
-    """Body of the process; `pipe` is its end."""
-    # Ctrl-C belongs to the collecting process, whose end of the pipe says when all is over.
+    """Run the process; `pipe` is its end of the connection."""
+    # Ctrl-C is handled by the collecting process, which ends this one through the pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    # Recording comes first, whatever the clients are up to.
+    # Recording has priority over all clients.
     os.nice(10)
     try:
         asyncio.run(PageServer(job, pipe, SystemClock()).run())

@@ -95,7 +95,7 @@ export class TargetMap {
   }
 }
 
-// Centres and one radius, so that roses lie as the points do and do not touch.
+// Returns centres and a common radius, so that roses are arranged like the points and do not touch.
 function layout(points) {
   if (points.length < 2) return points.map(() => ({ x: 50, y: 50, r: 46 }));
   const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);

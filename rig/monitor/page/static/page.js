@@ -1,4 +1,4 @@
-// Connects, shows what comes, asks for what is pressed. Everything is pushed by the server.
+// Connects, displays the server's messages and sends commands. The server pushes all data.
 
 import { TargetMap } from "./map.js";
 import { Traces } from "./traces.js";
@@ -42,7 +42,7 @@ function clock(seconds) {
 
 async function connect() {
   try {
-    // The page first: its answer renews the cookie, and says why when we may not in.
+    // The page is fetched first: the response renews the cookie, and shows if access is denied.
     const answer = await fetch("/", { cache: "no-store" });
     if (answer.status === 403) return lost("Not let in: open the address that the collection printed.", true);
     if (!answer.ok) return lost("", true);
@@ -91,7 +91,7 @@ function ask(command) {
   buttons();
 }
 
-// What stays -------------------------------------------------------------------------------------
+// Constant data -------------------------------------------------------------------------------------
 
 function begin(message) {
   hello = message;
@@ -159,7 +159,7 @@ function setGauge(row, share, value, level) {
   text(row.children[2], value);
 }
 
-// What changes -----------------------------------------------------------------------------------
+// Changing data -----------------------------------------------------------------------------------
 
 function show(next) {
   state = next;
